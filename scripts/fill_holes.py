@@ -1,0 +1,39 @@
+"""Close the holes of a triangle mesh without new vertices: each by the triangulation of least area."""
+
+import numpy as np
+
+
+def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
+    """Vertices of each hole's rim, in the order that a filling face must follow to keep the orientation."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    present = set(map(tuple, edges.tolist()))
+    following = {end: start for start, end in present if (end, start) not in present}
+    loops = []
+    while following:
+        loop = [min(following)]
+        while loop[-1] in following:
+            loop.append(following.pop(loop[-1]))
+        loops.append(np.array(loop[:-1]))
+    return loops
+
+
+def fill_loop(loop: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """Triangles [n - 2, 3] across a rim of n vertices, of least total area (dynamic programming, cubic in n)."""
+    points, count = vertices[loop], len(loop)
+    area = np.zeros((count, count))
+    split = np.zeros((count, count), dtype=int)
+    for span in range(2, count):
+        for first in range(count - span):
+            last = first + span
+            middle = np.arange(first + 1, last)
+            cross = np.cross(points[middle] - points[first], points[last] - points[first])
+            costs = area[first, middle] + area[middle, last] + 0.5 * np.linalg.norm(cross, axis=-1)
+            area[first, last], split[first, last] = costs.min(), middle[costs.argmin()]
+    triangles, pending = [], [(0, count - 1)]
+    while pending:
+        first, last = pending.pop()
+        if last - first >= 2:
+            middle = int(split[first, last])
+            triangles.append((loop[first], loop[middle], loop[last]))
+            pending += [(first, middle), (middle, last)]
+    return np.array(triangles)

@@ -1,0 +1,220 @@
+"""The body: ten shape coefficients and 27 joint rotations to a posed surface, by linear blend skinning."""
+
+import math
+import zipfile
+from dataclasses import dataclass, fields, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from quaffure.body.scalp import ScalpChart
+from quaffure.errors import InputError
+from quaffure.geometry.rotation import matrix_from_axis_angle
+from quaffure.types import BodyPose, BodyShape, MeshFaces
+
+JOINT_COUNT, SHAPE_COUNT = 27, 10
+MAX_VERTICES = 1_000_000
+
+# Each array of a body file: its axes (numbers fixed; letters the same everywhere) and its kind of numbers.
+FILE_ARRAYS: dict[str, tuple[tuple[int | str, ...], str]] = {
+    "rest_vertices": (("v", 3), "f"),
+    "shape_directions": ((SHAPE_COUNT, "v", 3), "i"),
+    "shape_direction_scales": ((SHAPE_COUNT,), "f"),
+    "rest_joints": ((JOINT_COUNT, 3), "f"),
+    "joint_shape_directions": ((SHAPE_COUNT, JOINT_COUNT, 3), "f"),
+    "joint_parents": ((JOINT_COUNT,), "i"),
+    "joint_names": ((JOINT_COUNT,), "U"),
+    "skin_joints": (("v", "w"), "u"),
+    "skin_weights": (("v", "w"), "f"),
+    "faces": (("k", 3), "i"),
+    "ear_vertices": (("e",), "i"),
+    "scalp_faces": (("f",), "i"),
+    "scalp_uv": (("f", 3, 2), "f"),
+    "meta": ((), "U"),
+}
+
+
+@dataclass(frozen=True)
+class PosedBody:
+    """Posed bodies in the world.
+
+    Attributes:
+        vertices: surface vertices [m].
+        joint_rotations: `world_from_joint`; the identity in the rest pose, whatever the bone's direction.
+        joint_positions: where each joint is [m].
+    """
+
+    vertices: Float[Tensor, "b v 3"]
+    joint_rotations: Float[Tensor, "b j 3 3"]
+    joint_positions: Float[Tensor, "b j 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class BodyModel:
+    """A family of bodies: rest surface and skeleton, linear in the shape, skinned to 27 joints.
+
+    At rest the body stands in an A pose on the ground z = 0 (mean shape), facing -y, its left on +x. Poses are
+    axis-angles in world-aligned rest frames: joint j turns by R_j relative to its parent, `G_j = G_parent R_j`,
+    about its own rest position J_j; the root Hips stays at its rest place. There is no global translation.
+
+    Attributes:
+        rest_vertices: surface of the mean shape [m].
+        shape_directions: its change per coefficient [m]; a coefficient of 1 is one standard deviation of adults.
+        rest_joints, joint_shape_directions: the same for the joints [m].
+        joint_parents: index of each joint's parent, -1 for the root; parents come first.
+        joint_names: names in the CMU skeleton.
+        skin_joints, skin_weights: joints that move each vertex, and their shares, which sum to 1.
+        faces: triangles of the closed surface, normals outwards.
+        ear_vertices: the vertices of both ears.
+        scalp: where hair grows.
+    """
+
+    rest_vertices: Float[Tensor, "v 3"]
+    shape_directions: Float[Tensor, "10 v 3"]
+    rest_joints: Float[Tensor, "27 3"]
+    joint_shape_directions: Float[Tensor, "10 27 3"]
+    joint_parents: tuple[int, ...]
+    joint_names: tuple[str, ...]
+    skin_joints: Int[Tensor, "v w"]
+    skin_weights: Float[Tensor, "v w"]
+    faces: MeshFaces
+    ear_vertices: Int[Tensor, " e"]
+    scalp: ScalpChart
+    meta: str
+    _dense_skin_weights: Float[Tensor, "v 27"]
+
+    def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> "BodyModel":
+        """The same body on a device, its real numbers in `dtype` (float64 in gradient checks)."""
+        moved: dict[str, Any] = {"scalp": self.scalp.to(device)}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, Tensor):
+                moved[field.name] = value.to(device, dtype if value.is_floating_point() else None)
+        return replace(self, **moved)
+
+    def rest(self, body_shape: BodyShape) -> tuple[Float[Tensor, "b v 3"], Float[Tensor, "b j 3"]]:
+        """Surface and joints of shaped bodies in the rest pose [m]."""
+        count = len(body_shape)
+        vertices = torch.addmm(self.rest_vertices.flatten(), body_shape, self.shape_directions.flatten(1))
+        joints = torch.addmm(self.rest_joints.flatten(), body_shape, self.joint_shape_directions.flatten(1))
+        return vertices.view(count, -1, 3), joints.view(count, -1, 3)
+
+    def posed_joints(
+        self, body_pose: BodyPose, body_shape: BodyShape
+    ) -> tuple[Float[Tensor, "b j 3 3"], Float[Tensor, "b j 3"]]:
+        """Forward kinematics alone: `world_from_joint` rotations and joint positions [m]."""
+        joints = torch.addmm(self.rest_joints.flatten(), body_shape, self.joint_shape_directions.flatten(1))
+        return self._forward_kinematics(body_pose, joints.view(len(body_shape), -1, 3))
+
+    def pose(self, body_pose: BodyPose, body_shape: BodyShape) -> PosedBody:
+        """Bodies of shape beta [standard deviations] in pose theta [rad]; differentiable in both."""
+        rest_vertices, rest_joints = self.rest(body_shape)
+        rotations, positions = self._forward_kinematics(body_pose, rest_joints)
+        # x -> G_j (x - J_j) + p_j as one 3x4 matrix a joint, blended by the skin weights.
+        offsets = positions[..., None] - rotations @ rest_joints[..., None]
+        transforms = torch.cat([rotations, offsets], dim=-1)
+        blended = (self._dense_skin_weights @ transforms.flatten(2)).unflatten(-1, (3, 4))
+        vertices = (blended[..., :3] @ rest_vertices[..., None] + blended[..., 3:]).squeeze(-1)
+        return PosedBody(vertices, rotations, positions)
+
+    def _forward_kinematics(
+        self, body_pose: BodyPose, rest_joints: Float[Tensor, "b j 3"]
+    ) -> tuple[Float[Tensor, "b j 3 3"], Float[Tensor, "b j 3"]]:
+        local = matrix_from_axis_angle(body_pose.unflatten(-1, (JOINT_COUNT, 3)))
+        parents = torch.tensor((0, *self.joint_parents[1:]), device=rest_joints.device)
+        bones = rest_joints - rest_joints[:, parents]
+        steps = torch.cat([local, bones[..., None]], dim=-1).unbind(1)
+        rotations, positions = [local[:, 0]], [rest_joints[:, 0]]
+        for joint, parent in enumerate(self.joint_parents[1:], start=1):
+            step = rotations[parent] @ steps[joint]
+            rotations.append(step[..., :3])
+            positions.append(positions[parent] + step[..., 3])
+        return torch.stack(rotations, dim=1), torch.stack(positions, dim=1)
+
+
+def load_body(path: Path | None = None) -> BodyModel:
+    """The body that the package ships, or one baked to `path` in the same layout (`scripts/bake_body.py`).
+
+    Raises:
+        InputError: the file is missing, is no body file, or its arrays contradict each other.
+    """
+    if path is None:
+        path = Path(str(files("quaffure") / "assets" / "body.npz"))
+    arrays = _read_arrays(path)
+    _check_contents(arrays, path)
+    scales = arrays["shape_direction_scales"][:, None, None]
+    skin_joints = torch.from_numpy(arrays["skin_joints"].astype(np.int64))
+    skin_weights = torch.from_numpy(arrays["skin_weights"])
+    dense = torch.zeros(len(skin_joints), JOINT_COUNT).scatter_add_(1, skin_joints, skin_weights)
+    return BodyModel(
+        rest_vertices=torch.from_numpy(arrays["rest_vertices"]),
+        shape_directions=torch.from_numpy(arrays["shape_directions"].astype(np.float32) * scales),
+        rest_joints=torch.from_numpy(arrays["rest_joints"]),
+        joint_shape_directions=torch.from_numpy(arrays["joint_shape_directions"]),
+        joint_parents=tuple(arrays["joint_parents"].tolist()),
+        joint_names=tuple(arrays["joint_names"].tolist()),
+        skin_joints=skin_joints,
+        skin_weights=skin_weights,
+        faces=torch.from_numpy(arrays["faces"].astype(np.int64)),
+        ear_vertices=torch.from_numpy(arrays["ear_vertices"].astype(np.int64)),
+        scalp=ScalpChart(
+            torch.from_numpy(arrays["scalp_faces"].astype(np.int64)), torch.from_numpy(arrays["scalp_uv"])
+        ),
+        meta=str(arrays["meta"]),
+        _dense_skin_weights=dense,
+    )
+
+
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            missing = sorted(set(FILE_ARRAYS) - {name.removesuffix(".npy") for name in archive.namelist()})
+            if missing:
+                raise InputError(path, "a body file", f"no array {', '.join(missing)}")
+            for name in FILE_ARRAYS:
+                _check_size(archive, name, path)
+        with np.load(path, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in FILE_ARRAYS}
+    except FileNotFoundError as error:
+        raise InputError(path, "a body file (.npz)", "no such file") from error
+    except InputError:
+        raise
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(path, "a body file (.npz)", str(error) or type(error).__name__) from error
+
+
+def _check_size(archive: zipfile.ZipFile, name: str, path: Path) -> None:
+    """Hold an array's header to the bytes that are there, before anything of that size is allocated."""
+    member = archive.getinfo(f"{name}.npy")
+    with archive.open(member) as stream:
+        version = np.lib.format.read_magic(stream)
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read_header(stream)
+        header = stream.tell()
+    if member.compress_type != zipfile.ZIP_STORED or math.prod(shape) * dtype.itemsize != member.file_size - header:
+        raise InputError(path, f"an uncompressed array {name} of its header's size", f"{shape} {dtype} in {member}")
+
+
+def _check_contents(arrays: dict[str, np.ndarray], path: Path) -> None:
+    sizes: dict[int | str, int] = {}
+    for name, (axes, kind) in FILE_ARRAYS.items():
+        array = arrays[name]
+        matches = array.ndim == len(axes) and array.dtype.kind == kind
+        for axis, size in zip(axes, array.shape):
+            matches &= size == (axis if isinstance(axis, int) else sizes.setdefault(axis, size))
+        if not matches:
+            raise InputError(path, f"{name} of shape {axes}, kind {kind}", f"{array.shape}, kind {array.dtype.kind}")
+        if kind == "f" and not np.isfinite(array).all():
+            raise InputError(path, f"finite numbers in {name}", "NaN or infinity")
+    vertices, faces = sizes["v"], sizes["k"]
+    for name, bound in {"faces": vertices, "ear_vertices": vertices, "scalp_faces": faces, "skin_joints": 27}.items():
+        if arrays[name].size and not (arrays[name].min() >= 0 and arrays[name].max() < bound):
+            raise InputError(path, f"indices below {bound} in {name}", f"{arrays[name].min()}..{arrays[name].max()}")
+    parents = arrays["joint_parents"]
+    if parents[0] != -1 or not ((parents[1:] >= 0) & (parents[1:] < np.arange(1, JOINT_COUNT))).all():
+        raise InputError(path, "joints listed after their parents, root first", f"parents {parents.tolist()}")

@@ -1,0 +1,170 @@
+"""A motion: one body pose per frame. There is no root translation anywhere: hair at rest does not feel where the body is.
+
+Rotations between frames are interpolated spherically, joint by joint.
+"""
+
+import re
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from quaffure.errors import InputError
+from quaffure.geometry.rotation import axis_angle_from_matrix, interpolate_rotations, matrix_from_axis_angle
+
+# A joint that turns faster than this [rad/s] and comes back within FLIP_SECONDS did not move: its markers were swapped
+# or an Euler angle flipped. Fast strikes reach twice this speed, but no limb goes there and back within 0.1 s.
+FLIP_SPEED = 15.0
+FLIP_SECONDS = 0.1
+# A run counts as "back" when no more than this share of its largest excursion is left.
+FLIP_RETURN_SHARE = 0.5
+# Nine hours at 30 fps: beyond it, a file's frame time is a mistake and not a motion.
+MAX_FRAMES = 1_000_000
+
+_FRAMES = re.compile(r"(\d*):(\d*)(?::(\d+))?")
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Body poses at a constant rate.
+
+    Attributes:
+        body_pose: axis-angle of each joint [rad], relative to its parent, in the rest frame aligned with the world.
+        fps: frames per second.
+        name: what it is called in messages and files.
+
+    Raises:
+        InputError: no frames, another width than three numbers a joint, a value or a rate that is not finite.
+    """
+
+    body_pose: Float[Tensor, "f 81"]
+    fps: float
+    name: str
+
+    def __post_init__(self) -> None:
+        if self.body_pose.ndim != 2 or self.body_pose.shape[0] < 1 or self.body_pose.shape[1] != 81:
+            raise InputError(self.name, "body poses [frames >= 1, 81]", f"{list(self.body_pose.shape)}")
+        if not bool(torch.isfinite(self.body_pose).all()):
+            raise InputError(self.name, "finite joint angles", "NaN or infinity")
+        if not 0.0 < self.fps < float("inf"):
+            raise InputError(self.name, "a frame rate above 0 fps", f"{self.fps}")
+
+    def __len__(self) -> int:
+        return len(self.body_pose)
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first frame to the last [s]."""
+        return (len(self) - 1) / self.fps
+
+    def frames(self, spec: str) -> "Motion":
+        """The frames `A:B:STEP`: from A up to but without B, every STEP-th; A, B and STEP may be left out.
+
+        Raises:
+            InputError: `spec` reads otherwise, STEP is 0, or the range is empty or leaves the motion.
+        """
+        match = _FRAMES.fullmatch(spec.strip())
+        if match is None:
+            raise InputError(f"frames '{spec}'", "A:B:STEP with whole numbers, such as 300:600:2", f"'{spec}'")
+        first = int(match[1] or 0)
+        end = int(match[2]) if match[2] else len(self)
+        step = int(match[3] or 1)
+        if step < 1 or not first < end <= len(self):
+            expected = f"0 <= A < B <= {len(self)} (the frames of {self.name}) and STEP >= 1"
+            raise InputError(f"frames '{spec}'", expected, f"A = {first}, B = {end}, STEP = {step}")
+        return replace(self, body_pose=self.body_pose[first:end:step], fps=self.fps / step)
+
+
+def joint_matrices(body_pose: Float[Tensor, "f 81"]) -> Float[Tensor, "f 27 3 3"]:
+    """Rotation of each joint relative to its parent, in float64."""
+    return matrix_from_axis_angle(body_pose.double().unflatten(-1, (27, 3)))
+
+
+def pose_from_matrices(rotations: Float[Tensor, "f *batch 27 3 3"]) -> Float[Tensor, "f *batch 81"]:
+    """Axis-angles [rad] of joint rotations, each continuous from frame to frame (the first axis).
+
+    Of the two vectors of at most a full turn that mean the same rotation, each frame takes the one nearer to the
+    frame before; so a joint that passes half a turn does not jump to the other side.
+    """
+    short = axis_angle_from_matrix(rotations)
+    angle = short.norm(dim=-1, keepdim=True)
+    # Below 1e-6 rad the axis is rounding, and a full turn about it would be anything.
+    long = torch.where(angle > 1e-6, short * (1 - 2 * torch.pi / angle.clamp(min=1e-6)), short)
+    chosen = [short[0]]
+    for frame in range(1, len(short)):
+        before = chosen[-1]
+        nearer = (long[frame] - before).norm(dim=-1) < (short[frame] - before).norm(dim=-1)
+        chosen.append(torch.where(nearer[..., None], long[frame], short[frame]))
+    return torch.stack(chosen).flatten(-2).float()
+
+
+def resample(motion: Motion, fps: float) -> Motion:
+    """The motion at another frame rate, from its first frame to the last that the new rate hits.
+
+    Raises:
+        InputError: `fps` is not above 0, or the result would have more than `MAX_FRAMES` frames.
+    """
+    if not 0.0 < fps < float("inf"):
+        raise InputError(motion.name, "a frame rate above 0 fps", f"{fps}")
+    if fps == motion.fps or len(motion) == 1:
+        return replace(motion, fps=fps)
+    # The small share of a frame keeps a last frame that only rounding puts beyond the end (120 fps as 0.00833333 s).
+    intervals = motion.seconds * fps + 1e-3
+    if not intervals < MAX_FRAMES:
+        raise InputError(motion.name, f"at most {MAX_FRAMES} frames at {fps:g} fps", f"{intervals:.0f}")
+    place = (torch.arange(int(intervals) + 1, dtype=torch.float64) * (motion.fps / fps)).clamp(max=len(motion) - 1)
+    before = place.long().clamp(max=len(motion) - 2)
+    rotations = joint_matrices(motion.body_pose)
+    share = (place - before)[:, None].expand(-1, 27)
+    between = interpolate_rotations(rotations[before], rotations[before + 1], share)
+    return Motion(pose_from_matrices(between), fps, motion.name)
+
+
+def filter_flips(motion: Motion) -> Motion:
+    """The motion with joint flips repaired: short runs of frames that a joint jumps to and back from.
+
+    A run starts where a joint turns faster than `FLIP_SPEED`, and ends within `FLIP_SECONDS` where it is back near
+    the frame before. Its frames are interpolated from the good ones on both sides. A jump that does not come back is
+    left alone, as is every joint without a jump. Axis-angles come out continuous (see `pose_from_matrices`).
+    """
+    rotations = joint_matrices(motion.body_pose)
+    limit = FLIP_SPEED / motion.fps
+    longest_run = max(1, min(round(FLIP_SECONDS * motion.fps), len(motion)))
+    jumps = _angle_between(rotations[:-1], rotations[1:]) > limit
+    for frame, joint in jumps.nonzero().tolist():
+        _repair_run(rotations[:, joint], frame, longest_run, limit)
+    return replace(motion, body_pose=pose_from_matrices(rotations))
+
+
+def without_heading(body_pose: Float[Tensor, "f 81"]) -> Float[Tensor, "f 81"]:
+    """Body poses whose Hips (joint 0) keep their tilt and lose their turn about the vertical.
+
+    The turn is the twist of the swing-twist split about world z; gravity, contact and hence hair do not feel it.
+    """
+    rotations = joint_matrices(body_pose)
+    hips = rotations[:, 0]
+    heading = torch.atan2(hips[:, 1, 0] - hips[:, 0, 1], hips[:, 0, 0] + hips[:, 1, 1])
+    vertical = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64, device=body_pose.device)
+    turn_back = matrix_from_axis_angle(-heading[:, None] * vertical)
+    hips_pose = axis_angle_from_matrix(turn_back @ hips).float()
+    return torch.cat([hips_pose, body_pose[:, 3:]], dim=-1)
+
+
+def _angle_between(a: Float[Tensor, "*#n 3 3"], b: Float[Tensor, "*#n 3 3"]) -> Float[Tensor, "*n"]:
+    return axis_angle_from_matrix(a.transpose(-1, -2) @ b).norm(dim=-1)
+
+
+def _repair_run(rotations: Float[Tensor, "f 3 3"], before: int, longest_run: int, limit: float) -> None:
+    """Overwrite, in one joint's `rotations`, the run that starts after frame `before`, if it is a flip."""
+    after = rotations[before + 1 : before + longest_run + 2]
+    distance = _angle_between(rotations[before], after)
+    if distance[0] <= limit:
+        return  # repaired already, as part of a run that started earlier
+    returned = distance[1:] <= FLIP_RETURN_SHARE * distance.cummax(0).values[:-1]
+    if not bool(returned.any()):
+        return
+    length = int(returned.int().argmax()) + 1
+    share = torch.arange(1, length + 1, dtype=rotations.dtype) / (length + 1)
+    good_before, good_after = rotations[before].clone(), rotations[before + length + 1].clone()
+    rotations[before + 1 : before + length + 1] = interpolate_rotations(good_before, good_after, share)

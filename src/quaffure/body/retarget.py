@@ -1,0 +1,167 @@
+"""Motion of another skeleton carried over to the body's 27 joints.
+
+Only rotations are carried over. The root's translation is dropped: hair is quasi-static and does not feel it.
+
+Per joint, with world rotations G relative to rest frames that are aligned with the world:
+    G_target = G_source A,    A = shortest arc from the target's to the source's rest bone on arms and legs, else 1
+    local    = G_target_parent^T G_target
+A makes the world directions of arms and legs those of the source though one rests in a T pose and the other in an A pose.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.bvh_clip import BvhClip
+from quaffure.body.motion import Motion, filter_flips, pose_from_matrices, resample
+from quaffure.errors import InputError
+from quaffure.geometry.rotation import interpolate_rotations, shortest_arc
+
+RETARGET_FPS = 30.0
+# The CMU conversions start from the T pose and reach the actor's own pose within 15 frames of 1/120 s.
+LEAD_IN_SECONDS = 0.125
+REST_POSE_ANGLE = 0.02  # rad; a joint turned by less than this stands in the rest pose
+
+# Files are y up and face +z; the body is z up and faces -y: (x, y, z) -> (x, -z, y).
+BODY_FROM_Y_UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class JointSource:
+    """Where one joint of the body takes its world rotation from.
+
+    Attributes:
+        sources: joint of the source skeleton, or two of them: then half way between both.
+        bone_ends: where the joint's bone ends in the body and in the source, for joints whose bones are aligned.
+    """
+
+    sources: tuple[str, ...]
+    bone_ends: tuple[str, str] | None = None
+
+
+def _sided(side: str, prefix: str) -> dict[str, JointSource]:
+    """Arm and leg of one side in the Daz-friendly rig; `side` is Left or Right, `prefix` l or r."""
+    return {
+        f"{side[0]}HipJoint": JointSource((f"{prefix}Buttock",)),
+        f"{side}UpLeg": JointSource((f"{prefix}Thigh",), (f"{side}Leg", f"{prefix}Shin")),
+        f"{side}Leg": JointSource((f"{prefix}Shin",), (f"{side}Foot", f"{prefix}Foot")),
+        f"{side}Foot": JointSource((f"{prefix}Foot",)),
+        f"{side}Shoulder": JointSource((f"{prefix}Collar",)),
+        f"{side}Arm": JointSource((f"{prefix}Shldr",), (f"{side}ForeArm", f"{prefix}ForeArm")),
+        f"{side}ForeArm": JointSource((f"{prefix}ForeArm",), (f"{side}Hand", f"{prefix}Hand")),
+        f"{side}Hand": JointSource((f"{prefix}Hand",), (f"{side}FingerBase", f"{prefix}Mid1")),
+    }
+
+
+# Joints of the body that are not named here (toes, finger bases) follow their parents.
+DAZ_FRIENDLY_RIG: dict[str, JointSource] = {
+    "Hips": JointSource(("hip",)),
+    "LowerBack": JointSource(("hip", "abdomen")),
+    "Spine": JointSource(("abdomen",)),
+    "Spine1": JointSource(("chest",)),
+    "Neck": JointSource(("chest", "neck")),
+    "Neck1": JointSource(("neck",)),
+    "Head": JointSource(("head",)),
+    **_sided("Left", "l"),
+    **_sided("Right", "r"),
+}
+
+
+def retarget_bvh(clip: BvhClip, body: BodyModel) -> Motion:
+    """The clip on the body's joints at 30 fps: lead-in from the rest pose dropped, joint flips repaired.
+
+    The clip is y up and faces +z at rest, in the Daz-friendly rig of the CMU database (cgspeed.com). The first
+    0.125 s are dropped where the clip starts in its rest pose and is longer than that.
+
+    Raises:
+        InputError: the clip lacks joints (all are listed), is not y up, or a bone that must be aligned has no length.
+    """
+    _check_joints(clip)
+    start = _lead_in_frames(clip)
+    world = torch.from_numpy(clip.world_rotations()[start:])
+    world = BODY_FROM_Y_UP @ world @ BODY_FROM_Y_UP.T
+    source_world = {name: world[:, joint] for joint, name in enumerate(clip.joint_names)}
+    target_world = {
+        name: _source_rotation(source, source_world) @ _bone_alignment(name, source, clip, body)
+        for name, source in DAZ_FRIENDLY_RIG.items()
+    }
+    motion = Motion(local_pose(target_world, body), clip.fps, clip.source)
+    return resample(filter_flips(motion), RETARGET_FPS)
+
+
+def local_pose(world_rotations: dict[str, Float[Tensor, "f 3 3"]], body: BodyModel) -> Float[Tensor, "f 81"]:
+    """Body poses of world rotations by joint name; joints without one follow their parents."""
+    names, parents = list(body.joint_names), [int(parent) for parent in body.joint_parents]
+    identity = torch.eye(3, dtype=torch.float64).expand_as(next(iter(world_rotations.values())))
+    world: list[Tensor] = []
+    local: list[Tensor] = []
+    for name, parent in zip(names, parents):
+        of_parent = world[parent] if parent >= 0 else identity
+        world.append(world_rotations.get(name, of_parent))
+        local.append(of_parent.transpose(-1, -2) @ world[-1])
+    return pose_from_matrices(torch.stack(local, dim=1))
+
+
+def align_bone(target_bone: Float[Tensor, "3"], source_bone: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+    """A of the module's formula: turns the target's rest bone onto the source's; neither need have unit length."""
+    return shortest_arc(
+        torch.nn.functional.normalize(target_bone.double(), dim=-1),
+        torch.nn.functional.normalize(source_bone.double(), dim=-1),
+    )
+
+
+def body_bone(body: BodyModel, joint: str, end: str) -> Float[Tensor, "3"]:
+    """Rest bone from one joint of the body to another [m]."""
+    names = list(body.joint_names)
+    return body.rest_joints[names.index(end)] - body.rest_joints[names.index(joint)]
+
+
+def _source_rotation(source: JointSource, world: dict[str, Tensor]) -> Float[Tensor, "f 3 3"]:
+    if len(source.sources) == 1:
+        return world[source.sources[0]]
+    first, second = (world[name] for name in source.sources)
+    return interpolate_rotations(first, second, torch.full(first.shape[:1], 0.5, dtype=first.dtype))
+
+
+def _bone_alignment(name: str, source: JointSource, clip: BvhClip, body: BodyModel) -> Float[Tensor, "3 3"]:
+    if source.bone_ends is None:
+        return torch.eye(3, dtype=torch.float64)
+    body_end, clip_end = source.bone_ends
+    offset = torch.from_numpy(_rest_position(clip, clip_end) - _rest_position(clip, source.sources[0]))
+    if float(offset.norm()) == 0.0:
+        raise InputError(clip.source, f"a bone from {source.sources[0]} to {clip_end}", "an offset of length 0")
+    return align_bone(body_bone(body, name, body_end), BODY_FROM_Y_UP @ offset)
+
+
+def _rest_position(clip: BvhClip, name: str) -> Float[np.ndarray, "3"]:
+    """Rest position of a joint relative to the root [file units]."""
+    position, joint = np.zeros(3), clip.joint_names.index(name)
+    while joint >= 0:
+        position, joint = position + clip.offsets[joint], int(clip.parents[joint])
+    return position
+
+
+def _check_joints(clip: BvhClip) -> None:
+    sources = DAZ_FRIENDLY_RIG.values()
+    needed = {name for source in sources for name in source.sources} | {
+        source.bone_ends[1] for source in sources if source.bone_ends
+    }
+    missing = sorted(needed - set(clip.joint_names))
+    if missing:
+        raise InputError(clip.source, "the joints of the CMU Daz-friendly rig", f"none named {', '.join(missing)}")
+    up = _rest_position(clip, "head") - _rest_position(clip, "hip")
+    if up[1] <= max(abs(up[0]), abs(up[2])):
+        raise InputError(clip.source, "a rest pose with the head above the hip along y", f"the head at {up.tolist()}")
+
+
+def _lead_in_frames(clip: BvhClip) -> int:
+    """Frames to drop at the start."""
+    arms = [clip.joint_names.index(name) for name in ("lShldr", "rShldr", "lForeArm", "rForeArm")]
+    trace = np.trace(clip.local_rotations()[0, arms], axis1=-2, axis2=-1)
+    starts_at_rest = bool((np.arccos(np.clip((trace - 1) / 2, -1, 1)) < REST_POSE_ANGLE).all())
+    frames = round(LEAD_IN_SECONDS * clip.fps)
+    return frames if starts_at_rest and frames < len(clip.values) else 0

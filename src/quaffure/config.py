@@ -1,0 +1,40 @@
+"""Physical parameters, one set for every groom, pose and body."""
+
+from dataclasses import dataclass
+
+STANDARD_GRAVITY = 9.81
+"""Gravitational acceleration [m/s^2]."""
+
+VERTICES_PER_STRAND = 24
+"""N of the paper."""
+
+TEXTURE_SIZE = 64
+"""T of the paper."""
+
+
+@dataclass(frozen=True)
+class HairMaterial:
+    """What a strand is made of and how it meets the body and other strands.
+
+    The stiffnesses are those of the paper's equations, which prints no values; `docs/paper_notes.md` says how these
+    were chosen. They are never tuned for one groom or one pose.
+    """
+
+    linear_density: float = 6.5e-6
+    """Mass of a strand per length [kg/m]; a human hair weighs 6.4e-5 N/m."""
+    k_cosserat: float = 1.5e-7
+    """Stiffness of the modified stretch-shear energy, Eq. 6 [J]."""
+    k_stretch: float = 1.0
+    """Stiffness of an edge against stretching, Eq. 7 [N/m]."""
+    k_body_collision: float = 10.0
+    """Stiffness of the contact with the body, Eq. 10 [N/m^2]."""
+    collision_margin: float = 3e-3
+    """Distance D kept from the body, Eq. 10 [m]."""
+    collision_ramp: float = 0.25
+    """The margin grows from the root by this much per length of strand up to D: a root lies on the skin."""
+    k_self_collision: float = 1e-6
+    """Stiffness against density above that at rest, Eq. 11 [J (m^3/kg)^3]."""
+    smoothing_length: float = 5e-3
+    """Smoothing length h of the density, Eqs. 12-13; the support is 2h [m]."""
+    k_pose_reg: float = 1e-6
+    """Stiffness of the pose regularization, Eq. 14 [J/m^2]."""

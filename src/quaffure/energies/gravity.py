@@ -1,0 +1,25 @@
+"""Gravitational potential, Eq. 9."""
+
+from quaffure.config import STANDARD_GRAVITY
+from quaffure.types import Energy, Float, Positions, Tensor
+
+GRAVITY = (0.0, 0.0, -STANDARD_GRAVITY)
+"""Gravitational acceleration g [m/s^2]; z is up."""
+
+
+def energy_gravity(positions: Positions, mass: Float[Tensor, "s n"]) -> Energy:
+    """Eq. 9: -m g^T x over all vertices [J], for masses [kg] and positions [m]; zero at height zero."""
+    return -(mass * (positions @ positions.new_tensor(GRAVITY))).sum(dim=(-2, -1))
+
+
+def energy_gravity_above_root(positions: Positions, mass: Float[Tensor, "s n"]) -> Energy:
+    """Eq. 9 measured from each strand's own root, which is held fixed, so that no large constant rounds the sum.
+
+    A head is 1.6 m above the origin and a strand's drop a tenth of that: float32 sums keep one more digit this way.
+    """
+    return energy_gravity(positions - positions[..., :1, :].detach(), mass)
+
+
+def drops(positions: Positions) -> Float[Tensor, "b s n"]:
+    """Gauge of Eq. 9: how far every vertex hangs below its strand's root [mm], positive downwards."""
+    return (positions[..., :1, 2] - positions[..., 2]) * 1000

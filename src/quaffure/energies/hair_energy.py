@@ -1,0 +1,68 @@
+"""The objective that training and every solver share, Eq. 1 without the regularization of poses."""
+
+import torch
+
+from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.energies.body_collision import energy_body_collision
+from quaffure.energies.elastic import energy_stretch, energy_stretch_shear
+from quaffure.energies.fused_density import fused_self_collision
+from quaffure.energies.fused_strand import TERMS, strand_energy
+from quaffure.energies.gravity import energy_gravity_above_root
+from quaffure.energies.rest_state import RestState, rest_state
+from quaffure.energies.self_collision import densities, energy_self_collision
+from quaffure.geometry.signed_distance import signed_distance
+from quaffure.geometry.surface import Surface
+from quaffure.groom.groom import Groom
+from quaffure.types import EdgeVectors, Energy, Float, Positions, Tensor
+
+
+class HairEnergy:
+    """Energy of one groom in any batch of poses: Eqs. 6, 7, 9, 10 and 11.
+
+    Attributes:
+        rest: rest quantities of the groom.
+        material: physical parameters.
+    """
+
+    def __init__(self, groom: Groom, material: HairMaterial | None = None) -> None:
+        self.material = material or HairMaterial()
+        self.rest: RestState = rest_state(groom.rest_strands, self.material)
+
+    @property
+    def scale(self) -> float:
+        """Energy of lifting an average vertex by its strand's length, m g L [J]: the unit of `excess_energy`."""
+        lifted = self.rest.mass * self.rest.strand_length[:, None]
+        return STANDARD_GRAVITY * float(lifted.mean())
+
+    def total(self, positions: Positions, director: EdgeVectors, surface: Surface) -> Energy:
+        """Sum of all terms [J], differentiable in the positions [m]; compiled for float32 on the CPU."""
+        if positions.device.type != "cpu" or positions.dtype != torch.float32:
+            return torch.stack(list(self.reference_terms(positions, director, surface).values())).sum(dim=0)
+        along_strands, _ = strand_energy(positions, director, self.rest, self.material, surface)
+        return along_strands + fused_self_collision(positions, self.rest, self.material)
+
+    def terms(self, positions: Positions, director: EdgeVectors, surface: Surface) -> dict[str, Energy]:
+        """Every term by name [J], without gradient."""
+        with torch.no_grad():
+            if positions.device.type != "cpu" or positions.dtype != torch.float32:
+                return self.reference_terms(positions, director, surface)
+            _, along_strands = strand_energy(positions, director, self.rest, self.material, surface)
+            named = dict(zip(TERMS, along_strands.unbind(1)))
+            return named | {"self_collision": fused_self_collision(positions, self.rest, self.material)}
+
+    def reference_terms(self, positions: Positions, director: EdgeVectors, surface: Surface) -> dict[str, Energy]:
+        """Every term by name [J], differentiable, written out in torch: the twin of the compiled kernels."""
+        rest, material = self.rest, self.material
+        distance = signed_distance(positions.flatten(1, 2), surface).reshape(positions.shape[:3])
+        density = densities(positions, rest.mass, material.smoothing_length)
+        return {
+            "stretch_shear": energy_stretch_shear(positions, director, rest.rest_length, material.k_cosserat),
+            "stretch": energy_stretch(positions, rest.rest_length, material.k_stretch),
+            "gravity": energy_gravity_above_root(positions, rest.mass),
+            "body_collision": energy_body_collision(distance, rest.collision_margin, material.k_body_collision),
+            "self_collision": energy_self_collision(density, rest.rest_density, material.k_self_collision),
+        }
+
+    def per_vertex(self, energy: Energy) -> Float[Tensor, " b"]:
+        """Energy [J] over the number of vertices and `scale`: comparable between grooms, dimensionless."""
+        return energy / (self.rest.mass.numel() * self.scale)

@@ -1,0 +1,46 @@
+"""What the energies need to know of a groom at rest."""
+
+from dataclasses import dataclass
+
+import torch
+
+from quaffure.config import HairMaterial
+from quaffure.energies.self_collision import densities
+from quaffure.types import Float, RestLengths, Tensor
+
+
+@dataclass(frozen=True)
+class RestState:
+    """Rest quantities of a groom, made once and shared by every pose.
+
+    Attributes:
+        rest_length: of every edge (l_rest) [m].
+        mass: lumped at every vertex (m) [kg]: half of each adjacent edge, the root included.
+        collision_margin: distance D that every vertex keeps from the body [m]; zero at the root.
+        rest_density: density of hair at every vertex of the rest groom (rho_rest) [kg/m^3].
+    """
+
+    rest_length: RestLengths
+    mass: Float[Tensor, "s n"]
+    collision_margin: Float[Tensor, "s n"]
+    rest_density: Float[Tensor, "s n"]
+
+    @property
+    def mass_beyond(self) -> Float[Tensor, "s e"]:
+        """Mass that hangs on every edge: all vertices from its far end to the tip (M) [kg]."""
+        return self.mass[:, 1:].flip(1).cumsum(1).flip(1)
+
+    @property
+    def strand_length(self) -> Float[Tensor, " s"]:
+        return self.rest_length.sum(dim=1)
+
+
+def rest_state(rest_strands: Float[Tensor, "s n 3"], material: HairMaterial) -> RestState:
+    """Rest quantities of a groom of strands [m] made of `material`."""
+    rest_length = rest_strands.diff(dim=1).norm(dim=-1)
+    half = 0.5 * material.linear_density * rest_length
+    mass = torch.nn.functional.pad(half, (0, 1)) + torch.nn.functional.pad(half, (1, 0))
+    from_root = torch.nn.functional.pad(rest_length.cumsum(dim=1), (1, 0))
+    margin = (material.collision_ramp * from_root).clamp(max=material.collision_margin)
+    rest_density = densities(rest_strands[None], mass, material.smoothing_length)[0]
+    return RestState(rest_length, mass, margin, rest_density)

@@ -1,0 +1,194 @@
+"""Bounding-box tree over the faces of a mesh: built once for a topology, refitted to every pose.
+
+Nodes are stored parents first, so one backward sweep refits them. The compiled functions work on one posed mesh.
+Their torch twin is `quaffure.geometry.signed_distance.nearest_faces_reference`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit, prange
+
+LEAF_SIZE = 4
+MAX_DEPTH = 64
+
+
+@dataclass(frozen=True)
+class FaceTree:
+    """Topology of the tree.
+
+    Attributes:
+        face_order: the face at each place of the leaves' order.
+        first: of a leaf, its first place in `face_order`; of an inner node, its left child. The right child is
+            `second`.
+        second: of a leaf, minus its number of faces; of an inner node, its right child.
+    """
+
+    face_order: Int[np.ndarray, " k"]
+    first: Int[np.ndarray, " m"]
+    second: Int[np.ndarray, " m"]
+
+
+def build_face_tree(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "k 3"]) -> FaceTree:
+    """Tree by median splits of the face centroids along the widest axis."""
+    centroids = vertices[faces].mean(axis=1)
+    order = np.arange(len(faces), dtype=np.int32)
+    first: list[int] = []
+    second: list[int] = []
+    pending = [(0, len(faces), -1, False)]
+    while pending:
+        start, stop, parent, is_right = pending.pop()
+        node = len(first)
+        if parent >= 0:
+            (second if is_right else first)[parent] = node
+        if stop - start <= LEAF_SIZE:
+            first.append(start)
+            second.append(start - stop)
+            continue
+        first.append(0)
+        second.append(0)
+        spread = centroids[order[start:stop]]
+        axis = int(np.argmax(spread.max(axis=0) - spread.min(axis=0)))
+        middle = (start + stop) // 2
+        order[start:stop] = order[start:stop][np.argpartition(spread[:, axis], middle - start)]
+        pending.append((middle, stop, node, True))
+        pending.append((start, middle, node, False))
+    return FaceTree(order, np.array(first, np.int32), np.array(second, np.int32))
+
+
+@njit(cache=True, fastmath=True)
+def refit(corners: np.ndarray, first: np.ndarray, second: np.ndarray, bounds: np.ndarray) -> None:
+    """Fill `bounds` [m, 6] (lower, then upper corner) from `corners` [k, 3, 3] in the leaves' order."""
+    for node in range(len(first) - 1, -1, -1):
+        box = bounds[node]
+        if second[node] < 0:
+            box[:3] = np.inf
+            box[3:] = -np.inf
+            for place in range(first[node], first[node] - second[node]):
+                for corner in range(3):
+                    for axis in range(3):
+                        value = corners[place, corner, axis]
+                        box[axis] = min(box[axis], value)
+                        box[3 + axis] = max(box[3 + axis], value)
+        else:
+            left, right = bounds[first[node]], bounds[second[node]]
+            for axis in range(3):
+                box[axis] = min(left[axis], right[axis])
+                box[3 + axis] = max(left[3 + axis], right[3 + axis])
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def squared_distance_to_box(box: np.ndarray, x: float, y: float, z: float) -> float:
+    dx = max(box[0] - x, 0.0, x - box[3])
+    dy = max(box[1] - y, 0.0, y - box[4])
+    dz = max(box[2] - z, 0.0, z - box[5])
+    return dx * dx + dy * dy + dz * dz
+
+
+@njit(cache=True, fastmath=True)
+def closest_on_triangle(triangle: np.ndarray, x: float, y: float, z: float) -> tuple[float, float, float, int]:
+    """Closest point of a triangle, and its feature: 0 face, 1-3 the edge from corner 0-2, 4-6 corner 0-2.
+
+    Ericson, Real-Time Collision Detection (2005), section 5.1.5, by Voronoi regions.
+    """
+    ax, ay, az = triangle[0, 0], triangle[0, 1], triangle[0, 2]
+    abx, aby, abz = triangle[1, 0] - ax, triangle[1, 1] - ay, triangle[1, 2] - az
+    acx, acy, acz = triangle[2, 0] - ax, triangle[2, 1] - ay, triangle[2, 2] - az
+    apx, apy, apz = x - ax, y - ay, z - az
+    d1 = abx * apx + aby * apy + abz * apz
+    d2 = acx * apx + acy * apy + acz * apz
+    if d1 <= 0.0 and d2 <= 0.0:
+        return ax, ay, az, 4
+    bpx, bpy, bpz = apx - abx, apy - aby, apz - abz
+    d3 = abx * bpx + aby * bpy + abz * bpz
+    d4 = acx * bpx + acy * bpy + acz * bpz
+    if d3 >= 0.0 and d4 <= d3:
+        return ax + abx, ay + aby, az + abz, 5
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        t = d1 / (d1 - d3)
+        return ax + t * abx, ay + t * aby, az + t * abz, 1
+    cpx, cpy, cpz = apx - acx, apy - acy, apz - acz
+    d5 = abx * cpx + aby * cpy + abz * cpz
+    d6 = acx * cpx + acy * cpy + acz * cpz
+    if d6 >= 0.0 and d5 <= d6:
+        return ax + acx, ay + acy, az + acz, 6
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        t = d2 / (d2 - d6)
+        return ax + t * acx, ay + t * acy, az + t * acz, 3
+    va = d3 * d6 - d5 * d4
+    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        return ax + abx + t * (acx - abx), ay + aby + t * (acy - aby), az + abz + t * (acz - abz), 2
+    scale = 1.0 / (va + vb + vc)
+    v, w = vb * scale, vc * scale
+    return ax + v * abx + w * acx, ay + v * aby + w * acy, az + v * abz + w * acz, 0
+
+
+@njit(cache=True, fastmath=True)
+def search(
+    point: np.ndarray,
+    start: int,
+    corners: np.ndarray,
+    bounds: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    stack: np.ndarray,
+) -> int:
+    """Place (in the leaves' order) of the face nearest to `point`.
+
+    Args:
+        start: any place, the nearer the better: its distance bounds the search from the beginning.
+        stack: room for `MAX_DEPTH` nodes, int32.
+    """
+    x, y, z = point[0], point[1], point[2]
+    cx, cy, cz, _ = closest_on_triangle(corners[start], x, y, z)
+    best = (x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2
+    place = start
+    stack[0] = 0
+    top = 1
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        if squared_distance_to_box(bounds[node], x, y, z) >= best:
+            continue
+        if second[node] < 0:
+            for candidate in range(first[node], first[node] - second[node]):
+                cx, cy, cz, _ = closest_on_triangle(corners[candidate], x, y, z)
+                squared = (x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2
+                if squared < best:
+                    best = squared
+                    place = candidate
+            continue
+        left, right = first[node], second[node]
+        to_left = squared_distance_to_box(bounds[left], x, y, z)
+        to_right = squared_distance_to_box(bounds[right], x, y, z)
+        near, far, to_near, to_far = left, right, to_left, to_right
+        if to_right < to_left:
+            near, far, to_near, to_far = right, left, to_right, to_left
+        if to_far < best:
+            stack[top] = far
+            top += 1
+        if to_near < best:
+            stack[top] = near
+            top += 1
+    return place
+
+
+@njit(cache=True, parallel=True, fastmath=True)
+def search_all(
+    points: np.ndarray, corners: np.ndarray, bounds: np.ndarray, first: np.ndarray, second: np.ndarray
+) -> np.ndarray:
+    """Places of the faces nearest to `points` [p, 3]; neighbours in the list should be neighbours in space."""
+    count = len(points)
+    places = np.empty(count, np.int32)
+    chunk = 256
+    for block in prange((count + chunk - 1) // chunk):
+        stack = np.empty(MAX_DEPTH, np.int32)
+        place = 0
+        for index in range(block * chunk, min(count, (block + 1) * chunk)):
+            place = search(points[index], place, corners, bounds, first, second, stack)
+            places[index] = place
+    return places

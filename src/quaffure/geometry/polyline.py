@@ -1,0 +1,89 @@
+"""Strands as unit directions: integrated from the root, their edges keep their rest lengths exactly."""
+
+import numpy as np
+import torch
+from numba import njit, prange
+from torch.autograd.function import FunctionCtx
+
+from quaffure.types import EdgeVectors, Float, Positions, RestLengths, Tensor
+
+
+def integrate_directions_reference(
+    root: Float[Tensor, "b s 3"], vectors: EdgeVectors, rest_length: RestLengths
+) -> Positions:
+    """Torch twin of `integrate_directions`."""
+    steps = rest_length[..., None] * torch.nn.functional.normalize(vectors, dim=-1)
+    return torch.cat([root[:, :, None], root[:, :, None] + steps.cumsum(dim=2)], dim=2)
+
+
+def integrate_directions(root: Float[Tensor, "b s 3"], vectors: EdgeVectors, rest_length: RestLengths) -> Positions:
+    """Vertices of strands whose edges point along `vectors` (any length but zero) and measure `rest_length` [m].
+
+    Differentiable once in `vectors` alone. Compiled on the CPU in float32, the twin elsewhere.
+    """
+    if vectors.device.type != "cpu" or vectors.dtype != torch.float32:
+        return integrate_directions_reference(root, vectors, rest_length)
+    return _IntegrateDirections.apply(vectors, root, rest_length)
+
+
+class _IntegrateDirections(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: FunctionCtx, vectors: Tensor, root: Tensor, rest_length: Tensor) -> Tensor:
+        vectors = vectors.contiguous()
+        ctx.save_for_backward(vectors, rest_length)  # type: ignore[attr-defined]
+        batch, strands, edges, _ = vectors.shape
+        positions = torch.empty(batch, strands, edges + 1, 3)
+        _integrate(root.contiguous().numpy(), vectors.numpy(), rest_length.contiguous().numpy(), positions.numpy())
+        return positions
+
+    @staticmethod
+    def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor, None, None]:
+        vectors, rest_length = ctx.saved_tensors  # type: ignore[attr-defined]
+        gradient = torch.empty_like(vectors)
+        _integrate_adjoint(
+            upstream[0].contiguous().numpy(), vectors.numpy(), rest_length.contiguous().numpy(), gradient.numpy()
+        )
+        return gradient, None, None
+
+
+@njit(cache=True, parallel=True, fastmath=True)
+def _integrate(root: np.ndarray, vectors: np.ndarray, rest_length: np.ndarray, positions: np.ndarray) -> None:
+    batch, strands, edges, _ = vectors.shape
+    for index in prange(batch * strands):
+        sample, strand = index // strands, index % strands
+        x, y, z = root[sample, strand]
+        positions[sample, strand, 0, 0] = x
+        positions[sample, strand, 0, 1] = y
+        positions[sample, strand, 0, 2] = z
+        for edge in range(edges):
+            vx, vy, vz = vectors[sample, strand, edge]
+            scale = rest_length[strand, edge] / np.sqrt(vx * vx + vy * vy + vz * vz + np.float32(1e-24))
+            x += scale * vx
+            y += scale * vy
+            z += scale * vz
+            positions[sample, strand, edge + 1, 0] = x
+            positions[sample, strand, edge + 1, 1] = y
+            positions[sample, strand, edge + 1, 2] = z
+
+
+@njit(cache=True, parallel=True, fastmath=True)
+def _integrate_adjoint(
+    upstream: np.ndarray, vectors: np.ndarray, rest_length: np.ndarray, gradient: np.ndarray
+) -> None:
+    batch, strands, edges, _ = vectors.shape
+    zero = np.float32(0.0)
+    for index in prange(batch * strands):
+        sample, strand = index // strands, index % strands
+        gx, gy, gz = zero, zero, zero  # of all vertices beyond the edge
+        for edge in range(edges - 1, -1, -1):
+            gx += upstream[sample, strand, edge + 1, 0]
+            gy += upstream[sample, strand, edge + 1, 1]
+            gz += upstream[sample, strand, edge + 1, 2]
+            vx, vy, vz = vectors[sample, strand, edge]
+            inverse = np.float32(1.0) / np.sqrt(vx * vx + vy * vy + vz * vz + np.float32(1e-24))
+            vx, vy, vz = vx * inverse, vy * inverse, vz * inverse
+            along = gx * vx + gy * vy + gz * vz
+            scale = rest_length[strand, edge] * inverse
+            gradient[sample, strand, edge, 0] = scale * (gx - along * vx)
+            gradient[sample, strand, edge, 1] = scale * (gy - along * vy)
+            gradient[sample, strand, edge, 2] = scale * (gz - along * vz)

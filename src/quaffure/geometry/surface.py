@@ -1,0 +1,138 @@
+"""A posed, closed triangle surface with everything that nearest-face searches need."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numba import njit, prange
+
+from quaffure.geometry.face_tree import FaceTree, build_face_tree, refit
+from quaffure.geometry.mesh import angle_weighted_vertex_normals, face_normals, opposite_faces
+from quaffure.types import MeshFaces, MeshVertices, Tensor
+
+
+@dataclass(frozen=True)
+class SurfaceTopology:
+    """What stays the same in every pose: faces and the search tree over them.
+
+    Attributes:
+        faces: vertex indices of every face, counter-clockwise seen from outside.
+        tree: built over some representative pose; valid for all, fastest near that one.
+        tree_faces: `faces` in the order of the tree's leaves.
+        tree_opposite: for each place and edge in that order, the place of the face across the edge.
+    """
+
+    faces: MeshFaces
+    tree: FaceTree
+    tree_faces: Int[np.ndarray, "k 3"]
+    tree_opposite: Int[np.ndarray, "k 3"]
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A batch of poses of one closed mesh.
+
+    Attributes:
+        topology: shared by the batch.
+        vertices: positions [m].
+        corners: corner positions in the leaves' order [m].
+        bounds: boxes of the tree's nodes, lower then upper corner [m].
+        normals: pseudonormals of each face in the leaves' order: the face, its three edges, its three corners; not
+            unit. The sign of a point is that of its offset along the normal of its nearest feature
+            (Baerentzen and Aanaes 2005).
+    """
+
+    topology: SurfaceTopology
+    vertices: MeshVertices
+    corners: Float[np.ndarray, "b k 3 3"]
+    bounds: Float[np.ndarray, "b m 6"]
+    normals: Float[np.ndarray, "b k 7 3"]
+
+
+def surface_topology(vertices: Float[Tensor, "v 3"], faces: MeshFaces) -> SurfaceTopology:
+    """Topology of a mesh whose tree is built over `vertices`.
+
+    Raises:
+        ValueError: the mesh is not closed and consistently oriented.
+    """
+    opposite = opposite_faces(faces).cpu().numpy()
+    faces_array = faces.cpu().numpy()
+    tree = build_face_tree(vertices.detach().cpu().numpy(), faces_array)
+    place_of_face = np.empty(len(faces_array), np.int32)
+    place_of_face[tree.face_order] = np.arange(len(faces_array), dtype=np.int32)
+    return SurfaceTopology(
+        faces=faces,
+        tree=tree,
+        tree_faces=faces_array[tree.face_order].astype(np.int32),
+        tree_opposite=place_of_face[opposite[tree.face_order]],
+    )
+
+
+def posed_surface(topology: SurfaceTopology, vertices: MeshVertices) -> Surface:
+    """Refit the search structures to a batch of posed vertices [m]."""
+    array = np.ascontiguousarray(vertices.detach().cpu().numpy(), dtype=np.float32)
+    batch, places, nodes = len(array), len(topology.tree_faces), len(topology.tree.first)
+    corners = np.empty((batch, places, 3, 3), np.float32)
+    bounds = np.empty((batch, nodes, 6), np.float32)
+    normals = np.empty((batch, places, 7, 3), np.float32)
+    _fill(
+        array, topology.tree_faces, topology.tree_opposite, topology.tree.first, topology.tree.second,
+        corners, bounds, normals,
+    )  # fmt: skip
+    return Surface(topology, vertices, corners, bounds, normals)
+
+
+@njit(cache=True, parallel=True)
+def _fill(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    opposite: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    corners: np.ndarray,
+    bounds: np.ndarray,
+    normals: np.ndarray,
+) -> None:
+    for sample in prange(len(vertices)):
+        for place in range(len(faces)):
+            for corner in range(3):
+                for axis in range(3):
+                    corners[sample, place, corner, axis] = vertices[sample, faces[place, corner], axis]
+        _pseudonormals(corners[sample], faces, opposite, vertices.shape[1], normals[sample])
+        refit(corners[sample], first, second, bounds[sample])
+
+
+@njit(cache=True)
+def _pseudonormals(
+    corners: np.ndarray, faces: np.ndarray, opposite: np.ndarray, vertex_count: int, normals: np.ndarray
+) -> None:
+    at_vertex = np.zeros((vertex_count, 3), np.float32)
+    for place in range(len(faces)):
+        edges = np.empty((3, 3), np.float32)
+        lengths = np.empty(3, np.float32)
+        for edge in range(3):
+            edges[edge] = corners[place, (edge + 1) % 3] - corners[place, edge]
+            lengths[edge] = np.sqrt((edges[edge] ** 2).sum())
+        normal = np.cross(edges[0], edges[1])
+        normal /= np.sqrt((normal**2).sum()) + np.float32(1e-20)
+        normals[place, 0] = normal
+        for corner in range(3):
+            before = (corner + 2) % 3
+            cosine = -(edges[corner] * edges[before]).sum() / (lengths[corner] * lengths[before] + np.float32(1e-20))
+            angle = np.arccos(min(1.0, max(-1.0, cosine)))
+            for axis in range(3):
+                at_vertex[faces[place, corner], axis] += angle * normal[axis]
+    for place in range(len(faces)):
+        for side in range(3):
+            normals[place, 1 + side] = normals[place, 0] + normals[opposite[place, side], 0]
+            normals[place, 4 + side] = at_vertex[faces[place, side]]
+
+
+def reference_surface_normals(topology: SurfaceTopology, vertices: MeshVertices) -> Float[Tensor, "b k 7 3"]:
+    """The torch twin of the pseudonormals in `Surface.normals`, faces in the mesh's own order."""
+    faces = topology.faces
+    at_face = face_normals(vertices[:, faces])
+    at_edge = at_face[:, :, None] + at_face[:, opposite_faces(faces)]
+    at_vertex = angle_weighted_vertex_normals(vertices, faces)[:, faces]
+    return torch.cat([at_face[:, :, None], at_edge, at_vertex], dim=2)

@@ -1,0 +1,38 @@
+"""A drape over time: what every draper hands to files, pictures, video and measurements."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float32, Int32
+
+
+@dataclass(frozen=True)
+class DrapeSequence:
+    """Draped hair of every frame, with the body under it. World frame, z up, the body faces -y.
+
+    Attributes:
+        strands: draped vertices, roots first [m].
+        posed: the same strands carried rigidly by the scalp, before draping [m].
+        rest_lengths: length of every segment at rest [m].
+        body_vertices: surface of the posed body [m].
+        body_faces: triangles, counter-clockwise seen from outside.
+        body_pose: 27 joints x 3 axis-angle components, theta [rad].
+        body_shape: coefficients of the shape basis, beta [-].
+        fps: frames per second.
+        meta: groom, draper, version, parameters; anything that JSON holds.
+    """
+
+    strands: Float32[np.ndarray, "f s n 3"]
+    posed: Float32[np.ndarray, "f s n 3"]
+    rest_lengths: Float[np.ndarray, "s e"]
+    body_vertices: Float[np.ndarray, "f v 3"]
+    body_faces: Int32[np.ndarray, "k 3"]
+    body_pose: Float[np.ndarray, "f 81"]
+    body_shape: Float[np.ndarray, "10"]
+    fps: float
+    meta: dict[str, Any] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.strands)

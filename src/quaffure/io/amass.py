@@ -1,0 +1,116 @@
+"""Reads AMASS-style motion: an `.npz` with `poses`, the joint rotations of SMPL, SMPL-H or SMPL-X, and a frame rate.
+
+All three models start with the same 22 joints; fingers, jaw and eyes that follow are not used, nor is `trans` (hair is
+quasi-static and does not feel where the body is). AMASS's world is z up while SMPL's rest pose is y up and faces +z:
+the root's rotation holds the change of axes. Files made for y-up tools lack it; they are told apart by the pelvis,
+whose own up axis then points along the world's y (mean above `Y_UP_COSINE`).
+"""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.motion import Motion, filter_flips, resample
+from quaffure.body.retarget import BODY_FROM_Y_UP, RETARGET_FPS, JointSource, align_bone, body_bone, local_pose
+from quaffure.errors import InputError
+from quaffure.geometry.rotation import interpolate_rotations, matrix_from_axis_angle
+from quaffure.io.npz_strands import read_npz
+
+# SMPL's body joints, in the order of `poses`, and each one's parent.
+SMPL_JOINTS = (
+    ("pelvis", -1), ("left_hip", 0), ("right_hip", 0), ("spine1", 0), ("left_knee", 1), ("right_knee", 2),
+    ("spine2", 3), ("left_ankle", 4), ("right_ankle", 5), ("spine3", 6), ("left_foot", 7), ("right_foot", 8),
+    ("neck", 9), ("left_collar", 9), ("right_collar", 9), ("head", 12), ("left_shoulder", 13),
+    ("right_shoulder", 14), ("left_elbow", 16), ("right_elbow", 17), ("left_wrist", 18), ("right_wrist", 19),
+)  # fmt: skip
+FRAME_RATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
+Y_UP_COSINE = 0.8
+
+# Of SMPL's T pose: the arms lie along x to within a few degrees.
+REST_ARM_DIRECTION = {"Left": (1.0, 0.0, 0.0), "Right": (-1.0, 0.0, 0.0)}
+
+
+def _sided(side: str) -> dict[str, JointSource]:
+    source = side.lower()
+    return {
+        f"{side[0]}HipJoint": JointSource(("pelvis",)),
+        f"{side}UpLeg": JointSource((f"{source}_hip",)),
+        f"{side}Leg": JointSource((f"{source}_knee",)),
+        f"{side}Foot": JointSource((f"{source}_ankle",)),
+        f"{side}ToeBase": JointSource((f"{source}_foot",)),
+        f"{side}Shoulder": JointSource((f"{source}_collar",)),
+        f"{side}Arm": JointSource((f"{source}_shoulder",), (f"{side}ForeArm", f"{source}_elbow")),
+        f"{side}ForeArm": JointSource((f"{source}_elbow",), (f"{side}Hand", f"{source}_wrist")),
+        f"{side}Hand": JointSource((f"{source}_wrist",), (f"{side}FingerBase", f"{source}_wrist")),
+    }
+
+
+SMPL_BODY: dict[str, JointSource] = {
+    "Hips": JointSource(("pelvis",)),
+    "LowerBack": JointSource(("spine1",)),
+    "Spine": JointSource(("spine2",)),
+    "Spine1": JointSource(("spine3",)),
+    "Neck": JointSource(("spine3", "neck")),
+    "Neck1": JointSource(("neck",)),
+    "Head": JointSource(("head",)),
+    **_sided("Left"),
+    **_sided("Right"),
+}
+
+
+def read_amass(path: Path, body: BodyModel) -> Motion:
+    """The motion of an AMASS file on the body's joints at 30 fps, joint flips repaired.
+
+    Raises:
+        InputError: not an `.npz`, no `poses` [F >= 1, >= 66] or frame rate in it, or a number that is not finite.
+    """
+    arrays = read_npz(path, ("poses", *FRAME_RATE_KEYS))
+    if "poses" not in arrays:
+        raise InputError(path, "an array poses [frames, 66 or more], as in AMASS", "none")
+    poses = arrays["poses"]
+    if poses.ndim != 2 or poses.shape[0] < 1 or poses.shape[1] < 66:
+        raise InputError(path, "poses [frames >= 1, 66 or more]", f"shape {list(poses.shape)}")
+    if not np.isfinite(poses[:, :66]).all():
+        raise InputError(path, "finite joint angles", "NaN or infinity in poses")
+    world = _world_rotations(torch.from_numpy(poses[:, :66].astype(np.float64)))
+    motion = Motion(local_pose(_on_body(world, body), body), _frame_rate(path, arrays), str(path))
+    return resample(filter_flips(motion), RETARGET_FPS)
+
+
+def _frame_rate(path: Path, arrays: dict[str, np.ndarray]) -> float:
+    rates = [arrays[key] for key in FRAME_RATE_KEYS if key in arrays]
+    if not rates or rates[0].size != 1:
+        raise InputError(path, f"one number {' or '.join(FRAME_RATE_KEYS)}", "none" if not rates else "several")
+    return float(rates[0].reshape(()))
+
+
+def _world_rotations(poses: Float[Tensor, "f 66"]) -> dict[str, Float[Tensor, "f 3 3"]]:
+    """World rotations (z up) of SMPL's joints by name, relative to rest frames aligned with the body's axes."""
+    local = matrix_from_axis_angle(poses.unflatten(-1, (22, 3)))
+    pelvis_up = local[:, 0, :, 1].mean(0)
+    if float(pelvis_up[1]) > Y_UP_COSINE:
+        local[:, 0] = BODY_FROM_Y_UP @ local[:, 0]
+    world: list[Tensor] = []
+    for joint, (_, parent) in enumerate(SMPL_JOINTS):
+        world.append(local[:, joint] if parent < 0 else world[parent] @ local[:, joint])
+    return {name: rotation @ BODY_FROM_Y_UP.T for (name, _), rotation in zip(SMPL_JOINTS, world)}
+
+
+def _on_body(world: dict[str, Float[Tensor, "f 3 3"]], body: BodyModel) -> dict[str, Float[Tensor, "f 3 3"]]:
+    """World rotations by the body's joint names; see the formula in `quaffure.body.retarget`."""
+    turned: dict[str, Tensor] = {}
+    for name, source in SMPL_BODY.items():
+        rotation = world[source.sources[0]]
+        if len(source.sources) == 2:
+            half = torch.full(rotation.shape[:1], 0.5, dtype=rotation.dtype)
+            rotation = interpolate_rotations(rotation, world[source.sources[1]], half)
+        if source.bone_ends is not None:
+            direction = REST_ARM_DIRECTION["Left" if name.startswith("Left") else "Right"]
+            bone = body_bone(body, name, source.bone_ends[0])
+            rotation = rotation @ align_bone(bone, torch.tensor(direction, dtype=torch.float64))
+        turned[name] = rotation
+    return turned

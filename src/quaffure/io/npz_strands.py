@@ -1,0 +1,105 @@
+"""Strands in numpy's `.npz`: `points` [P,3] with `counts` [S] for strands of any length, or `strands` [S,N,3]."""
+
+import math
+from pathlib import Path
+from typing import IO, Any
+from zipfile import ZipFile
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from quaffure.errors import InputError
+from quaffure.groom.strands import Strands, checked_strands
+from quaffure.io.atomic import replacing
+
+# The most that deflate can shrink (zlib's technical notes); a member that claims more has a damaged size.
+MOST_COMPRESSION = 1032
+
+
+def read_npz_strands(path: Path) -> Strands:
+    """Strands of an `.npz` file, in its own units and axes. Pickled arrays are refused, and never loaded.
+
+    Raises:
+        InputError: not an `.npz`, damaged, or without arrays of the names and shapes above.
+    """
+    arrays = read_npz(path, ("points", "counts", "strands"))
+    if "points" in arrays and "counts" in arrays:
+        points, counts = (
+            _points(path, "points", arrays["points"], 2),
+            _counts(path, arrays["counts"], len(arrays["points"])),
+        )
+    elif "strands" in arrays:
+        strands = _points(path, "strands", arrays["strands"], 3)
+        if strands.shape[1] < 2:  # S x 0 points fit into any file, S counts may not fit into memory
+            raise InputError(path, "at least 2 points a strand", str(strands.shape[1]))
+        points, counts = strands.reshape(-1, 3), np.full(strands.shape[0], strands.shape[1], dtype=np.int64)
+    else:
+        raise InputError(path, "arrays points and counts, or an array strands", ", ".join(arrays) or "none of them")
+    return checked_strands(points, counts, path)
+
+
+def write_npz_strands(path: Path, strands: Strands) -> None:
+    """Write `points` [P,3] float32 and `counts` [S] int64, in the strands' own units and axes.
+
+    Raises:
+        InputError: the folder of `path` is missing or not writable.
+    """
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, points=strands.points, counts=strands.counts)
+
+
+def read_npz(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """The arrays of an `.npz` file among `names`; each one's size is checked before it is allocated.
+
+    Raises:
+        InputError: the file is missing, not an `.npz` or damaged, or an array does not hold plain numbers.
+    """
+    try:
+        with ZipFile(path) as archive:
+            present = [name for name in names if f"{name}.npy" in archive.namelist()]
+            return {name: _array(path, archive, name) for name in present}
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(path, "a readable .npz file", error.strerror or str(error)) from error
+    # On damaged bytes zipfile, zlib and numpy's header parser raise some ten unrelated types between them.
+    except Exception as error:
+        raise InputError(path, "an undamaged .npz file", str(error) or type(error).__name__) from error
+
+
+def _array(path: Path, archive: ZipFile, name: str) -> np.ndarray:
+    member = archive.getinfo(f"{name}.npy")
+    with archive.open(member) as file:
+        shape, dtype = _header(file)
+        if dtype.kind not in "fiu":
+            raise InputError(path, f"plain numbers in its array {name}", f"{dtype} (pickled objects are never loaded)")
+        expected, found = file.tell() + math.prod(shape) * dtype.itemsize, member.file_size
+        if expected != found or found > MOST_COMPRESSION * path.stat().st_size:
+            raise InputError(path, f"{expected} bytes to hold its array {name} {list(shape)}", f"{found} bytes")
+    with archive.open(member) as file:
+        return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    version = np.lib.format.read_magic(file)
+    # Version 3 exists only for field names beyond Latin-1, and plain numbers have no fields.
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(file)
+    return shape, dtype
+
+
+def _points(path: Path, name: str, array: np.ndarray, dimensions: int) -> Float[np.ndarray, "... 3"]:
+    if array.ndim != dimensions or array.shape[-1] != 3:
+        axes = {2: "[P,3]", 3: "[S,N,3]"}[dimensions]
+        raise InputError(path, f"array {name} of shape {axes}", f"shape {list(array.shape)}")
+    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, which checked_strands refuses
+        return array.astype(np.float32)
+
+
+def _counts(path: Path, counts: np.ndarray, points: int) -> Int[np.ndarray, " s"]:
+    if counts.ndim != 1 or counts.dtype.kind not in "iu":
+        raise InputError(path, "array counts of whole numbers, of shape [S]", f"{counts.dtype} {list(counts.shape)}")
+    # Also keeps their sum from overflowing.
+    if len(counts) and (counts.min() < 0 or counts.max() > points):
+        raise InputError(path, f"counts from 0 to {points}, its points", f"{counts.min()} to {counts.max()}")
+    return counts.astype(np.int64)

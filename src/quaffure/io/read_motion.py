@@ -1,0 +1,54 @@
+"""Motion from a file of any format that is read here."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.motion import Motion
+from quaffure.body.retarget import retarget_bvh
+from quaffure.errors import InputError
+from quaffure.io.amass import read_amass
+from quaffure.io.bvh import read_bvh
+from quaffure.io.npz_strands import read_npz
+
+
+def read_motion(path: Path, body: BodyModel) -> Motion:
+    """The motion in a file, on the body's joints; its suffix, in any case, tells the format.
+
+    `.bvh` is retargeted from the Daz-friendly rig. An `.npz` with `body_pose` [F,81] and `fps` (such as a drape file)
+    is taken as it is; any other `.npz` is read as AMASS. The motion is called after the file.
+
+    Raises:
+        InputError: no such file, a suffix that no reader knows, or what the format's reader refuses.
+    """
+    supported = f"a motion file ({', '.join(sorted(MOTION_READERS))})"
+    if not path.is_file():
+        raise InputError(path, supported, "a folder" if path.is_dir() else "no such file")
+    reader = MOTION_READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(path, supported, f"suffix {path.suffix!r}")
+    motion = reader(path, body)
+    return Motion(motion.body_pose, motion.fps, path.stem)
+
+
+def _read_bvh_motion(path: Path, body: BodyModel) -> Motion:
+    return retarget_bvh(read_bvh(path), body)
+
+
+def _read_npz_motion(path: Path, body: BodyModel) -> Motion:
+    arrays = read_npz(path, ("body_pose", "fps"))
+    if "body_pose" not in arrays:
+        return read_amass(path, body)
+    if "fps" not in arrays or arrays["fps"].size != 1:
+        raise InputError(path, "one number fps beside body_pose", "none" if "fps" not in arrays else "several")
+    body_pose = torch.from_numpy(arrays["body_pose"].astype(np.float32))
+    return Motion(body_pose, float(arrays["fps"].reshape(())), str(path))
+
+
+MOTION_READERS: dict[str, Callable[[Path, BodyModel], Motion]] = {
+    ".bvh": _read_bvh_motion,
+    ".npz": _read_npz_motion,
+}

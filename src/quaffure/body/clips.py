@@ -106,8 +106,8 @@ def _both_sides(joint: str, left: Angles, half_loop_later: bool = False) -> dict
     return {f"Left{joint}": left, f"Right{joint}": tuple((x, -y, -z) for x, y, z in shifted)}
 
 
-def _pitch(*degrees: float) -> Angles:
-    return tuple((angle, 0.0, 0.0) for angle in degrees)
+def _pitch(degrees: Float[np.ndarray, " k"]) -> Angles:
+    return tuple((float(angle), 0.0, 0.0) for angle in degrees)
 
 
 _NECK = {"Neck": 0.28, "Neck1": 0.34, "Head": 0.38}
@@ -122,7 +122,7 @@ def _neck_turn() -> KeyedClip:
 
 def _nod() -> KeyedClip:
     """Two nods, the second one smaller, each with a look up before it."""
-    return KeyedClip(3.0, _spread(_pitch(-10, 15, 38, 15, -18, -2, 24, 5), _NECK))
+    return KeyedClip(3.0, _spread(_pitch(np.array([-10.0, 15, 38, 15, -18, -2, 24, 5])), _NECK))
 
 
 def _bow() -> KeyedClip:
@@ -132,11 +132,11 @@ def _bow() -> KeyedClip:
     return KeyedClip(
         4.0,
         {
-            "Hips": _pitch(*hips),
-            **_both_sides("UpLeg", _pitch(*-hips)),
-            **_spread(_pitch(*spine), _SPINE),
-            **_spread(_pitch(*neck), _NECK),
-            **_both_sides("Arm", _pitch(*(-0.85 * (hips + spine)))),
+            "Hips": _pitch(hips),
+            **_both_sides("UpLeg", _pitch(-hips)),
+            **_spread(_pitch(spine), _SPINE),
+            **_spread(_pitch(neck), _NECK),
+            **_both_sides("Arm", _pitch(-0.85 * (hips + spine))),
         },
     )
 
@@ -148,7 +148,7 @@ def _shrug() -> KeyedClip:
     return KeyedClip(
         2.4,
         {
-            **_both_sides("Shoulder", tuple((0.0, -24.0 * up, 0.0) for up in lift)),
+            **_both_sides("Shoulder", tuple((0.0, -20.0 * up, 0.0) for up in lift)),
             **_both_sides("Arm", tuple((0.0, 12.0 * up, 30.0 * up) for up in lift)),
             **_spread(tuple((4.0 * up, 12.0 * up, 0.0) for up in lift), _NECK),
         },
@@ -159,8 +159,9 @@ def _shrug() -> KeyedClip:
 def _walk() -> KeyedClip:
     """Two steps on the spot, left heel down first. Leg angles at eighths of the cycle follow textbook gait curves
     (Winter, Biomechanics and Motor Control of Human Movement, level walking)."""
-    hip, knee = (30, 25, 12, -1, -10, -3, 18, 30), (5, 17, 12, 6, 10, 40, 58, 28)
-    ankle = (0, -3, 5, 10, 8, -15, -5, 0)
+    hip = np.array([30.0, 25, 12, -1, -10, -3, 18, 30])
+    knee = np.array([5.0, 17, 12, 6, 10, 40, 58, 28])
+    ankle = np.array([0.0, -3, 5, 10, 8, -15, -5, 0])
     wave = np.cos(2 * np.pi * np.arange(8) / 8)
     yaw = tuple((0.0, 0.0, float(angle)) for angle in wave)
     elbow = 22.0 - 8.0 * wave
@@ -170,10 +171,10 @@ def _walk() -> KeyedClip:
             "Hips": tuple((2.0, 0.0, -5.0 * z) for _, _, z in yaw),
             **_spread(tuple((2.0, 0.0, 10.0 * z) for _, _, z in yaw), _SPINE),
             **_spread(tuple((-2.0, 0.0, -5.0 * z) for _, _, z in yaw), _NECK),
-            **_both_sides("UpLeg", _pitch(*(-angle for angle in hip)), half_loop_later=True),
-            **_both_sides("Leg", _pitch(*knee), half_loop_later=True),
-            **_both_sides("Foot", _pitch(*(-angle for angle in ankle)), half_loop_later=True),
-            **_both_sides("Arm", _pitch(*(20.0 * wave)), half_loop_later=True),
+            **_both_sides("UpLeg", tuple((-float(angle), 4.0, 0.0) for angle in hip), half_loop_later=True),
+            **_both_sides("Leg", _pitch(knee), half_loop_later=True),
+            **_both_sides("Foot", _pitch(-ankle), half_loop_later=True),
+            **_both_sides("Arm", _pitch(20.0 * wave), half_loop_later=True),
         },
         {"LeftForeArm": tuple(elbow), "RightForeArm": tuple(np.roll(elbow, 4))},
     )

@@ -13,12 +13,14 @@ from torch import Tensor
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import axis_angle_from_matrix, interpolate_rotations, matrix_from_axis_angle
 
-# A joint that turns faster than this [rad/s] and comes back within FLIP_SECONDS did not move: its markers were swapped
-# or an Euler angle flipped. Fast strikes reach twice this speed, but no limb goes there and back within 0.1 s.
-FLIP_SPEED = 15.0
+# A joint that turns faster than this [rad/s] and is back within FLIP_SECONDS did not move: markers were swapped, or an
+# Euler angle flipped. Strikes and kicks reach 30 rad/s; a quick shake of the head, spread over three joints, 4 each.
+LIMB_FLIP_SPEED = 35.0
+AXIAL_FLIP_SPEED = 8.0
+AXIAL_JOINTS = (0, 6, 7, 8, 14, 15, 16)  # Hips, LowerBack, Spine, Spine1, Neck, Neck1, Head
 FLIP_SECONDS = 0.1
 # A run counts as "back" when no more than this share of its largest excursion is left.
-FLIP_RETURN_SHARE = 0.5
+FLIP_RETURN_SHARE = 0.3
 # Nine hours at 30 fps: beyond it, a file's frame time is a mistake and not a motion.
 MAX_FRAMES = 1_000_000
 
@@ -30,7 +32,7 @@ class Motion:
     """Body poses at a constant rate.
 
     Attributes:
-        body_pose: axis-angle of each joint [rad], relative to its parent, in the rest frame aligned with the world.
+        body_pose: [F,81] axis-angle of each joint [rad], relative to its parent, in rest frames aligned with the world.
         fps: frames per second.
         name: what it is called in messages and files.
 
@@ -38,7 +40,7 @@ class Motion:
         InputError: no frames, another width than three numbers a joint, a value or a rate that is not finite.
     """
 
-    body_pose: Float[Tensor, "f 81"]
+    body_pose: Float[Tensor, "..."]  # of any shape to the type, because files hold any shape: checked below
     fps: float
     name: str
 
@@ -91,12 +93,21 @@ def pose_from_matrices(rotations: Float[Tensor, "f *batch 27 3 3"]) -> Float[Ten
     angle = short.norm(dim=-1, keepdim=True)
     # Below 1e-6 rad the axis is rounding, and a full turn about it would be anything.
     long = torch.where(angle > 1e-6, short * (1 - 2 * torch.pi / angle.clamp(min=1e-6)), short)
+    leaves = (long[1:] - short[:-1]).norm(dim=-1) < (short[1:] - short[:-1]).norm(dim=-1)
+    # Nearly all joints never pass half a turn; only the others need the walk along the frames.
+    passing = leaves.any(dim=0)
+    short[:, passing] = _continuous(short[:, passing], long[:, passing])
+    return short.flatten(-2).float()
+
+
+def _continuous(short: Float[Tensor, "f n 3"], long: Float[Tensor, "f n 3"]) -> Float[Tensor, "f n 3"]:
+    """Frame by frame, `short` or `long`: whichever is nearer to the choice before."""
     chosen = [short[0]]
     for frame in range(1, len(short)):
         before = chosen[-1]
         nearer = (long[frame] - before).norm(dim=-1) < (short[frame] - before).norm(dim=-1)
-        chosen.append(torch.where(nearer[..., None], long[frame], short[frame]))
-    return torch.stack(chosen).flatten(-2).float()
+        chosen.append(torch.where(nearer[:, None], long[frame], short[frame]))
+    return torch.stack(chosen)
 
 
 def resample(motion: Motion, fps: float) -> Motion:
@@ -124,16 +135,21 @@ def resample(motion: Motion, fps: float) -> Motion:
 def filter_flips(motion: Motion) -> Motion:
     """The motion with joint flips repaired: short runs of frames that a joint jumps to and back from.
 
-    A run starts where a joint turns faster than `FLIP_SPEED`, and ends within `FLIP_SECONDS` where it is back near
-    the frame before. Its frames are interpolated from the good ones on both sides. A jump that does not come back is
-    left alone, as is every joint without a jump. Axis-angles come out continuous (see `pose_from_matrices`).
+    A run starts or ends where a joint turns faster than `LIMB_FLIP_SPEED` or `AXIAL_FLIP_SPEED`, and within
+    `FLIP_SECONDS` the joint is back near where it was. Its frames are interpolated from the good ones on both sides.
+    A jump that does not come back is left alone, as is every joint without a jump. Axis-angles come out continuous
+    (see `pose_from_matrices`).
     """
-    rotations = joint_matrices(motion.body_pose)
-    limit = FLIP_SPEED / motion.fps
+    limit = torch.full((27,), LIMB_FLIP_SPEED / motion.fps, dtype=torch.float64)
+    limit[list(AXIAL_JOINTS)] = AXIAL_FLIP_SPEED / motion.fps
     longest_run = max(1, min(round(FLIP_SECONDS * motion.fps), len(motion)))
-    jumps = _angle_between(rotations[:-1], rotations[1:]) > limit
-    for frame, joint in jumps.nonzero().tolist():
-        _repair_run(rotations[:, joint], frame, longest_run, limit)
+    rotations = joint_matrices(motion.body_pose)
+    # Forwards, then backwards: a run may set in softly and end with the jump.
+    for _ in range(2):
+        jumps = _angle_between(rotations[:-1], rotations[1:]) > limit
+        for frame, joint in jumps.nonzero().tolist():
+            _repair_run(rotations[:, joint], frame, longest_run, float(limit[joint]))
+        rotations = rotations.flip(0)
     return replace(motion, body_pose=pose_from_matrices(rotations))
 
 

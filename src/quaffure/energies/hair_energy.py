@@ -35,16 +35,30 @@ class HairEnergy:
         return STANDARD_GRAVITY * float(lifted.mean())
 
     def total(self, positions: Positions, director: EdgeVectors, surface: Surface) -> Energy:
-        """Sum of all terms [J], differentiable in the positions [m]; compiled for float32 on the CPU."""
-        if positions.device.type != "cpu" or positions.dtype != torch.float32:
-            return torch.stack(list(self.reference_terms(positions, director, surface).values())).sum(dim=0)
-        along_strands, _ = strand_energy(positions, director, self.rest, self.material, surface)
-        return along_strands + fused_self_collision(positions, self.rest, self.material)
+        """Sum of all terms [J], differentiable in the positions [m]."""
+        return self.along_strands(positions, director, surface) + self.self_collision(positions)
+
+    def along_strands(self, positions: Positions, director: EdgeVectors, surface: Surface) -> Energy:
+        """Sum of the terms that couple a strand to itself and the body: Eqs. 6, 7, 9, 10 [J].
+
+        Compiled for float32 on the CPU, as are all the sums here; the torch twin elsewhere.
+        """
+        if not _compiled(positions):
+            terms = self.reference_terms(positions, director, surface)
+            return torch.stack([terms[name] for name in TERMS]).sum(dim=0)
+        return strand_energy(positions, director, self.rest, self.material, surface)[0]
+
+    def self_collision(self, positions: Positions) -> Energy:
+        """Eq. 11 [J]."""
+        if not _compiled(positions):
+            density = densities(positions, self.rest.mass, self.material.smoothing_length)
+            return energy_self_collision(density, self.rest.rest_density, self.material.k_self_collision)
+        return fused_self_collision(positions, self.rest, self.material)
 
     def terms(self, positions: Positions, director: EdgeVectors, surface: Surface) -> dict[str, Energy]:
         """Every term by name [J], without gradient."""
         with torch.no_grad():
-            if positions.device.type != "cpu" or positions.dtype != torch.float32:
+            if not _compiled(positions):
                 return self.reference_terms(positions, director, surface)
             _, along_strands = strand_energy(positions, director, self.rest, self.material, surface)
             named = dict(zip(TERMS, along_strands.unbind(1)))
@@ -66,3 +80,7 @@ class HairEnergy:
     def per_vertex(self, energy: Energy) -> Float[Tensor, " b"]:
         """Energy [J] over the number of vertices and `scale`: comparable between grooms, dimensionless."""
         return energy / (self.rest.mass.numel() * self.scale)
+
+
+def _compiled(positions: Positions) -> bool:
+    return positions.device.type == "cpu" and positions.dtype == torch.float32

@@ -103,30 +103,33 @@ def _fill(
         refit(corners[sample], first, second, bounds[sample])
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _pseudonormals(
     corners: np.ndarray, faces: np.ndarray, opposite: np.ndarray, vertex_count: int, normals: np.ndarray
 ) -> None:
     at_vertex = np.zeros((vertex_count, 3), np.float32)
+    tiny = np.float32(1e-20)
     for place in range(len(faces)):
-        edges = np.empty((3, 3), np.float32)
-        lengths = np.empty(3, np.float32)
-        for edge in range(3):
-            edges[edge] = corners[place, (edge + 1) % 3] - corners[place, edge]
-            lengths[edge] = np.sqrt((edges[edge] ** 2).sum())
-        normal = np.cross(edges[0], edges[1])
-        normal /= np.sqrt((normal**2).sum()) + np.float32(1e-20)
-        normals[place, 0] = normal
+        face = corners[place]
+        ax, ay, az = face[1, 0] - face[0, 0], face[1, 1] - face[0, 1], face[1, 2] - face[0, 2]
+        bx, by, bz = face[2, 0] - face[1, 0], face[2, 1] - face[1, 1], face[2, 2] - face[1, 2]
+        cx, cy, cz = face[0, 0] - face[2, 0], face[0, 1] - face[2, 1], face[0, 2] - face[2, 2]
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        twice_area = np.sqrt(nx * nx + ny * ny + nz * nz)
+        inverse = np.float32(1.0) / (twice_area + tiny)
+        nx, ny, nz = nx * inverse, ny * inverse, nz * inverse
+        normals[place, 0, 0], normals[place, 0, 1], normals[place, 0, 2] = nx, ny, nz
+        cosines = (-(cx * ax + cy * ay + cz * az), -(ax * bx + ay * by + az * bz), -(bx * cx + by * cy + bz * cz))
         for corner in range(3):
-            before = (corner + 2) % 3
-            cosine = -(edges[corner] * edges[before]).sum() / (lengths[corner] * lengths[before] + np.float32(1e-20))
-            angle = np.arccos(min(1.0, max(-1.0, cosine)))
-            for axis in range(3):
-                at_vertex[faces[place, corner], axis] += angle * normal[axis]
+            angle = np.arctan2(twice_area, cosines[corner])
+            at_vertex[faces[place, corner], 0] += angle * nx
+            at_vertex[faces[place, corner], 1] += angle * ny
+            at_vertex[faces[place, corner], 2] += angle * nz
     for place in range(len(faces)):
         for side in range(3):
-            normals[place, 1 + side] = normals[place, 0] + normals[opposite[place, side], 0]
-            normals[place, 4 + side] = at_vertex[faces[place, side]]
+            for axis in range(3):
+                normals[place, 1 + side, axis] = normals[place, 0, axis] + normals[opposite[place, side], 0, axis]
+                normals[place, 4 + side, axis] = at_vertex[faces[place, side], axis]
 
 
 def reference_surface_normals(topology: SurfaceTopology, vertices: MeshVertices) -> Float[Tensor, "b k 7 3"]:

@@ -99,7 +99,7 @@ def _points(path: Path, name: str, array: np.ndarray, dimensions: int) -> Float[
 def _counts(path: Path, counts: np.ndarray, points: int) -> Int[np.ndarray, " s"]:
     if counts.ndim != 1 or counts.dtype.kind not in "iu":
         raise InputError(path, "array counts of whole numbers, of shape [S]", f"{counts.dtype} {list(counts.shape)}")
-    # Also keeps their sum from overflowing.
+    # Also keeps their sum from wrapping round, on which np.repeat ends the process.
     if len(counts) and (counts.min() < 0 or counts.max() > points):
         raise InputError(path, f"counts from 0 to {points}, its points", f"{counts.min()} to {counts.max()}")
     return counts.astype(np.int64)

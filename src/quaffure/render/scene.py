@@ -1,6 +1,7 @@
 """Pictures of hair on a body, drawn off screen with OpenGL (a GPU or Mesa's software rasteriser)."""
 
 from types import TracebackType
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -85,15 +86,16 @@ class StrandRenderer:
             body_vertices, body_faces: the body's surface [m]; faces counter-clockwise seen from outside.
             hair_colour: albedo in linear RGB.
         """
-        self._upload_strands(strands)
-        self._upload_body(body_vertices, body_faces, strands[:, 0])
         lowest, highest = strands.min(axis=(0, 1)), strands.max(axis=(0, 1))
-        self._draw_key_depth(camera, lowest.astype(np.float64), highest.astype(np.float64))
-        for program in (self._hair, self._body):
-            _assign(program, hair_colour=hair_colour, body_colour=CLAY)
         reach = np.linalg.norm(np.vstack([body_vertices, lowest, highest]) - np.array(camera.target), axis=1).max()
-        self._draw_picture(camera, 1.1 * float(reach))
-        return self._read_pixels()
+        with self._gl:  # another renderer's context may be current
+            self._upload_strands(strands)
+            self._upload_body(body_vertices, body_faces, strands[:, 0])
+            for program in (self._hair, self._body):
+                _assign(program, hair_colour=hair_colour, body_colour=CLAY)
+            self._draw_key_depth(camera, lowest.astype(np.float64), highest.astype(np.float64))
+            self._draw_picture(camera, 1.1 * float(reach))
+            return self._read_pixels()
 
     def _upload_strands(self, strands: np.ndarray) -> None:
         count, vertices = strands.shape[:2]
@@ -193,7 +195,7 @@ def hair_cover(vertices: np.ndarray, roots: np.ndarray) -> Float[np.ndarray, " v
 
 def _create_context() -> moderngl.Context:
     # Without development packages only the versioned library names exist.
-    attempts: list[dict[str, str]] = [
+    attempts: list[dict[str, Any]] = [
         {"backend": "egl", "libegl": "libEGL.so.1", "libgl": "libGL.so.1"},
         {"backend": "egl"},
         {},

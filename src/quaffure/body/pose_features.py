@@ -1,0 +1,61 @@
+"""What a drape depends on, seen from the head: gravity, and the bones that hair can touch."""
+
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from quaffure.types import BodyPose, Float, Tensor
+
+HEAD = "Head"
+NEAR_HAIR = (
+    "Neck1",
+    "Neck",
+    "Spine1",
+    "Spine",
+    "LeftShoulder",
+    "RightShoulder",
+    "LeftArm",
+    "RightArm",
+    "LeftForeArm",
+    "RightForeArm",
+    "LeftHand",
+    "RightHand",
+)
+"""Joints whose frames relative to the head are told; legs never reach the hair."""
+
+FEATURE_COUNT = 3 + len(NEAR_HAIR) * 9
+
+_OFFSET_SCALE = 0.25  # metres: brings the offsets of joints near the head to about one
+
+
+def world_from_head(body: BodyModel, joint_rotations: Float[Tensor, "b j 3 3"]) -> Float[Tensor, "b 3 3"]:
+    """Rotation of the head from the rest pose."""
+    return joint_rotations[:, body.joint_names.index(HEAD)]
+
+
+def pose_features(
+    body: BodyModel, joint_rotations: Float[Tensor, "b j 3 3"], joint_positions: Float[Tensor, "b j 3"]
+) -> Float[Tensor, "b features"]:
+    """Gravity's direction, and of each joint near the hair two columns of its rotation and its offset, all in the
+    head's frame. Turning the whole body about the vertical changes none of it.
+
+    Returns:
+        `FEATURE_COUNT` dimensionless numbers of about one.
+    """
+    head = body.joint_names.index(HEAD)
+    near = [body.joint_names.index(name) for name in NEAR_HAIR]
+    head_from_world = joint_rotations[:, head].mT
+    down = -head_from_world[:, :, 2]
+    rotations = head_from_world[:, None] @ joint_rotations[:, near]
+    offsets = (joint_positions[:, near] - joint_positions[:, head, None]) @ head_from_world.mT / _OFFSET_SCALE
+    return torch.cat([down, rotations[..., :2].flatten(1), offsets.flatten(1)], dim=1)
+
+
+def without_heading(body_pose: BodyPose) -> BodyPose:
+    """The same pose turned about the vertical so that the hips face -y: what a drape in the head's frame depends on."""
+    hips = matrix_from_axis_angle(body_pose[:, :3])
+    facing = -hips[:, :2, 1]  # where the rest body's -y points, seen from above
+    yaw = torch.atan2(facing[:, 0], -facing[:, 1])
+    upright = torch.zeros_like(body_pose[:, :3])
+    upright[:, 2] = -yaw
+    return torch.cat([axis_angle_from_matrix(matrix_from_axis_angle(upright) @ hips), body_pose[:, 3:]], dim=1)

@@ -1,0 +1,56 @@
+"""One groom on a batch of posed bodies: what every draper starts from."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from quaffure.body.body_model import BodyModel, PosedBody
+from quaffure.energies.elastic import directors
+from quaffure.geometry.surface import Surface, posed_surface
+from quaffure.groom.groom import Groom
+from quaffure.groom.pose_transform import posed_strands
+from quaffure.types import BodyPose, BodyShape, EdgeVectors, Positions
+
+
+@dataclass(frozen=True, eq=False)
+class BodyBatch:
+    """A batch of poses and shapes of one body, which several grooms may share. What is asked for is made once.
+
+    Attributes:
+        body_pose: theta [rad].
+        body_shape: beta [standard deviations].
+    """
+
+    body: BodyModel
+    body_pose: BodyPose
+    body_shape: BodyShape
+
+    @cached_property
+    def posed(self) -> PosedBody:
+        return self.body.pose(self.body_pose, self.body_shape)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The skins, ready for nearest-face searches."""
+        return posed_surface(self.body.surface_topology, self.posed.vertices)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A groom on a batch of bodies. What is asked for is made once."""
+
+    groom: Groom
+    bodies: BodyBatch
+
+    @cached_property
+    def posed(self) -> Positions:
+        """x_posed, the groom moved with its scalp triangles [m, world]."""
+        return posed_strands(self.groom, self.bodies.posed, self.bodies.body)
+
+    @cached_property
+    def director(self) -> EdgeVectors:
+        """Unit director d3 of every edge."""
+        return directors(self.posed)
+
+    @property
+    def surface(self) -> Surface:
+        return self.bodies.surface

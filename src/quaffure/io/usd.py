@@ -1,0 +1,156 @@
+"""OpenUSD: a drape out, as animated curves on an animated body; curves in, as a groom.
+
+The layout follows what hair tools look for. Blender makes hair curves of every `BasisCurves`; Unreal makes a groom of
+all curves below a prim with `GroomAPI` and reads the `groom_*` primvars of its Alembic convention, where `groom_guide`
+tells simulation guides (1) from rendered strands (0); guides alone would show no hair. So the strands are written
+once as strands, and a few of them once more as guides, with the purpose `guide` that viewers hide.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
+
+from quaffure.errors import InputError
+from quaffure.groom.drape_sequence import DrapeSequence
+from quaffure.groom.strands import Strands, checked_strands
+from quaffure.io.atomic import replacing
+
+USD_SUFFIXES = (".usd", ".usda", ".usdc")
+STRAND_WIDTH = 1.0e-4  # m: a real hair, a little thickened; tapers to its tip
+# Hsu et al. 2024 interpolate a full head from 128 guides.
+MOST_GUIDES = 128
+HAIR_COLOUR, BODY_COLOUR = (0.15, 0.062, 0.025), (0.62, 0.50, 0.435)
+
+
+def write_usd(path: Path, seq: DrapeSequence) -> None:
+    """Write the drape as a stage: z up, metres, one time code a frame from 0 on.
+
+    `/Drape/Body` is a mesh, `/Drape/Hair/Strands` and `/Drape/Hair/Guides` are curves through the strands' vertices
+    (pinned Catmull-Rom, so that no vertex is added). `primvars:rest` holds the posed strands of the first frame.
+
+    Raises:
+        InputError: another suffix than .usd (binary), .usda or .usdc, or not writable.
+    """
+    if path.suffix.lower() not in USD_SUFFIXES:
+        raise InputError(path, f"a name ending in {', '.join(USD_SUFFIXES)}", f"{path.suffix or 'no suffix'}")
+    with replacing(path) as temporary:
+        stage = Usd.Stage.CreateInMemory()
+        _set_stage(stage, seq)
+        _add_body(stage, seq)
+        hair = UsdGeom.Xform.Define(stage, "/Drape/Hair").GetPrim()
+        hair.AddAppliedSchema("GroomAPI")
+        every = np.arange(seq.strands.shape[1])
+        _add_curves(stage, "/Drape/Hair/Strands", seq, every, guide=False)
+        _add_curves(stage, "/Drape/Hair/Guides", seq, spread_subset(seq.posed[0, :, 0], MOST_GUIDES), guide=True)
+        if not stage.GetRootLayer().Export(str(temporary)):
+            raise InputError(path, "a writable file", "USD could not write it")
+
+
+def read_usd_strands(path: Path) -> Strands:
+    """All curves of a stage in world space, at each one's first time sample; the file's units and up axis are kept.
+
+    Curves of purpose `guide` are left out where there are others.
+
+    Raises:
+        InputError: not a USD file, or no curves in it.
+    """
+    if not path.is_file():
+        raise InputError(path, "a USD file", "no such file")
+    try:
+        stage = Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        raise InputError(path, "a USD file", str(error).strip().splitlines()[-1].strip()) from error
+    curves = [UsdGeom.Curves(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.BasisCurves)]
+    rendered = [curve for curve in curves if curve.ComputePurpose() != UsdGeom.Tokens.guide]
+    points, counts = [np.zeros((0, 3), np.float32)], [np.zeros(0, np.int64)]
+    for curve in rendered or curves:
+        curve_points, curve_counts = _read_curves(curve, path)
+        points.append(curve_points)
+        counts.append(curve_counts)
+    return checked_strands(np.concatenate(points), np.concatenate(counts), path)
+
+
+def spread_subset(roots: Float[np.ndarray, "s 3"], most: int) -> np.ndarray:
+    """Indices of up to `most` roots, each the farthest from those before it: an even cover of the scalp."""
+    chosen = [0]
+    distance = np.linalg.norm(roots - roots[0], axis=1)
+    distance[0] = -1.0  # two roots may lie in one point, and still count as two
+    while len(chosen) < min(most, len(roots)):
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(roots - roots[chosen[-1]], axis=1))
+        distance[chosen] = -1.0
+    return np.sort(chosen)
+
+
+def _set_stage(stage: Usd.Stage, seq: DrapeSequence) -> None:
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.meters)
+    stage.SetTimeCodesPerSecond(seq.fps)
+    stage.SetFramesPerSecond(seq.fps)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(len(seq) - 1)
+    root = UsdGeom.Xform.Define(stage, "/Drape").GetPrim()
+    Usd.ModelAPI(root).SetKind("component")
+    stage.SetDefaultPrim(root)
+    stage.GetRootLayer().documentation = "Hair draped by quaffure"
+
+
+def _add_body(stage: Usd.Stage, seq: DrapeSequence) -> None:
+    mesh = UsdGeom.Mesh.Define(stage, "/Drape/Body")
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(seq.body_faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(seq.body_faces.reshape(-1))))
+    mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set([Gf.Vec3f(*BODY_COLOUR)])
+    _animate(mesh, seq.body_vertices, margin=0.0)
+
+
+def _add_curves(stage: Usd.Stage, name: str, seq: DrapeSequence, chosen: np.ndarray, guide: bool) -> None:
+    curves = UsdGeom.BasisCurves.Define(stage, name)
+    curves.CreateTypeAttr(UsdGeom.Tokens.cubic)
+    curves.CreateBasisAttr(UsdGeom.Tokens.catmullRom)
+    curves.CreateWrapAttr(UsdGeom.Tokens.pinned)
+    vertices = seq.strands.shape[2]
+    curves.CreateCurveVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(chosen), vertices, np.int32)))
+    taper = STRAND_WIDTH * np.linspace(1.0, 0.35, vertices, dtype=np.float32)
+    curves.CreateWidthsAttr(Vt.FloatArray.FromNumpy(np.tile(taper, len(chosen))))
+    curves.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
+    curves.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set([Gf.Vec3f(*HAIR_COLOUR)])
+    if guide:
+        curves.CreatePurposeAttr(UsdGeom.Tokens.guide)
+    primvars = UsdGeom.PrimvarsAPI(curves)
+    for attribute, values in (
+        ("groom_id", chosen),
+        ("groom_guide", np.full(len(chosen), guide)),
+        ("groom_group_id", np.zeros(len(chosen))),
+    ):
+        primvar = primvars.CreatePrimvar(attribute, Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.uniform)
+        primvar.Set(Vt.IntArray.FromNumpy(values.astype(np.int32)))
+    rest = primvars.CreatePrimvar("rest", Sdf.ValueTypeNames.Point3fArray, UsdGeom.Tokens.vertex)
+    rest.Set(_points(seq.posed[0, chosen]))
+    _animate(curves, seq.strands[:, chosen], margin=STRAND_WIDTH)
+
+
+def _animate(gprim: UsdGeom.PointBased, positions: np.ndarray, margin: float) -> None:
+    points, extent = gprim.CreatePointsAttr(), gprim.CreateExtentAttr()
+    for frame, vertices in enumerate(positions):
+        flat = vertices.reshape(-1, 3)
+        points.Set(_points(flat), frame)
+        extent.Set(_points(np.stack([flat.min(axis=0) - margin, flat.max(axis=0) + margin])), frame)
+
+
+def _points(positions: np.ndarray) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(positions.reshape(-1, 3), dtype=np.float32))
+
+
+def _read_curves(curve: UsdGeom.Curves, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    samples = curve.GetPointsAttr().GetTimeSamples()
+    time = Usd.TimeCode(samples[0]) if samples else Usd.TimeCode.Default()
+    points = np.array(curve.GetPointsAttr().Get(time) or [], dtype=np.float64).reshape(-1, 3)
+    counts = np.array(curve.GetCurveVertexCountsAttr().Get(time) or [], dtype=np.int64)
+    if (counts < 0).any() or counts.sum() != len(points):
+        raise InputError(path, f"{counts.sum()} points in {curve.GetPath()}", f"{len(points)}")
+    # Row vectors, as in all of USD.
+    world = np.array(curve.ComputeLocalToWorldTransform(time))
+    return points @ world[:3, :3] + world[3, :3], counts

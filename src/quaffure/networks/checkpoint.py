@@ -1,0 +1,51 @@
+"""Weights with the configuration that rebuilds their network, in one safetensors file."""
+
+import json
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from quaffure.config import HairMaterial
+from quaffure.errors import InputError
+from quaffure.networks.quaffure_network import DirectionNetwork, DisplacementNetwork, NetworkConfig, build_network
+
+
+def save_network(
+    path: Path, network: DirectionNetwork | DisplacementNetwork, material: HairMaterial, notes: dict[str, str]
+) -> None:
+    """Write half-precision weights, the network's configuration and the material that it was trained for."""
+    half = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
+    metadata = {"network": json.dumps(asdict(network.config)), "material": json.dumps(asdict(material)), **notes}
+    save_file(half, path, metadata)
+
+
+def load_network(path: Path) -> tuple[DirectionNetwork | DisplacementNetwork, HairMaterial, dict[str, str]]:
+    """A network in evaluation mode, its material, and the notes saved with it.
+
+    Raises:
+        InputError: the file is missing or not a checkpoint of this package.
+    """
+    if not path.is_file():
+        raise InputError(path, "a checkpoint (.safetensors)", "no such file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            notes = dict(file.metadata() or {})
+            weights = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+        config = NetworkConfig(**_known(json.loads(notes.pop("network")), NetworkConfig))
+        material = HairMaterial(**_known(json.loads(notes.pop("material")), HairMaterial))
+        network = build_network(config)
+        network.load_state_dict(weights)
+    except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        first_line = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(path, "a checkpoint of this package", first_line) from error
+    return network.eval(), material, notes
+
+
+def _known(values: dict[str, object], kind: type) -> dict:
+    unknown = set(values) - {field.name for field in fields(kind)}
+    if unknown:
+        raise ValueError(f"unknown {kind.__name__} fields {sorted(unknown)}")
+    return values

@@ -1,0 +1,32 @@
+"""Encoder of Sec. 3.2: a groom's rest geometry on the scalp texture to its code."""
+
+from itertools import pairwise
+
+import torch
+from torch import nn
+
+from quaffure.types import Float, Tensor
+
+CODE_SIZE = 16
+
+
+class GroomEncoder(nn.Module):
+    """Strided convolutions from the 64 x 64 rest texture to R^16.
+
+    The last channel of the input says which texels hold a strand; the others are zero elsewhere.
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        widths = (channels, 64, 64, 96, 128)
+        self.down = nn.Sequential(
+            *(
+                layer
+                for narrow, wide in pairwise(widths)
+                for layer in (nn.Conv2d(narrow, wide, 3, stride=2, padding=1), nn.SiLU())
+            )
+        )
+        self.to_code = nn.Linear(widths[-1] * 16, CODE_SIZE)
+
+    def forward(self, rest_texture: Float[Tensor, "b channels 64 64"]) -> Float[Tensor, "b 16"]:
+        return torch.tanh(self.to_code(self.down(rest_texture).flatten(1)))

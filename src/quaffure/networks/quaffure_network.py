@@ -1,0 +1,119 @@
+"""The whole network: groom encoder, deformation decoder and what turns texels into strands.
+
+Two configurations share one interface. `DisplacementNetwork` is the paper's: the decoder's 72 channels are the
+displacements of 24 vertices. `DirectionNetwork` is ours: a small network common to all strands reads the decoder's
+texel and the strand's own undeformed shape, and answers a change of direction for each edge.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import nn
+
+from quaffure.config import VERTICES_PER_STRAND
+from quaffure.networks.deformation_decoder import DeformationDecoder
+from quaffure.networks.groom_encoder import CODE_SIZE, GroomEncoder
+from quaffure.types import BodyPose, BodyShape, Float, Int, Tensor
+
+EDGES = VERTICES_PER_STRAND - 1
+POSE_SIZE, SHAPE_SIZE = 81, 10
+REST_CHANNELS = 3 * VERTICES_PER_STRAND + 1
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """What a checkpoint needs to rebuild its network."""
+
+    output: Literal["directions", "displacement"] = "directions"
+    """`directions` (ours): changes of edge directions, integrated. `displacement` (the paper's): of vertices."""
+    pose_features: int = 0
+    """Length of the analytic pose features appended to the paper's R^107; 0 leaves them out."""
+    texel_channels: int = 48
+    """Channels of the decoder's texture that the strand layers read (`directions` only)."""
+    strand_width: int = 128
+    """Width of the layers common to all strands (`directions` only)."""
+
+
+@dataclass(frozen=True)
+class NetworkInputs:
+    """A batch of drapes of one groom.
+
+    Attributes:
+        rest_texture: rest strands in the head's frame on the scalp texture, and the mask of texels that hold one.
+        texels: flat index of every strand's texel.
+        body_pose, body_shape: theta [rad] and beta.
+        pose_features: see `quaffure.body.pose_features`.
+        undeformed: positions of all vertices but the root where the drape would be without contact, relative to the
+            head and in its frame [m].
+    """
+
+    rest_texture: Float[Tensor, "1 channels 64 64"]
+    texels: Int[Tensor, " s"]
+    body_pose: BodyPose
+    body_shape: BodyShape
+    pose_features: Float[Tensor, "b features"]
+    undeformed: Float[Tensor, "b s e 3"]
+
+
+class DisplacementNetwork(nn.Module):
+    """The paper's configuration: R^107 to a displacement [m] of every vertex, in the head's frame."""
+
+    _METRES = 0.05  # what an output of one means, so that the layers work on numbers of about one
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.encoder = GroomEncoder(REST_CHANNELS)
+        inputs = CODE_SIZE + SHAPE_SIZE + POSE_SIZE + config.pose_features
+        self.decoder = DeformationDecoder(inputs, 3 * VERTICES_PER_STRAND)
+        _start_at_zero(self.decoder.to_texels[0])
+
+    def forward(self, inputs: NetworkInputs) -> Float[Tensor, "b s n 3"]:
+        texture = self.decoder(_code(self.encoder, self.config, inputs))
+        strands = texture.index_select(2, inputs.texels).mT.float()
+        return self._METRES * strands.unflatten(-1, (VERTICES_PER_STRAND, 3))
+
+
+class DirectionNetwork(nn.Module):
+    """Ours: a change of every edge's direction, in the head's frame, dimensionless."""
+
+    _METRES = 0.1
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.encoder = GroomEncoder(REST_CHANNELS)
+        inputs = CODE_SIZE + SHAPE_SIZE + POSE_SIZE + config.pose_features
+        self.decoder = DeformationDecoder(inputs, config.texel_channels)
+        width = config.strand_width
+        self.from_texel = nn.Linear(config.texel_channels, width)
+        self.from_strand = nn.Linear(3 * EDGES, width, bias=False)
+        self.strand = nn.Sequential(nn.SiLU(), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, 3 * EDGES))
+        _start_at_zero(self.strand[-1])
+
+    def forward(self, inputs: NetworkInputs) -> Float[Tensor, "b s e 3"]:
+        texture = self.decoder(_code(self.encoder, self.config, inputs))
+        texels = texture.index_select(2, inputs.texels).mT
+        own = self.from_strand(inputs.undeformed.flatten(2) / self._METRES)
+        return self.strand(self.from_texel(texels) + own).float().unflatten(-1, (EDGES, 3))
+
+
+def build_network(config: NetworkConfig) -> DirectionNetwork | DisplacementNetwork:
+    return DirectionNetwork(config) if config.output == "directions" else DisplacementNetwork(config)
+
+
+def _code(encoder: GroomEncoder, config: NetworkConfig, inputs: NetworkInputs) -> Float[Tensor, "b inputs"]:
+    """The paper's R^107, groom code, beta and theta, followed by the pose features where they are used."""
+    groom_code = encoder(inputs.rest_texture).expand(len(inputs.body_pose), -1)
+    parts = [groom_code, inputs.body_shape.to(groom_code), inputs.body_pose.to(groom_code)]
+    if config.pose_features:
+        parts.append(inputs.pose_features.to(groom_code))
+    return torch.cat(parts, dim=1)
+
+
+def _start_at_zero(layer: nn.Linear | nn.Conv2d) -> None:
+    """An untrained network deforms nothing."""
+    nn.init.zeros_(layer.weight)
+    if layer.bias is not None:
+        nn.init.zeros_(layer.bias)

@@ -1,0 +1,157 @@
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quaffure.errors import InputError
+from quaffure.render import scene
+from quaffure.render.camera import Camera
+from quaffure.render.framing import frame_hair
+from quaffure.render.pictures import write_picture
+from quaffure.render.scene import StrandRenderer
+from quaffure.render.video import write_video
+from tests.synthetic_drape import HEAD_CENTRE, ball, drape, patch_of_strands
+
+SIZE = 96
+GREEN = (0.0, 0.5, 0.0)
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Iterator[StrandRenderer]:
+    try:
+        made = StrandRenderer(SIZE, SIZE, supersampling=2)
+    except InputError as error:
+        pytest.skip(f"no OpenGL here: {error}")
+    yield made
+    made.release()
+
+
+def green_pixels(renderer: StrandRenderer, strands: np.ndarray, camera: Camera) -> np.ndarray:
+    """Rows and columns of pixels [p, 2] where green hair is seen."""
+    picture = renderer.render(strands, *ball(), camera, GREEN).astype(int)
+    return np.argwhere(picture[..., 1] > picture[..., [0, 2]].max(axis=-1) + 15)
+
+
+def test_hair_behind_the_head_is_hidden_from_the_front(renderer: StrandRenderer) -> None:
+    strands = patch_of_strands((0.0, 1.0, 0.0))
+    assert len(green_pixels(renderer, strands, Camera.back(HEAD_CENTRE, 0.4))) > 100
+    assert len(green_pixels(renderer, strands, Camera.front(HEAD_CENTRE, 0.4))) == 0
+
+
+@pytest.mark.parametrize(
+    ("view", "towards", "side"),
+    [
+        # The body faces -y: its left hand, +x, is on the right of a picture of its face.
+        (Camera.front, (1.0, 0.0, 0.0), 1),
+        (Camera.front, (-1.0, 0.0, 0.0), -1),
+        (Camera.back, (1.0, 0.0, 0.0), -1),
+        (Camera.side, (0.0, 1.0, 0.0), 1),
+        (Camera.side, (0.0, -1.0, 0.0), -1),
+    ],
+)
+def test_left_and_right(renderer: StrandRenderer, view: object, towards: tuple[float, float, float], side: int) -> None:
+    assert callable(view)
+    columns = green_pixels(renderer, patch_of_strands(towards), view(HEAD_CENTRE, 0.4))[:, 1]
+    assert len(columns) > 50
+    assert ((columns - SIZE / 2) * side > 0.1 * SIZE).mean() > 0.95
+
+
+def test_up_is_up(renderer: StrandRenderer) -> None:
+    rows = green_pixels(renderer, patch_of_strands((0.0, 0.0, 1.0)), Camera.front(HEAD_CENTRE, 0.4))[:, 0]
+    assert len(rows) > 50
+    assert (rows < 0.4 * SIZE).all()
+
+
+def test_extent_fills_the_picture(renderer: StrandRenderer) -> None:
+    """A ball of 0.2 m in a frame of 0.2 m touches the borders, less the perspective's reserve."""
+    picture = renderer.render(patch_of_strands((0.0, 1.0, 0.0)), *ball(), Camera.front(HEAD_CENTRE, 0.2)).astype(int)
+    columns = np.flatnonzero((picture[..., 0] > picture[..., 2] + 8).any(axis=0))
+    assert 0.75 * SIZE < np.ptp(columns) <= SIZE
+
+
+def test_colour_responds(renderer: StrandRenderer) -> None:
+    strands, camera = patch_of_strands((0.0, -1.0, 0.3)), Camera.front(HEAD_CENTRE, 0.3)
+    green, red = (renderer.render(strands, *ball(), camera, c).astype(int) for c in ((0.0, 0.4, 0.0), (0.4, 0.0, 0.0)))
+    changed = np.abs(green - red).sum(axis=-1) > 30
+    assert changed.sum() > 100
+    assert (green[changed, 1] > red[changed, 1]).all()
+    assert (green[changed, 0] < red[changed, 0]).all()
+    assert green.std() > 10
+
+
+def test_hair_casts_shadow(renderer: StrandRenderer) -> None:
+    """Hair between the key light (the viewer's upper left) and the head darkens skin that it does not cover."""
+    camera = Camera.front(HEAD_CENTRE, 0.3)
+    lit = renderer.render(patch_of_strands((0.0, 1.0, 0.0)), *ball(), camera).astype(int)
+    shadowed = renderer.render(
+        patch_of_strands((-0.55, -0.6, 0.55)) + np.array([0, -0.06, 0], np.float32), *ball(), camera
+    )
+    below_right = slice(SIZE // 2, 3 * SIZE // 4), slice(SIZE // 4, SIZE // 2)
+    assert (lit - shadowed)[below_right].max() > 25
+
+
+def test_buffers_follow_the_scene(renderer: StrandRenderer) -> None:
+    """A picture does not depend on what was drawn before it, of another size or the same."""
+    strands, camera = patch_of_strands((0.0, 0.0, 1.0)), Camera.front(HEAD_CENTRE, 0.4)
+    first = renderer.render(strands, *ball(), camera)
+    renderer.render(patch_of_strands((1.0, 0.0, 0.0), vertices=5), *ball(12), Camera.side(HEAD_CENTRE, 0.6))
+    renderer.render(strands + np.float32(0.01), *ball(), camera)
+    np.testing.assert_array_equal(renderer.render(strands, *ball(), camera), first)
+
+
+def test_contact_sheet_has_four_rows_and_columns(renderer: StrandRenderer, tmp_path: Path) -> None:
+    from PIL import Image
+
+    write_picture(tmp_path / "sheet.png", drape(patch_of_strands((0.0, 0.0, 1.0)), frames=9), tile=32)
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        assert sheet.size == (128, 128)
+    write_picture(tmp_path / "sheet.png", drape(patch_of_strands((0.0, 0.0, 1.0)), frames=1), tile=32)
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        assert sheet.size == (128, 32)
+
+
+@pytest.mark.parametrize("frames", [1, 5])
+def test_video_plays(renderer: StrandRenderer, tmp_path: Path, frames: int) -> None:
+    import av
+
+    written: list[int] = []
+    seq = drape(patch_of_strands((0.0, 0.0, 1.0)), frames=frames)
+    write_video(tmp_path / "drape.mp4", seq, tile=64, on_frame=written.append)
+    with av.open(str(tmp_path / "drape.mp4")) as container:
+        stream = container.streams.video[0]
+        decoded = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
+        assert stream.average_rate == 30
+    assert [frame.shape for frame in decoded] == [(64, 128, 3)] * frames
+    assert written == list(range(1, frames + 1))
+    assert decoded[0].std() > 10
+
+
+def test_wrong_suffix_or_folder_is_named(renderer: StrandRenderer, tmp_path: Path) -> None:
+    seq = drape(patch_of_strands((0.0, 0.0, 1.0)))
+    for write, name in ((write_picture, "a.jpg"), (write_video, "a.avi")):
+        with pytest.raises(InputError, match=name):
+            write(tmp_path / name, seq)
+    for write, name in ((write_picture, "a.png"), (write_video, "a.mp4")):
+        with pytest.raises(InputError, match="folder"):
+            write(tmp_path / "none" / name, seq)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_frame_holds_hair_and_head() -> None:
+    seq = drape(patch_of_strands((0.0, 1.0, 0.0)))
+    centre, extent = frame_hair(seq)
+    for part in (seq.strands, seq.body_vertices):
+        assert (np.abs(part - centre.astype(np.float32)) <= 0.5 * extent).all()
+    assert extent < 0.3
+
+
+def test_machine_without_opengl_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_library(**options: object) -> None:
+        raise Exception("libEGL.so.1 not loaded\ndetails")
+
+    monkeypatch.setattr(scene.moderngl, "create_context", no_library)
+    with pytest.raises(InputError, match=r"apt install libegl1.*libEGL\.so\.1 not loaded") as caught:
+        StrandRenderer(8, 8)
+    assert "\n" not in str(caught.value)

@@ -28,7 +28,7 @@ LARGEST_SCORE = 2.6
 EXPLAINED_VARIANCE = 0.99
 BACKWARD_ELBOW_SINE = 0.3  # 17 degrees: elbows overextend by 10 at most
 # People in the clips look ahead; hair needs heads that turn. Range of the head relative to the chest [degrees], about
-# x (bend), y (lean), z (turn), evenly filled: what neck and head together do without strain (AAOS: 45-60, 45, 60-80).
+# x (bend), y (lean), z (turn), evenly filled: just inside what healthy necks do (about 45-60, 45 and 60-80).
 HEAD_RANGE_DEGREES = (45.0, 30.0, 70.0)
 NECK_SHARES = {"Neck": 0.28, "Neck1": 0.34, "Head": 0.38}
 
@@ -58,7 +58,8 @@ def training_clips(folder: Path, body: BodyModel) -> list[Motion]:
     paths = [path for path in paths if path.stem not in held_out]
     clips = [read_motion(path, body) for path in paths]
     sound = [clip for clip in clips if share_of_backward_elbows(clip, body) < 0.05]
-    print(f"left out, elbows bend backwards: {', '.join(clip.name for clip in clips if not any(clip is kept for kept in sound)) or 'none'}")
+    broken = sorted({clip.name for clip in clips} - {clip.name for clip in sound})
+    print(f"left out, for elbows that bend backwards: {', '.join(broken) or 'none'}")
     if not sound:
         raise InputError(folder, "motion clips that are not held out", "none")
     return sound

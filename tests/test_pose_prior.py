@@ -60,7 +60,8 @@ def test_heads_turn_as_far_as_people_can(prior: PosePrior, body: BodyModel, gene
     turn = torch.rad2deg(torch.atan2(-forward[:, 0], forward[:, 1]))
     for share in (turn > 45, turn < -45):
         assert 0.08 < share.double().mean() < 0.25
-    assert 60 < turn.abs().max() < 80
+    # Seen from above, a head that also leans looks further round than it turned.
+    assert 60 < turn.abs().max() < 90
 
 
 def test_elbows_bend_forward_only(prior: PosePrior, body: BodyModel, generator: torch.Generator) -> None:

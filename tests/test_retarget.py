@@ -116,7 +116,13 @@ def test_neck_and_lower_back_take_half(body: BodyModel) -> None:
     angles[:, NAMES.index("neck"), 2] = 40
     angles[:, NAMES.index("abdomen"), 1] = 20
     pose = np.degrees(retarget_bvh(daz_clip(angles), body).body_pose[0].unflatten(0, (27, 3)).numpy())
-    expected = {"LowerBack": (10, 0, 0), "Spine": (10, 0, 0), "Neck": (0, 0, 20), "Neck1": (0, 0, 20), "Head": (0, 0, 0)}
+    expected = {
+        "LowerBack": (10, 0, 0),
+        "Spine": (10, 0, 0),
+        "Neck": (0, 0, 20),
+        "Neck1": (0, 0, 20),
+        "Head": (0, 0, 0),
+    }
     for name, degrees in expected.items():
         np.testing.assert_allclose(pose[body.joint_names.index(name)], degrees, atol=1e-4)
 

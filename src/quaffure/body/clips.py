@@ -157,8 +157,8 @@ def _shrug() -> KeyedClip:
 
 
 def _walk() -> KeyedClip:
-    """Two steps on the spot, left heel down first. Leg angles at eighths of the cycle follow textbook gait curves
-    (Winter, Biomechanics and Motor Control of Human Movement, level walking)."""
+    """Two steps on the spot, left heel down first. Leg angles at eighths of the cycle follow, roughly, the
+    textbook curves of level walking (Winter, Biomechanics and Motor Control of Human Movement)."""
     hip = np.array([30.0, 25, 12, -1, -10, -3, 18, 30])
     knee = np.array([5.0, 17, 12, 6, 10, 40, 58, 28])
     ankle = np.array([0.0, -3, 5, 10, 8, -15, -5, 0])

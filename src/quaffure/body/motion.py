@@ -1,4 +1,4 @@
-"""A motion: one body pose per frame. There is no root translation anywhere: hair at rest does not feel where the body is.
+"""A motion: one body pose per frame. There is no root translation anywhere: hair at rest does not feel where one is.
 
 Rotations between frames are interpolated spherically, joint by joint.
 """

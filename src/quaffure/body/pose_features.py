@@ -3,8 +3,7 @@
 import torch
 
 from quaffure.body.body_model import BodyModel
-from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from quaffure.types import BodyPose, Float, Tensor
+from quaffure.types import Float, Tensor
 
 HEAD = "Head"
 NEAR_HAIR = (
@@ -49,13 +48,3 @@ def pose_features(
     rotations = head_from_world[:, None] @ joint_rotations[:, near]
     offsets = (joint_positions[:, near] - joint_positions[:, head, None]) @ head_from_world.mT / _OFFSET_SCALE
     return torch.cat([down, rotations[..., :2].flatten(1), offsets.flatten(1)], dim=1)
-
-
-def without_heading(body_pose: BodyPose) -> BodyPose:
-    """The same pose turned about the vertical so that the hips face -y: what a drape in the head's frame depends on."""
-    hips = matrix_from_axis_angle(body_pose[:, :3])
-    facing = -hips[:, :2, 1]  # where the rest body's -y points, seen from above
-    yaw = torch.atan2(facing[:, 0], -facing[:, 1])
-    upright = torch.zeros_like(body_pose[:, :3])
-    upright[:, 2] = -yaw
-    return torch.cat([axis_angle_from_matrix(matrix_from_axis_angle(upright) @ hips), body_pose[:, 3:]], dim=1)

@@ -55,7 +55,7 @@ class PosePrior:
         """Independent motions of consecutive frames [rad]; each frame by itself is distributed as in `sample`."""
         decay = torch.exp(-self.rates / fps)
         step = self.rates / fps
-        # Exact transition of (x, x'/r) over one frame, and what noise must add to stay stationary (identity covariance).
+        # Exact transition of (x, x'/r) over one frame, and the noise that keeps their covariance the identity.
         transition = decay[:, None, None] * torch.stack(
             [torch.stack([1 + step, step], -1), torch.stack([-step, 1 - step], -1)], -2
         )

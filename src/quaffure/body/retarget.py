@@ -5,7 +5,7 @@ Only rotations are carried over. The root's translation is dropped: hair is quas
 Per joint, with world rotations G relative to rest frames that are aligned with the world:
     G_target = G_source A,    A = shortest arc from the target's to the source's rest bone on arms and legs, else 1
     local    = G_target_parent^T G_target
-A makes the world directions of arms and legs those of the source though one rests in a T pose and the other in an A pose.
+With A, arms and legs point where the source's do, though one rests in a T pose and the other in an A pose.
 """
 
 from dataclasses import dataclass
@@ -86,7 +86,7 @@ def retarget_bvh(clip: BvhClip, body: BodyModel) -> Motion:
     world = BODY_FROM_Y_UP @ world @ BODY_FROM_Y_UP.T
     source_world = {name: world[:, joint] for joint, name in enumerate(clip.joint_names)}
     target_world = {
-        name: _source_rotation(source, source_world) @ _bone_alignment(name, source, clip, body)
+        name: source_rotation(source, source_world) @ _bone_alignment(name, source, clip, body)
         for name, source in DAZ_FRIENDLY_RIG.items()
     }
     motion = Motion(local_pose(target_world, body), clip.fps, clip.source)
@@ -120,7 +120,8 @@ def body_bone(body: BodyModel, joint: str, end: str) -> Float[Tensor, "3"]:
     return body.rest_joints[names.index(end)] - body.rest_joints[names.index(joint)]
 
 
-def _source_rotation(source: JointSource, world: dict[str, Tensor]) -> Float[Tensor, "f 3 3"]:
+def source_rotation(source: JointSource, world: dict[str, Tensor]) -> Float[Tensor, "f 3 3"]:
+    """G_source of the module's formula, from the source skeleton's world rotations by joint name."""
     if len(source.sources) == 1:
         return world[source.sources[0]]
     first, second = (world[name] for name in source.sources)

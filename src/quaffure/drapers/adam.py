@@ -13,6 +13,7 @@ from quaffure.config import HairMaterial
 from quaffure.drapers.draper import StoppingReport
 from quaffure.drapers.scene import Scene
 from quaffure.energies.closed_form import sagged_vectors
+from quaffure.energies.force_limit import limit_forces
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.types import Positions
@@ -25,6 +26,8 @@ class AdamDraper:
         steps: gradient evaluations.
         learning_rate: at the start [dimensionless change of a unit direction]; falls to a hundredth along a cosine.
     """
+
+    name = "adam"
 
     def __init__(self, material: HairMaterial | None = None, steps: int = 300, learning_rate: float = 0.1) -> None:
         self.material = material or HairMaterial()
@@ -42,16 +45,14 @@ class AdamDraper:
         sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, self.material.k_cosserat)
         directions = torch.nn.functional.normalize(sag, dim=-1).requires_grad_()
         roots = scene.posed[:, :, 0]
-        optimizer = torch.optim.Adam([directions], lr=self.learning_rate, betas=(0.9, 0.99), eps=1e-12)
+        optimizer = torch.optim.Adam([directions], lr=self.learning_rate, betas=(0.9, 0.99), eps=1e-20)
         norms = []
         for step in range(self.steps):
             cosine = 0.5 * (1 + math.cos(math.pi * step / self.steps))
             optimizer.param_groups[0]["lr"] = self.learning_rate * (0.01 + 0.99 * cosine)
             optimizer.zero_grad()
-            total = energy.total(
-                integrate_directions(roots, directions, rest.rest_length), scene.director, scene.surface
-            )
-            energy.per_vertex(total).sum().backward()
+            positions = limit_forces(integrate_directions(roots, directions, rest.rest_length), rest, 1.0)
+            energy.total(positions, scene.director, scene.surface).sum().backward()
             norms.append(float(directions.grad.norm()))  # type: ignore[union-attr]
             optimizer.step()
             with torch.no_grad():

@@ -3,12 +3,24 @@
 from dataclasses import dataclass
 from typing import Protocol
 
+from quaffure.config import HairMaterial
 from quaffure.drapers.scene import Scene
 from quaffure.types import Positions
 
 
 class Draper(Protocol):
-    """Settles a groom on posed bodies."""
+    """Settles a groom on posed bodies.
+
+    Attributes:
+        name: as the command line knows it.
+        material: what the hair is made of.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def material(self) -> HairMaterial: ...
 
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of every sample [m, world]."""
@@ -17,7 +29,7 @@ class Draper(Protocol):
 
 @dataclass(frozen=True)
 class StoppingReport:
-    """Where an iterative draper stopped, per batch.
+    """Where an iterative draper stopped.
 
     Attributes:
         energy: mean energy of the samples [J].

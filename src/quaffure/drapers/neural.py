@@ -2,7 +2,8 @@
 
 import torch
 
-from quaffure.body.pose_features import HEAD, pose_features, without_heading, world_from_head
+from quaffure.body.motion import without_heading
+from quaffure.body.pose_features import HEAD, pose_features, world_from_head
 from quaffure.config import TEXTURE_SIZE, HairMaterial
 from quaffure.drapers.scene import Scene
 from quaffure.energies.closed_form import sagged_vectors
@@ -21,11 +22,15 @@ class NeuralDraper:
     Attributes:
         network: either configuration.
         material: the one that the network was trained for.
+        bf16: run the network's layers in bfloat16; all geometry stays in float32.
     """
 
-    def __init__(self, network: DirectionNetwork | DisplacementNetwork, material: HairMaterial) -> None:
-        self.network = network
-        self.material = material
+    name = "neural"
+
+    def __init__(
+        self, network: DirectionNetwork | DisplacementNetwork, material: HairMaterial, bf16: bool = False
+    ) -> None:
+        self.network, self.material, self.bf16 = network, material, bf16
 
     def drape(self, scene: Scene) -> Positions:
         with torch.inference_mode():
@@ -36,7 +41,9 @@ class NeuralDraper:
         head = world_from_head(scene.bodies.body, scene.bodies.posed.joint_rotations)[:, None]
         sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, self.material.k_cosserat)
         inputs = self._inputs(scene, integrate_directions(scene.posed[:, :, 0], sag, rest.rest_length))
-        answer = self.network(inputs) @ head.mT
+        with torch.autocast(sag.device.type, torch.bfloat16, enabled=self.bf16):
+            answer = self.network(inputs)
+        answer = answer @ head.mT
         if self.network.config.output == "directions":
             vectors = torch.nn.functional.normalize(sag, dim=-1) + answer
             return integrate_directions(scene.posed[:, :, 0], vectors, rest.rest_length)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from quaffure.body.body_model import BodyModel, PosedBody
+from quaffure.body.pose_features import HEAD
 from quaffure.energies.elastic import directors
 from quaffure.geometry.surface import Surface, posed_surface
 from quaffure.groom.groom import Groom
@@ -31,7 +32,8 @@ class BodyBatch:
     @cached_property
     def surface(self) -> Surface:
         """The skins, ready for nearest-face searches."""
-        return posed_surface(self.body.surface_topology, self.posed.vertices)
+        head = self.posed.joint_positions[:, self.body.joint_names.index(HEAD)]
+        return posed_surface(self.body.surface_topology, self.posed.vertices, head)
 
 
 @dataclass(frozen=True, eq=False)

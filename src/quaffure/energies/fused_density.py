@@ -32,12 +32,14 @@ class _SelfCollision(torch.autograd.Function):
         h = np.float32(material.smoothing_length)
         for sample in range(batch):
             order, start, shape = sort_into_cells(flat[sample], np.float32(2) * h)
-            points, masses = flat[sample][order], mass[order]
+            # One array a coordinate: the compiler then runs 8 or 16 neighbours abreast.
+            x, y, z = np.ascontiguousarray(flat[sample][order].T)
+            masses = mass[order]
             excess = np.empty(len(order), np.float32)
-            _excess(points, masses, rest_density[order], start, shape, h, excess)
+            _excess(x, y, z, masses, rest_density[order], start, shape, h, excess)
             energy[sample] = material.k_self_collision * float((excess.astype(np.float64) ** 3).sum())
             slope = np.float32(3 * material.k_self_collision) * excess * excess
-            _gradient(points, masses, slope, order, start, shape, h, gradient[sample])
+            _gradient(x, y, z, masses, slope, order, start, shape, h, gradient[sample])
         ctx.save_for_backward(torch.from_numpy(gradient).reshape(positions.shape))  # type: ignore[attr-defined]
         return energy
 
@@ -49,7 +51,7 @@ class _SelfCollision(torch.autograd.Function):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _excess(
-    points: np.ndarray, mass: np.ndarray, rest_density: np.ndarray, start: np.ndarray, shape: tuple[int, int, int],
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, mass: np.ndarray, rest_density: np.ndarray, start: np.ndarray, shape: tuple[int, int, int],
     h: np.float32, excess: np.ndarray,
 ) -> None:  # fmt: skip
     scale = np.float32(1.0 / (4.0 * math.pi)) / (h * h * h)
@@ -60,21 +62,23 @@ def _excess(
         ranges = np.empty((9, 2), np.int64)
         found = cell_columns(cell, shape, start, ranges)
         for place in range(start[cell], start[cell + 1]):
-            x, y, z = points[place, 0], points[place, 1], points[place, 2]
+            px, py, pz = x[place], y[place], z[place]
             total = np.float32(0.0)
             for column in range(found):
-                for other in range(ranges[column, 0], ranges[column, 1]):
-                    dx, dy, dz = x - points[other, 0], y - points[other, 1], z - points[other, 2]
+                near_by = slice(ranges[column, 0], ranges[column, 1])
+                xs, ys, zs, masses = x[near_by], y[near_by], z[near_by], mass[near_by]
+                for other in range(len(xs)):
+                    dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
                     q = np.sqrt(dx * dx + dy * dy + dz * dz) * inverse
                     # (2 - q)+^3 - 4 (1 - q)+^3 is Eq. 13 without a branch.
                     far, near = max(np.float32(2.0) - q, np.float32(0.0)), max(np.float32(1.0) - q, np.float32(0.0))
-                    total += mass[other] * (far * far * far - np.float32(4.0) * near * near * near)
+                    total += masses[other] * (far * far * far - np.float32(4.0) * near * near * near)
             excess[place] = max(total * scale - rest_density[place], np.float32(0.0))
 
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _gradient(
-    points: np.ndarray, mass: np.ndarray, slope: np.ndarray, order: np.ndarray, start: np.ndarray,
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, mass: np.ndarray, slope: np.ndarray, order: np.ndarray, start: np.ndarray,
     shape: tuple[int, int, int], h: np.float32, gradient: np.ndarray,
 ) -> None:  # fmt: skip
     scale = np.float32(3.0 / (4.0 * math.pi)) / (h * h * h * h)
@@ -85,17 +89,19 @@ def _gradient(
         ranges = np.empty((9, 2), np.int64)
         found = cell_columns(cell, shape, start, ranges)
         for place in range(start[cell], start[cell + 1]):
-            x, y, z = points[place, 0], points[place, 1], points[place, 2]
+            px, py, pz = x[place], y[place], z[place]
             own_mass, own_slope = mass[place], slope[place]
             gx, gy, gz = np.float32(0.0), np.float32(0.0), np.float32(0.0)
             for column in range(found):
-                for other in range(ranges[column, 0], ranges[column, 1]):
-                    dx, dy, dz = x - points[other, 0], y - points[other, 1], z - points[other, 2]
+                near_by = slice(ranges[column, 0], ranges[column, 1])
+                xs, ys, zs, masses, slopes = x[near_by], y[near_by], z[near_by], mass[near_by], slope[near_by]
+                for other in range(len(xs)):
+                    dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
                     r = np.sqrt(dx * dx + dy * dy + dz * dz)
                     q = r * inverse
                     far, near = max(np.float32(2.0) - q, np.float32(0.0)), max(np.float32(1.0) - q, np.float32(0.0))
                     slope_of_kernel = np.float32(4.0) * near * near - far * far
-                    pull = (own_slope * mass[other] + slope[other] * own_mass) * slope_of_kernel
+                    pull = (own_slope * masses[other] + slopes[other] * own_mass) * slope_of_kernel
                     pull /= max(r, np.float32(1e-8))
                     gx += pull * dx
                     gy += pull * dy

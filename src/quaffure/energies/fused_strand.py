@@ -12,6 +12,7 @@ from torch.autograd.function import FunctionCtx
 
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.rest_state import RestState
+from quaffure.geometry.clear_cells import REACH, is_clear
 from quaffure.geometry.face_tree import MAX_DEPTH, closest_on_triangle, search
 from quaffure.geometry.surface import Surface
 from quaffure.types import EdgeVectors, Float, Positions, Tensor
@@ -29,7 +30,12 @@ def strand_energy(
         director: unit d3 of every edge.
         rest: of the same groom.
         surface: the posed body of every sample.
+
+    Raises:
+        ValueError: the collision margin is larger than the distance that clear cells keep from the body.
     """
+    if material.collision_margin > REACH:
+        raise ValueError(f"expected a collision margin up to {REACH} m, found {material.collision_margin}")
     return _StrandEnergy.apply(positions, director, rest, material, surface)
 
 
@@ -54,6 +60,7 @@ class _StrandEnergy(torch.autograd.Function):
             positions.detach().numpy(), director.detach().contiguous().numpy(),
             rest.rest_length.numpy(), rest.mass.numpy(), rest.collision_margin.numpy(), stiffness,
             surface.corners, surface.normals, surface.bounds, tree.first, tree.second,
+            surface.clear_origin, surface.clear,
             per_strand, gradient.numpy(),
         )  # fmt: skip
         ctx.save_for_backward(gradient)  # type: ignore[attr-defined]
@@ -80,6 +87,8 @@ def _strands(
     bounds: np.ndarray,
     first: np.ndarray,
     second: np.ndarray,
+    clear_origin: np.ndarray,
+    clear: np.ndarray,
     terms: np.ndarray,
     gradient: np.ndarray,
 ) -> None:
@@ -91,7 +100,17 @@ def _strands(
             x, directors[sample, strand], rest_length[strand], mass[strand], stiffness, out
         )
         terms[sample, strand, 3] = _contact(
-            x, margin[strand], stiffness[3], corners[sample], normals[sample], bounds[sample], first, second, out
+            x,
+            margin[strand],
+            stiffness[3],
+            corners[sample],
+            normals[sample],
+            bounds[sample],
+            first,
+            second,
+            clear_origin[sample],
+            clear[sample],
+            out,
         )
 
 
@@ -135,16 +154,13 @@ def _elastic_and_gravity(
 def _contact(
     x: np.ndarray, margin: np.ndarray, k_body_collision: float,
     corners: np.ndarray, normals: np.ndarray, bounds: np.ndarray, first: np.ndarray, second: np.ndarray,
-    gradient: np.ndarray,
+    clear_origin: np.ndarray, clear: np.ndarray, gradient: np.ndarray,
 ) -> float:  # fmt: skip
     stack = np.empty(MAX_DEPTH, np.int32)
     place = search(x[0], 0, corners, bounds, first, second, stack)
     energy = 0.0
-    clearance = np.float32(0.0)  # no vertex is nearer to the body than this
     for vertex in range(1, len(x)):
-        dx, dy, dz = x[vertex, 0] - x[vertex - 1, 0], x[vertex, 1] - x[vertex - 1, 1], x[vertex, 2] - x[vertex - 1, 2]
-        clearance -= np.sqrt(dx * dx + dy * dy + dz * dz)
-        if clearance >= margin[vertex]:
+        if is_clear(x[vertex, 0], x[vertex, 1], x[vertex, 2], clear_origin, clear):
             continue
         place = search(x[vertex], place, corners, bounds, first, second, stack)
         px, py, pz = x[vertex, 0], x[vertex, 1], x[vertex, 2]
@@ -153,7 +169,6 @@ def _contact(
         nx, ny, nz = normals[place, feature, 0], normals[place, feature, 1], normals[place, feature, 2]
         distance = np.sqrt(ox * ox + oy * oy + oz * oz)
         inside = ox * nx + oy * ny + oz * nz < 0.0
-        clearance = np.float32(0.0) if inside else distance
         signed = -distance if inside else distance
         short = margin[vertex] - signed
         if short <= 0.0:

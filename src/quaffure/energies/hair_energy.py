@@ -77,9 +77,14 @@ class HairEnergy:
             "self_collision": energy_self_collision(density, rest.rest_density, material.k_self_collision),
         }
 
+    @property
+    def per_vertex_unit(self) -> float:
+        """`scale` times the number of vertices [J]."""
+        return self.rest.mass.numel() * self.scale
+
     def per_vertex(self, energy: Energy) -> Float[Tensor, " b"]:
-        """Energy [J] over the number of vertices and `scale`: comparable between grooms, dimensionless."""
-        return energy / (self.rest.mass.numel() * self.scale)
+        """Energy [J] in units of `scale`, per vertex: dimensionless, comparable between grooms."""
+        return energy / self.per_vertex_unit
 
 
 def _compiled(positions: Positions) -> bool:

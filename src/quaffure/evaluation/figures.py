@@ -1,33 +1,67 @@
-"""Figures of merit of a drape.
+"""Figures of merit of drapes.
 
-Nothing here is shared with the training's loss but the physics: intersections come from an exact signed distance whose
-sign is that of the angle-weighted pseudonormal.
+Intersections come from the exact signed distance whose sign is that of the angle-weighted pseudonormal.
 """
 
 import torch
 
-from quaffure.body.pose_features import world_from_head
-from quaffure.drapers.scene import Scene
+from quaffure.body.body_model import BodyModel
+from quaffure.body.pose_features import HEAD, world_from_head
+from quaffure.drapers.drape_motion import FRAMES_AT_ONCE, material_of
+from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.elastic import length_errors, orientation_errors
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.self_collision import densities, density_excesses
+from quaffure.errors import InputError
 from quaffure.geometry.signed_distance import signed_distance
+from quaffure.groom.drape_sequence import DrapeSequence
+from quaffure.groom.groom import Groom
 from quaffure.types import Energy, Float, Positions, Tensor
 
 PerFrame = dict[str, Float[Tensor, " b"]]
 
 
-def figures_of_merit(draped: Positions, scene: Scene, energy: HairEnergy) -> PerFrame:
-    """What can be said of every drape by itself.
+def measure(
+    sequence: DrapeSequence, groom: Groom, body: BodyModel, reference: DrapeSequence | None = None
+) -> tuple[PerFrame, PerFrame]:
+    """Figures of merit of every frame of a drape, and of the groom as it was merely posed.
 
-    Returns:
-        By name, for every frame: `body_intersection_percent`, `length_error_percent`, `length_error_percent_max`,
-        `orientation_error_deg`, `density_excess_percent`, and `energy` [m g L per vertex].
+    Args:
+        groom: the one that was draped.
+        reference: the best solver's drape of the same groom and frames; needed for `excess_energy`, `distance_mm` and
+            `jitter`, which is one figure for the clip and repeated.
+
+    Raises:
+        InputError: the reference holds other frames or strands.
     """
+    if reference is not None and reference.strands.shape != sequence.strands.shape:
+        raise InputError("reference", f"strands {sequence.strands.shape}", f"{reference.strands.shape}")
+    energy = HairEnergy(groom, material_of(sequence))
+    draped: list[PerFrame] = []
+    posed: list[PerFrame] = []
+    for start in range(0, len(sequence), FRAMES_AT_ONCE):
+        chunk = slice(start, start + FRAMES_AT_ONCE)
+        body_pose = torch.from_numpy(sequence.body_pose[chunk])
+        body_shape = torch.from_numpy(sequence.body_shape).expand(len(body_pose), -1)
+        scene = Scene(groom, BodyBatch(body, body_pose, body_shape))
+        against = None if reference is None else torch.from_numpy(reference.strands[chunk])
+        draped.append(figures_of_merit(torch.from_numpy(sequence.strands[chunk]), scene, energy, against))
+        posed.append(figures_of_merit(scene.posed, scene, energy, against))
+    whole = _joined(draped)
+    if reference is not None and len(sequence) >= 3:
+        ratio = acceleration(sequence, body) / acceleration(reference, body)
+        whole["jitter"] = ratio.expand(len(sequence))
+    return whole, _joined(posed)
+
+
+def figures_of_merit(
+    draped: Positions, scene: Scene, energy: HairEnergy, reference: Positions | None = None
+) -> PerFrame:
+    """Figures of every frame by name; energies in m g L per vertex. See the table in `docs/figures_of_merit.md`."""
     rest = energy.rest
     lengths = 100 * length_errors(draped, rest.rest_length)
     density = densities(draped, rest.mass, energy.material.smoothing_length)
-    return {
+    figures = {
         "body_intersection_percent": intersection_percent(draped, scene),
         "length_error_percent": lengths.mean(dim=(1, 2)),
         "length_error_percent_max": lengths.amax(dim=(1, 2)),
@@ -35,22 +69,9 @@ def figures_of_merit(draped: Positions, scene: Scene, energy: HairEnergy) -> Per
         "density_excess_percent": density_excesses(density, rest.rest_density).mean(dim=(1, 2)),
         "energy": total_energy(draped, scene, energy),
     }
-
-
-def figures_against(draped: Positions, reference: Positions, scene: Scene, energy: HairEnergy) -> PerFrame:
-    """What needs the drape of a solver beside it.
-
-    Returns:
-        By name, for every frame: `excess_energy` [m g L per vertex] and `distance_mm`; `jitter`, one figure for the
-        whole clip, repeated, where there are three frames or more.
-    """
-    figures = {
-        "excess_energy": total_energy(draped, scene, energy) - total_energy(reference, scene, energy),
-        "distance_mm": 1000 * (draped - reference).norm(dim=-1).mean(dim=(1, 2)),
-    }
-    if len(draped) >= 3:
-        ratio = acceleration(draped, scene) / acceleration(reference, scene)
-        figures["jitter"] = ratio.expand(len(draped))
+    if reference is not None:
+        figures["excess_energy"] = figures["energy"] - total_energy(reference, scene, energy)
+        figures["distance_mm"] = 1000 * (draped - reference).norm(dim=-1).mean(dim=(1, 2))
     return figures
 
 
@@ -65,10 +86,14 @@ def total_energy(draped: Positions, scene: Scene, energy: HairEnergy) -> Energy:
     return energy.per_vertex(torch.stack(list(energy.terms(draped, scene.director, scene.surface).values())).sum(0))
 
 
-def acceleration(draped: Positions, scene: Scene) -> Float[Tensor, ""]:
-    """Mean second difference over frames of the vertices seen from the head [m per frame^2]."""
-    posed = scene.bodies.posed
-    body = scene.bodies.body
-    head_position = posed.joint_positions[:, body.joint_names.index("Head")]
-    seen = (draped - head_position[:, None, None]) @ world_from_head(body, posed.joint_rotations)[:, None]
-    return seen.diff(n=2, dim=0).norm(dim=-1).mean()
+def acceleration(sequence: DrapeSequence, body: BodyModel) -> Float[Tensor, ""]:
+    """Mean second difference over frames of the draped vertices seen from the head [m per frame^2]."""
+    body_shape = torch.from_numpy(sequence.body_shape).expand(len(sequence), -1)
+    rotations, positions = body.posed_joints(torch.from_numpy(sequence.body_pose), body_shape)
+    head_position = positions[:, body.joint_names.index(HEAD)]
+    offsets = torch.from_numpy(sequence.strands) - head_position[:, None, None]
+    return (offsets @ world_from_head(body, rotations)[:, None]).diff(n=2, dim=0).norm(dim=-1).mean()
+
+
+def _joined(parts: list[PerFrame]) -> PerFrame:
+    return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}

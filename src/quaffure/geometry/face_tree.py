@@ -80,9 +80,9 @@ def refit(corners: np.ndarray, first: np.ndarray, second: np.ndarray, bounds: np
 
 @njit(cache=True, fastmath=True, inline="always")
 def squared_distance_to_box(box: np.ndarray, x: float, y: float, z: float) -> float:
-    dx = max(box[0] - x, 0.0, x - box[3])
-    dy = max(box[1] - y, 0.0, y - box[4])
-    dz = max(box[2] - z, 0.0, z - box[5])
+    dx = max(box[0] - x, x - box[3], np.float32(0.0))
+    dy = max(box[1] - y, y - box[4], np.float32(0.0))
+    dz = max(box[2] - z, z - box[5], np.float32(0.0))
     return dx * dx + dy * dy + dz * dz
 
 
@@ -122,7 +122,7 @@ def closest_on_triangle(triangle: np.ndarray, x: float, y: float, z: float) -> t
     if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
         t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
         return ax + abx + t * (acx - abx), ay + aby + t * (acy - aby), az + abz + t * (acz - abz), 2
-    scale = 1.0 / (va + vb + vc)
+    scale = np.float32(1.0) / (va + vb + vc)
     v, w = vb * scale, vc * scale
     return ax + v * abx + w * acx, ay + v * aby + w * acy, az + v * abz + w * acz, 0
 

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from numba import njit, prange
 
+from quaffure.geometry.clear_cells import CELLS, ORIGIN, find_clear_cells
 from quaffure.geometry.face_tree import FaceTree, build_face_tree, refit
 from quaffure.geometry.mesh import angle_weighted_vertex_normals, face_normals, opposite_faces
 from quaffure.types import MeshFaces, MeshVertices, Tensor
@@ -41,6 +42,8 @@ class Surface:
         normals: pseudonormals of each face in the leaves' order: the face, its three edges, its three corners; not
             unit. The sign of a point is that of its offset along the normal of its nearest feature
             (Baerentzen and Aanaes 2005).
+        clear_origin: corner of the grid of clear cells [m]; see `quaffure.geometry.clear_cells`.
+        clear: 1 where a cell is outside and clear of the surface.
     """
 
     topology: SurfaceTopology
@@ -48,6 +51,8 @@ class Surface:
     corners: Float[np.ndarray, "b k 3 3"]
     bounds: Float[np.ndarray, "b m 6"]
     normals: Float[np.ndarray, "b k 7 3"]
+    clear_origin: Float[np.ndarray, "b 3"]
+    clear: UInt8[np.ndarray, "b x y z"]
 
 
 def surface_topology(vertices: Float[Tensor, "v 3"], faces: MeshFaces) -> SurfaceTopology:
@@ -69,18 +74,31 @@ def surface_topology(vertices: Float[Tensor, "v 3"], faces: MeshFaces) -> Surfac
     )
 
 
-def posed_surface(topology: SurfaceTopology, vertices: MeshVertices) -> Surface:
-    """Refit the search structures to a batch of posed vertices [m]."""
+def posed_surface(
+    topology: SurfaceTopology, vertices: MeshVertices, focus: Float[Tensor, "b 3"] | None = None
+) -> Surface:
+    """Refit the search structures to a batch of posed vertices [m].
+
+    Args:
+        focus: where hair hangs from, the head [m]: round it free space is mapped. Without it, round the mean vertex.
+    """
     array = np.ascontiguousarray(vertices.detach().cpu().numpy(), dtype=np.float32)
+    centre = array.mean(axis=1) if focus is None else focus.detach().cpu().numpy().astype(np.float32)
     batch, places, nodes = len(array), len(topology.tree_faces), len(topology.tree.first)
-    corners = np.empty((batch, places, 3, 3), np.float32)
-    bounds = np.empty((batch, nodes, 6), np.float32)
-    normals = np.empty((batch, places, 7, 3), np.float32)
+    surface = Surface(
+        topology=topology,
+        vertices=vertices,
+        corners=np.empty((batch, places, 3, 3), np.float32),
+        bounds=np.empty((batch, nodes, 6), np.float32),
+        normals=np.empty((batch, places, 7, 3), np.float32),
+        clear_origin=centre + ORIGIN,
+        clear=np.empty((batch, CELLS, CELLS, CELLS), np.uint8),
+    )
     _fill(
         array, topology.tree_faces, topology.tree_opposite, topology.tree.first, topology.tree.second,
-        corners, bounds, normals,
+        surface.corners, surface.bounds, surface.normals, surface.clear_origin, surface.clear,
     )  # fmt: skip
-    return Surface(topology, vertices, corners, bounds, normals)
+    return surface
 
 
 @njit(cache=True, parallel=True)
@@ -93,6 +111,8 @@ def _fill(
     corners: np.ndarray,
     bounds: np.ndarray,
     normals: np.ndarray,
+    clear_origin: np.ndarray,
+    clear: np.ndarray,
 ) -> None:
     for sample in prange(len(vertices)):
         for place in range(len(faces)):
@@ -101,6 +121,9 @@ def _fill(
                     corners[sample, place, corner, axis] = vertices[sample, faces[place, corner], axis]
         _pseudonormals(corners[sample], faces, opposite, vertices.shape[1], normals[sample])
         refit(corners[sample], first, second, bounds[sample])
+        find_clear_cells(
+            corners[sample], normals[sample], bounds[sample], first, second, clear_origin[sample], clear[sample]
+        )
 
 
 @njit(cache=True, fastmath=True)

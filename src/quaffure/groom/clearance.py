@@ -6,14 +6,17 @@ from quaffure.body.body_model import BodyModel
 from quaffure.geometry.polyline import integrate_directions_reference
 from quaffure.geometry.signed_distance import foot_points
 from quaffure.geometry.surface import Surface, posed_surface, surface_topology
-from quaffure.types import Float, Tensor
+from quaffure.types import Bool, Float, Tensor
 
 CLEARANCE = 3e-3
 """Distance that rest strands keep from the skin [m]."""
 # A root lies on the skin: the clearance grows by this much per length of strand.
 CLEARANCE_RAMP = 0.25
+# Even beside the root a vertex is this far out: the sign of a distance of zero is rounding [m].
+LEAST_CLEARANCE = 1e-4
 # What of a vertex's push its successor and its predecessor follow; the rest of a strand gives way smoothly.
 FOLLOW_TIPWARDS, FOLLOW_ROOTWARDS = 0.8, 0.4
+SETTLING_ROUNDS = 10
 # Two pushes in opposite directions (hair between neck and shoulder) need damping to settle.
 STEP = 0.9
 
@@ -43,12 +46,12 @@ def inside_share(strands: Float[Tensor, "s n 3"], surface: Surface) -> float:
     return float((distances_and_normals(strands[:, 1:], surface)[0] < 0).float().mean())
 
 
-def required_clearance(
-    strands: Float[Tensor, "s n 3"], clearance: float | Float[Tensor, "s 1"]
-) -> Float[Tensor, "s n"]:
+def required_clearance(strands: Float[Tensor, "s n 3"], clearance: float) -> Float[Tensor, "s n"]:
     """How far each vertex has to keep from the skin [m]: zero at the root, growing to `clearance`."""
     reach = torch.nn.functional.pad(strands.diff(dim=1).norm(dim=-1).cumsum(1), (1, 0))
-    return (CLEARANCE_RAMP * reach).clamp(max=torch.as_tensor(clearance))
+    needed = (CLEARANCE_RAMP * reach).clamp(min=LEAST_CLEARANCE, max=clearance)
+    needed[:, 0] = 0
+    return needed
 
 
 def pushed_out(
@@ -69,7 +72,7 @@ def pushed_out(
             return result
         moved = result[active] + STEP * push
         result[active] = integrate_directions_reference(moved[None, :, 0], moved.diff(dim=1)[None], lengths[active])[0]
-    for _ in range(4):
+    for _ in range(SETTLING_ROUNDS):
         distance, normal = distances_and_normals(result[active], surface)
         short = (0.5 * needed[active] - distance).clamp(min=0)
         short[:, 0] = 0
@@ -79,7 +82,7 @@ def pushed_out(
 
 def _push(
     strands: Float[Tensor, "s n 3"], needed: Float[Tensor, "s n"], surface: Surface
-) -> tuple[Float[Tensor, "s n 3"], Float[Tensor, " s"]]:
+) -> tuple[Float[Tensor, "s n 3"], Bool[Tensor, " s"]]:
     """Move of every vertex, and which strands are still too close by more than a tenth of a millimetre."""
     distance, normal = distances_and_normals(strands, surface)
     short = (needed - distance).clamp(min=0)

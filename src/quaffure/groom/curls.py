@@ -61,7 +61,9 @@ def parallel_frames(
     axes: Float[Tensor, "s n 3"], normals: Float[Tensor, "s 3"]
 ) -> tuple[Float[Tensor, "s n 3"], Float[Tensor, "s n 3"]]:
     """Two unit vectors across each vertex's tangent, carried along without twist from the root's normal."""
-    tangents = normalize(torch.cat([axes[:, 1:2] - axes[:, :1], axes[:, 2:] - axes[:, :-2], axes[:, -1:] - axes[:, -2:-1]], 1), dim=-1)
+    tangents = normalize(
+        torch.cat([axes[:, 1:2] - axes[:, :1], axes[:, 2:] - axes[:, :-2], axes[:, -1:] - axes[:, -2:-1]], 1), dim=-1
+    )
     across, firsts = normals, []
     for tangent in tangents.unbind(1):
         across = normalize(across - (across * tangent).sum(-1, keepdim=True) * tangent, dim=-1)

@@ -27,7 +27,7 @@ class HairStyle:
     """Weight of the growth sideways from the parting, fading out behind the crown [-]."""
     from_crown: float = 0.6
     """Weight of the growth outwards from the crown [-]."""
-    backwards: float = 0.25
+    backwards: float = 0.6
     """Weight of the growth to the back; negative combs to the front [-]."""
     lift_deg: float = 25.0
     """Angle between root and scalp [degrees]."""
@@ -35,6 +35,8 @@ class HairStyle:
     """Length over which a strand keeps its direction of growth before gravity has it [m]."""
     fall: float = 1.0
     """How far gravity turns a strand in the end: 0 not at all, 1 straight down [-]."""
+    shoulder_split: float = 0.2
+    """Slope by which hair from the back of the head falls backwards, and hair from the front forwards [-]."""
     stiffness_length: float = 0.025
     """Length over which a strand can turn [m]."""
     layer_thickness: float = 0.014
@@ -62,15 +64,17 @@ class HairStyle:
 STYLES: dict[str, HairStyle] = {
     "long_straight": HairStyle(length=0.38, length_map=(1.0, 1.0, 1.0, 0.85)),
     "long_wavy": HairStyle(
-        length=0.38, length_map=(1.0, 1.0, 1.0, 0.85), parting=0.025, curl_radius=0.011, curl_length=0.085,
-        curl_start=0.12, clumping=0.5, clump_spacing=0.028, lift_deg=32.0, layer_thickness=0.018,
+        length=0.42, length_map=(1.0, 1.0, 1.0, 0.85), parting=0.025, curl_radius=0.011, curl_length=0.085,
+        curl_start=0.12, curl_phase_variation=0.15, curl_variation=0.12, clumping=0.5, clump_spacing=0.028,
+        lift_deg=32.0, layer_thickness=0.018,
     ),
     "bob": HairStyle(
-        length=0.25, cut_height=-0.045, parting=0.03, length_variation=0.03, layer_thickness=0.016, clumping=0.15
+        length=0.25, cut_height=-0.055, parting=0.03, length_variation=0.03, layer_thickness=0.016, clumping=0.15,
+        shoulder_split=0.08,
     ),
     "short_curly": HairStyle(
         length=0.12, length_map=(0.9, 1.0, 0.75, 0.6), length_variation=0.15, parting=None, from_crown=1.0,
-        backwards=0.1, lift_deg=65.0, set_length=0.035, fall=0.75, curl_radius=0.0055, curl_length=0.021,
-        curl_start=0.012, curl_phase_variation=0.6, clumping=0.35, clump_spacing=0.018,
+        backwards=0.1, lift_deg=65.0, set_length=0.035, fall=0.75, shoulder_split=0.0, curl_radius=0.0055,
+        curl_length=0.021, curl_start=0.012, curl_phase_variation=0.6, clumping=0.35, clump_spacing=0.018,
     ),
 }  # fmt: skip

@@ -1,8 +1,8 @@
 """Procedural grooms: strands grown from the scalp along a styled direction field, on the mean body at rest."""
 
 import math
-from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from quaffure.body.body_model import BodyModel
@@ -15,18 +15,19 @@ from quaffure.groom.curls import clumped, curl_arc_factor, curled
 from quaffure.groom.groom import Groom
 from quaffure.groom.growth import grow
 from quaffure.groom.hair_style import STYLES, HairStyle
+from quaffure.groom.resample import resample_by_arc_length
+from quaffure.groom.scalp_texture import select_guides
+from quaffure.groom.strands import Strands
 from quaffure.types import Float, Int, Tensor
 
 LICENCE = "Apache-2.0 (procedural, part of quaffure)"
 # Steps of the growth for each edge of the groom.
-STEPS_PER_EDGE = 3
+STEPS_PER_EDGE = 2
 # Roots stay this share of a cell clear of its border.
 JITTER = 0.35
 
 
-def make_groom(
-    style: str | HairStyle, body: BodyModel, seed: int = 0, surface: Surface | None = None
-) -> Groom:
+def make_groom(style: str | HairStyle, body: BodyModel, seed: int = 0, surface: Surface | None = None) -> Groom:
     """A groom in a style: the same for the same style, body and seed, on any machine of one kind.
 
     Args:
@@ -41,18 +42,17 @@ def make_groom(
     generator = torch.Generator().manual_seed(seed)
     faces, barycentric = spread_roots(body, controls.root_rows, generator)
     roots = (barycentric[..., None] * body.rest_vertices[body.faces[faces]]).sum(-2)
-    vertex_normals = angle_weighted_vertex_normals(body.rest_vertices[None], body.faces)[0]
-    normals = (barycentric[..., None] * torch.nn.functional.normalize(vertex_normals, dim=-1)[body.faces[faces]]).sum(-2)
-    normals = torch.nn.functional.normalize(normals, dim=-1)
+    normals = scalp_normals(body, faces, barycentric)
     uv = body.scalp.uv_at(faces, barycentric)
     lengths = strand_lengths(controls, uv, generator)
     steps = STEPS_PER_EDGE * (VERTICES_PER_STRAND - 1)
     axes = grow(controls, roots, normals, lengths / curl_arc_factor(controls) / steps, steps, body, surface, generator)
     axes = cut_below(axes, controls.cut_height, body)
     axes = clumped(controls, axes)
-    strands = curled(controls, axes, normals, generator)[:, ::STEPS_PER_EDGE].contiguous()
-    strands = pushed_out(strands, surface, CLEARANCE)
-    return Groom(name, strands, faces, barycentric, uv, LICENCE)
+    strands = pushed_out(_evenly(curled(controls, axes, normals, generator)), surface, CLEARANCE)
+    strands[:, 0] = roots
+    # Rounding can move a root across a texel's border, to where another one is.
+    return select_guides(Groom(name, strands, faces, barycentric, uv, LICENCE))
 
 
 def _controls(style: str | HairStyle) -> tuple[str, HairStyle]:
@@ -87,6 +87,19 @@ def spread_roots(
     return body.scalp.locate(uv)
 
 
+def _evenly(fine: Float[Tensor, "s n 3"]) -> Float[Tensor, "s m 3"]:
+    strands, count, _ = fine.shape
+    ragged = Strands(fine.reshape(-1, 3).numpy(), np.full(strands, count), "procedural strands")
+    return torch.from_numpy(resample_by_arc_length(ragged, VERTICES_PER_STRAND))
+
+
+def scalp_normals(body: BodyModel, faces: Int[Tensor, " s"], barycentric: Float[Tensor, "s 3"]) -> Float[Tensor, "s 3"]:
+    """Smooth unit normals of the scalp on its own: the ears beside it do not bend them."""
+    own = angle_weighted_vertex_normals(body.rest_vertices[None], body.faces[body.scalp.faces])[0]
+    blended = (barycentric[..., None] * torch.nn.functional.normalize(own, dim=-1)[body.faces[faces]]).sum(-2)
+    return torch.nn.functional.normalize(blended, dim=-1)
+
+
 def strand_lengths(controls: HairStyle, uv: Float[Tensor, "s 2"], generator: torch.Generator) -> Float[Tensor, " s"]:
     """Length of each strand [m]: the length map over the chart (forehead, crown, sides, nape) and its variation."""
     aside = (2 * uv[:, 0] - 1).abs().square()
@@ -99,16 +112,16 @@ def strand_lengths(controls: HairStyle, uv: Float[Tensor, "s 2"], generator: tor
     return controls.length * factor * (1 + noise)
 
 
-def cut_below(
-    axes: Float[Tensor, "s n 3"], height: float | None, body: BodyModel
-) -> Float[Tensor, "s n 3"]:
+def cut_below(axes: Float[Tensor, "s n 3"], height: float | None, body: BodyModel) -> Float[Tensor, "s n 3"]:
     """Strands cut where they first pass below `height` [m over the Head joint] and brought back to as many vertices."""
     if height is None:
         return axes
     level = height + float(body.rest_joints[body.joint_names.index("Head"), 2])
     count = axes.shape[1]
     below = axes[..., 2] < level
-    first = torch.where(below.any(1), below.float().argmax(1), torch.full((len(axes),), count - 1)).clamp(min=count // 6)
+    first = torch.where(below.any(1), below.float().argmax(1), torch.full((len(axes),), count - 1)).clamp(
+        min=count // 6
+    )
     place = torch.linspace(0, 1, count) * first[:, None]
     left = place.long().clamp(max=count - 2)
     weight = (place - left)[..., None]

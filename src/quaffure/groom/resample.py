@@ -8,7 +8,7 @@ from quaffure.errors import InputError
 from quaffure.groom.strands import Strands
 
 # A strand shorter than this share of the median strand is a point, not a hair.
-SHORTEST = 1e-3
+SHORTEST = 0.02
 
 
 def concatenate_strands(parts: list[Strands]) -> Strands:

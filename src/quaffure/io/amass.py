@@ -15,9 +15,17 @@ from torch import Tensor
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.motion import Motion, filter_flips, resample
-from quaffure.body.retarget import BODY_FROM_Y_UP, RETARGET_FPS, JointSource, align_bone, body_bone, local_pose
+from quaffure.body.retarget import (
+    BODY_FROM_Y_UP,
+    RETARGET_FPS,
+    JointSource,
+    align_bone,
+    body_bone,
+    local_pose,
+    source_rotation,
+)
 from quaffure.errors import InputError
-from quaffure.geometry.rotation import interpolate_rotations, matrix_from_axis_angle
+from quaffure.geometry.rotation import matrix_from_axis_angle
 from quaffure.io.npz_strands import read_npz
 
 # SMPL's body joints, in the order of `poses`, and each one's parent.
@@ -104,10 +112,7 @@ def _on_body(world: dict[str, Float[Tensor, "f 3 3"]], body: BodyModel) -> dict[
     """World rotations by the body's joint names; see the formula in `quaffure.body.retarget`."""
     turned: dict[str, Tensor] = {}
     for name, source in SMPL_BODY.items():
-        rotation = world[source.sources[0]]
-        if len(source.sources) == 2:
-            half = torch.full(rotation.shape[:1], 0.5, dtype=rotation.dtype)
-            rotation = interpolate_rotations(rotation, world[source.sources[1]], half)
+        rotation = source_rotation(source, world)
         if source.bone_ends is not None:
             direction = REST_ARM_DIRECTION["Left" if name.startswith("Left") else "Right"]
             bone = body_bone(body, name, source.bone_ends[0])

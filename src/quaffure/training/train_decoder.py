@@ -11,10 +11,11 @@ import torch
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from quaffure.body.body_model import BodyModel
-from quaffure.body.pose_features import world_from_head
+from quaffure.body.pose_features import FEATURE_COUNT, world_from_head
 from quaffure.config import HairMaterial
 from quaffure.drapers.neural import NeuralDraper
 from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.energies.force_limit import limit_forces
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.pose_regularization import energy_pose_regularization
 from quaffure.groom.groom import Groom
@@ -29,7 +30,7 @@ from quaffure.types import BodyPose, BodyShape, Tensor
 class TrainConfig:
     """One training run; saved in its folder."""
 
-    network: NetworkConfig = field(default_factory=NetworkConfig)
+    network: NetworkConfig = field(default_factory=lambda: NetworkConfig(pose_features=FEATURE_COUNT))
     material: HairMaterial = field(default_factory=HairMaterial)
     steps: int = 20000
     """Optimizer steps in all."""
@@ -61,7 +62,7 @@ class Validation:
 
 
 class DecoderTraining:
-    """State of a run: network, optimizer, random numbers, step. `steps()` carries it on; `save` and `resume` keep it."""
+    """State of a run: network, optimizer, random numbers and step, which `save` and `resume` keep."""
 
     def __init__(
         self, config: TrainConfig, body: BodyModel, grooms: tuple[Groom, ...], sampler: PoseSampler, folder: Path
@@ -74,7 +75,7 @@ class DecoderTraining:
         torch.manual_seed(config.seed)
         self.config, self.body, self.grooms, self.sampler, self.folder = config, body, grooms, sampler, folder
         self.network = build_network(config.network)
-        self.draper = NeuralDraper(self.network, config.material)
+        self.draper = NeuralDraper(self.network, config.material, config.bf16)
         self.average = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(0.998))
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, betas=(0.9, 0.99))
         self.generator = torch.Generator().manual_seed(config.seed)
@@ -105,7 +106,7 @@ class DecoderTraining:
         for groom, energy in zip(self.grooms, self.energies):
             loss = self._loss(Scene(groom, bodies), energy) / len(self.grooms)
             loss.backward()
-            mean_loss += float(loss)
+            mean_loss += float(loss.detach())
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
         self.optimizer.step()
         self.average.update_parameters(self.network)
@@ -114,8 +115,8 @@ class DecoderTraining:
     def _loss(self, scene: Scene, energy: HairEnergy) -> Tensor:
         """Eq. 1 over the batch, per vertex in units of m g L."""
         config = self.config
-        with torch.autocast("cpu", torch.bfloat16, enabled=config.bf16):
-            positions = self.draper.deform(scene, energy.rest)
+        draped = self.draper.deform(scene, energy.rest)
+        positions = limit_forces(draped, energy.rest, len(draped) * energy.per_vertex_unit)
         total = energy.along_strands(positions, scene.director, scene.surface)
         if self.step % config.self_collision_every == 0:
             total = total + config.self_collision_every * energy.self_collision(positions)
@@ -125,7 +126,7 @@ class DecoderTraining:
         return energy.per_vertex(total).mean() + energy.per_vertex(smoothness).mean() / config.frames
 
     def validate(self, validation: Validation) -> dict[str, float]:
-        """Energy terms of the averaged network [m g L per vertex], mean over grooms; keeps the weights if they are best."""
+        """Energy terms of the averaged network [m g L per vertex], mean over grooms; keeps the best weights so far."""
         draper = NeuralDraper(self.average.module, self.config.material)
         sums: dict[str, float] = {}
         bodies = BodyBatch(self.body, validation.body_pose, validation.body_shape)

@@ -1,0 +1,91 @@
+"""`quaffure drape`: a groom, a body and a motion in; draped hair out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+from rich.progress import Progress
+
+from quaffure.body.body_model import load_body
+from quaffure.cli.console import console, print_json, print_rows
+from quaffure.cli.inputs import body_shape_of, motion_of
+from quaffure.cli.outputs import writer_for
+from quaffure.drapers.adam import AdamDraper
+from quaffure.drapers.drape_motion import drape_motion
+from quaffure.drapers.draper import Draper
+from quaffure.drapers.posed import PosedDraper
+from quaffure.drapers.quaffure_model import load_model
+from quaffure.evaluation.figures import PerFrame, measure
+from quaffure.groom.drape_sequence import DrapeSequence
+from quaffure.io.drape_file import read_drape
+from quaffure.io.load_groom import load_groom
+
+
+@dataclass(frozen=True)
+class DrapeCommand:
+    """Drape a groom on a moving body, write it, and print figures of merit."""
+
+    groom: tyro.conf.Positional[str]
+    """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
+    out: tyro.conf.UseAppendAction[tuple[Path, ...]]
+    """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .png, .mp4."""
+    motion: str = "neck_turn"
+    """A bundled clip, or a .bvh or .npz file."""
+    frames: str = ":"
+    """Frames A:B:STEP of the motion at 30 frames per second."""
+    shape: str = ""
+    """Ten body shape coefficients separated by commas, or a file that holds them; without it, the mean body."""
+    head: Path | None = None
+    """The head mesh (.obj) that a groom file was made on; helps to register it."""
+    draper: Literal["neural", "posed", "adam"] = "neural"
+    """How to settle the hair."""
+    weights: Path | None = None
+    """Weights of a training run instead of the shipped ones."""
+    reference: Path | None = None
+    """An .npz drape of the same groom and frames by a solver, to measure against."""
+    json: bool = False
+    """Print the figures of merit as JSON."""
+
+    def run(self) -> None:
+        writers = [writer_for(path) for path in self.out]
+        body = load_body()
+        motion = motion_of(self.motion, body).frames(self.frames)
+        body_shape = body_shape_of(self.shape)
+        reference = None if self.reference is None else read_drape(self.reference)
+        draper = self._draper()
+        with console.status("reading the groom"):
+            groom = load_groom(self.groom, body, self.head)
+        with Progress(console=console, transient=True) as progress:
+            task = progress.add_task(f"draping {len(groom)} strands", total=len(motion))
+            sequence = drape_motion(
+                draper, groom, body, motion, body_shape, lambda frames: progress.advance(task, frames)
+            )
+        for path, write in zip(self.out, writers):
+            with console.status(f"writing {path}"):
+                write(path, sequence)
+        with console.status("measuring"):
+            self._report(sequence, *measure(sequence, groom, body, reference))
+
+    def _draper(self) -> Draper:
+        if self.draper == "adam":
+            return AdamDraper()
+        return PosedDraper() if self.draper == "posed" else load_model(self.weights).draper
+
+    def _report(self, sequence: DrapeSequence, draped: PerFrame, posed: PerFrame) -> None:
+        named = {"posed": posed, self.draper: draped}
+        if self.json:
+            rows = {name: {key: figure.tolist() for key, figure in row.items()} for name, row in named.items()}
+            print_json({"per_frame": rows, "milliseconds": sequence.meta["milliseconds"], "meta": sequence.meta})
+            return
+        rows_printed: list[dict[str, object]] = []
+        for key, figure in draped.items():
+            row: dict[str, object] = {"figure of merit": key}
+            for name, figures in named.items():
+                known = figures.get(key)
+                row[name] = "" if known is None else float(known.mean())
+                row[f"{name}, worst frame"] = "" if known is None else float(known.max())
+            row["frames better"] = "" if key not in posed else f"{int((figure < posed[key]).sum())} of {len(figure)}"
+            rows_printed.append(row)
+        print_rows(rows_printed, f"{sequence.meta['groom']} on {sequence.meta['motion']}, {len(sequence)} frames")
+        console.print(f"{sequence.meta['milliseconds']:.3g} ms a drape; written: {', '.join(map(str, self.out))}")

@@ -1,0 +1,32 @@
+"""Deep contact must not drown everything else while an optimizer starts.
+
+The cubic of Eq. 10 pushes a vertex 5 cm inside the body with 300 times the force of one on the skin. Minimizers that
+scale by remembered gradients then stand still long after it is out. Saturating the force changes no minimum where
+vertices rest near the skin, and keeps every direction of descent.
+"""
+
+import torch
+
+from quaffure.config import STANDARD_GRAVITY
+from quaffure.energies.rest_state import RestState
+from quaffure.types import Float, Positions, Tensor
+
+STRAND_WEIGHTS = 10.0
+"""Largest force on a vertex, in weights of its whole strand."""
+
+
+def limit_forces(positions: Positions, rest: RestState, joules: float) -> Positions:
+    """The same positions; on the way back, each vertex's gradient is scaled down to at most `STRAND_WEIGHTS`.
+
+    Args:
+        joules: what one unit of the loss means [J], so that gradients become forces [N].
+    """
+    limit = STRAND_WEIGHTS * STANDARD_GRAVITY * rest.mass.sum(dim=1)[:, None, None] / joules
+    through = positions.view_as(positions)
+    if through.requires_grad:
+        through.register_hook(lambda gradient: _at_most(gradient, limit))
+    return through
+
+
+def _at_most(gradient: Positions, limit: Float[Tensor, "s 1 1"]) -> Positions:
+    return gradient * (limit / gradient.norm(dim=-1, keepdim=True).clamp(min=1e-30)).clamp(max=1.0)

@@ -1,0 +1,76 @@
+"""A groom from whatever names one: a bundled style, a registered groom file, or strands of any supported format."""
+
+from pathlib import Path
+
+import numpy as np
+
+from quaffure.body.body_model import BodyModel
+from quaffure.config import VERTICES_PER_STRAND
+from quaffure.errors import InputError
+from quaffure.groom.groom import Groom
+from quaffure.groom.hair_style import STYLES
+from quaffure.groom.procedural import make_groom
+from quaffure.groom.registration import HeadMesh, register_groom
+from quaffure.groom.scalp_texture import select_guides
+from quaffure.io.groom_file import is_groom_file, read_groom
+from quaffure.io.read_strands import read_strands
+
+
+def load_groom(groom: str | Path, body: BodyModel, head: Path | None = None) -> Groom:
+    """A groom on `body`, 24 vertices a strand, at most one strand in a texel of the scalp's texture.
+
+    Args:
+        groom: a bundled name (`STYLES`), or the path of a groom file or of a strand file.
+        head: the mesh (.obj) of the head that a strand file's hair grows on, in the same units and axes.
+
+    Raises:
+        InputError: no such name or file, a broken file, or strands that cannot be registered.
+    """
+    if isinstance(groom, str) and groom in STYLES:
+        return make_groom(groom, body)
+    path = Path(groom)
+    if not path.exists() and not path.suffix:
+        raise InputError(groom, f"a bundled groom ({', '.join(sorted(STYLES))}) or a file", "neither")
+    if path.suffix.lower() == ".npz" and is_groom_file(path):
+        loaded = read_groom(path, body)
+        if loaded.rest_strands.shape[1] != VERTICES_PER_STRAND:
+            found = f"{loaded.rest_strands.shape[1]}"
+            raise InputError(path, f"{VERTICES_PER_STRAND} vertices a strand", found)
+        return select_guides(loaded)
+    mesh = read_head(head) if head is not None else None
+    return select_guides(register_groom(read_strands(path), body, path.stem, mesh)[0])
+
+
+def read_head(path: Path) -> HeadMesh:
+    """Vertices and triangles of a Wavefront `.obj`; polygons are fanned, everything else is skipped.
+
+    Raises:
+        InputError: no such file, or no mesh in it.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise InputError(path, "a head mesh (.obj)", error.strerror or str(error)) from error
+    vertices: list[list[float]] = []
+    faces: list[tuple[int, int, int]] = []
+    try:
+        for words in (line.split() for line in lines):
+            if words[:1] == ["v"]:
+                vertices.append([float(word) for word in words[1:4]])
+            elif words[:1] == ["f"]:
+                faces += _fan([int(word.split("/")[0]) for word in words[1:]], len(vertices))
+    except ValueError as error:
+        raise InputError(path, "numbers in the v and f lines of an .obj", str(error)) from error
+    corners = np.array(faces, dtype=np.int64).reshape(-1, 3)
+    points = np.array([vertex for vertex in vertices if len(vertex) == 3]).reshape(-1, 3)
+    if not len(faces) or len(points) != len(vertices) or corners.min() < 0 or corners.max() >= len(points):
+        raise InputError(path, "a mesh of vertices and faces", f"{len(points)} vertices, {len(faces)} faces")
+    if not np.isfinite(points).all():
+        raise InputError(path, "finite vertices", "NaN or infinity")
+    return HeadMesh(points, corners)
+
+
+def _fan(indices: list[int], vertex_count: int) -> list[tuple[int, int, int]]:
+    """Triangles of a polygon; .obj counts from 1, or back from the last vertex with negative numbers."""
+    corners = [index - 1 if index > 0 else vertex_count + index for index in indices]
+    return [(corners[0], corners[k], corners[k + 1]) for k in range(1, len(corners) - 1)]

@@ -1,0 +1,213 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from quaffure.body.body_model import BodyModel, load_body
+from quaffure.errors import InputError
+from quaffure.geometry.surface import Surface
+from quaffure.groom.clearance import inside_share, rest_surface
+from quaffure.groom.groom import Groom
+from quaffure.groom.hair_style import STYLES
+from quaffure.groom.pose_transform import root_positions
+from quaffure.groom.procedural import make_groom
+from quaffure.groom.registration import HeadMesh, nearest_on_scalp, register_groom
+from quaffure.groom.resample import concatenate_strands
+from quaffure.groom.strands import Strands
+from quaffure.io.load_groom import read_head
+from quaffure.io.read_strands import read_strands
+
+Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from our axes to a file whose y is up and whose face is +z
+
+
+@pytest.fixture(scope="module")
+def body() -> BodyModel:
+    return load_body()
+
+
+@pytest.fixture(scope="module")
+def surface(body: BodyModel) -> Surface:
+    return rest_surface(body)
+
+
+@pytest.fixture(scope="module")
+def groom(body: BodyModel, surface: Surface) -> Groom:
+    return make_groom(replace(STYLES["bob"], root_rows=28), body, surface=surface)
+
+
+def as_file(rest: np.ndarray) -> Strands:
+    return Strands(rest.reshape(-1, 3).astype(np.float32), np.full(len(rest), rest.shape[1]), "groom under test")
+
+
+def checked(registered: Groom, body: BodyModel, surface: Surface) -> None:
+    """What holds for whatever was registered."""
+    roots = root_positions(registered, body.rest_vertices[None], body)[0]
+    assert registered.rest_strands.shape[1:] == (24, 3)
+    assert torch.allclose(registered.rest_strands[:, 0], roots, atol=1e-5)
+    assert torch.allclose(body.scalp.uv_at(registered.root_faces, registered.root_barycentric), registered.root_uv)
+    assert inside_share(registered.rest_strands, surface) <= 5e-4
+
+
+CASES = {
+    "metres, z up": (1.0, np.eye(3), [0.0, 0.0, 0.0]),
+    "centimetres, y up, turned, shifted": (
+        100.0,
+        Rotation.from_euler("y", 10, degrees=True).as_matrix() @ Y_UP,
+        [30.0, -5.0, 8.0],
+    ),
+    "millimetres, y up, facing -z": (1000.0, np.diag([-1.0, 1, -1]) @ Y_UP, [0.0, 900.0, 100.0]),
+    "inches, z up, facing +x, head tilted": (
+        1 / 0.0254,
+        (Rotation.from_euler("z", 90, degrees=True) * Rotation.from_euler("x", 12, degrees=True)).as_matrix(),
+        [3.0, -20.0, 0.0],
+    ),
+}  # fmt: skip
+UNITS = dict(zip(CASES, ("m", "cm", "mm", "inch")))
+
+
+@pytest.mark.parametrize("case", sorted(CASES))
+def test_a_groom_comes_back_from_other_units_axes_and_place(
+    case: str, groom: Groom, body: BodyModel, surface: Surface
+) -> None:
+    scale, rotation, shift = CASES[case]
+    order = np.random.default_rng(0).permutation(len(groom))
+    moved = scale * groom.rest_strands.numpy().astype(np.float64)[order] @ rotation.T + shift
+    registered, report = register_groom(as_file(moved), body, "again", licence="CC0", surface=surface)
+    assert (registered.name, registered.licence) == ("again", "CC0")
+    assert len(registered) == report.kept == len(groom)
+    assert report.unit == UNITS[case]
+    assert report.scale * scale == pytest.approx(1.0, abs=0.03)
+    assert np.degrees(Rotation.from_matrix(np.array(report.rotation) @ rotation).magnitude()) < 3.0
+    error = (registered.rest_strands - groom.rest_strands[order]).norm(dim=-1)
+    assert 1e3 * error[:, 0].median() < 3.0
+    assert 1e3 * error.median() < 6.0
+    assert report.median_residual < 1.5
+    checked(registered, body, surface)
+
+
+def test_a_bigger_head_is_scaled_to_ours(groom: Groom, body: BodyModel, surface: Surface) -> None:
+    _, report = register_groom(as_file(1.1 * groom.rest_strands.numpy()), body, "bigger", surface=surface)
+    assert report.scale == pytest.approx(1 / 1.1, rel=0.03)
+    assert report.unit == "m"
+
+
+def test_strands_keep_their_shape_on_a_head_of_another_form(groom: Groom, body: BodyModel, surface: Surface) -> None:
+    wider = groom.rest_strands + 0.09 * groom.rest_strands[:, :1] * torch.tensor([1.0, 0.0, 0.0])
+    registered, report = register_groom(as_file(wider.numpy()), body, "wider", surface=surface)
+    assert report.median_residual > 1
+    assert torch.allclose(registered.strand_lengths, report.scale * groom.strand_lengths, rtol=0.01)
+    # Roots move with their strands: the first edge is as even as all the others.
+    assert torch.quantile((registered.rest_lengths[:, 0] / registered.rest_lengths[:, 1] - 1).abs(), 0.95) < 0.05
+    checked(registered, body, surface)
+
+
+def test_the_order_of_the_strands_does_not_matter(groom: Groom, body: BodyModel, surface: Surface) -> None:
+    rest = groom.rest_strands.numpy()
+    forth, _ = register_groom(as_file(rest), body, "forth", surface=surface)
+    back, _ = register_groom(as_file(rest[::-1]), body, "back", surface=surface)
+    assert torch.allclose(forth.rest_strands, back.rest_strands.flip(0), atol=1e-4)
+
+
+def test_the_heads_own_mesh_gives_the_place_when_roots_are_few(groom: Groom, body: BodyModel, surface: Surface) -> None:
+    """Hair on the left half only: its roots alone are off by centimetres, the head tells where they belong."""
+    half = groom.rest_strands[groom.rest_strands[:, 0, 0] > 0.01]
+    shift = torch.tensor([1.0, 0.0, 0.5])
+    head = HeadMesh((body.rest_vertices + shift).double().numpy(), body.faces.numpy())
+    registered, report = register_groom(as_file((half + shift).numpy()), body, "half", head, surface=surface)
+    assert 1e3 * (registered.rest_strands - half)[:, 0].norm(dim=-1).median() < 6.0
+    assert report.scale == pytest.approx(1.0, abs=0.03)
+
+
+def test_roots_beside_the_scalp_move_to_it_and_far_ones_are_dropped(
+    groom: Groom, body: BodyModel, surface: Surface
+) -> None:
+    rest = groom.rest_strands.numpy().copy()
+    rest[:50] += np.float32([0.0, 0.0, 0.4])
+    registered, report = register_groom(as_file(rest), body, "some far", surface=surface)
+    assert (report.kept, report.dropped) == (len(groom) - 50, 50)
+    assert report.max_residual < 35
+    assert f"{report.kept} strands kept, 50 dropped" in str(report)
+    checked(registered, body, surface)
+
+
+def test_nearest_on_scalp_agrees_with_every_triangle(body: BodyModel) -> None:
+    generator = torch.Generator().manual_seed(0)
+    on_scalp = body.rest_vertices[body.faces[body.scalp.faces[::40]]].mean(1)
+    points = on_scalp + 0.02 * torch.randn(on_scalp.shape, generator=generator)
+    _, weights, feet = nearest_on_scalp(points, body)
+    corners = body.rest_vertices[body.faces[body.scalp.faces]]
+    fine = torch.rand(400, 3, generator=generator)
+    fine = fine / fine.sum(1, keepdim=True)
+    samples = torch.einsum("wc,tcx->twx", fine, corners).reshape(-1, 3)
+    # Not by matrix products, which round squares of metres.
+    brute = torch.cdist(points, samples, compute_mode="donot_use_mm_for_euclid_dist").amin(1)
+    found = (points - feet).norm(dim=1)
+    assert (found <= brute + 1e-5).all()
+    assert (found >= brute - 2e-3).all()
+    assert torch.allclose(weights.sum(1), torch.ones(len(weights)))
+
+
+def refused(roots: np.ndarray, body: BodyModel, surface: Surface, expected: str) -> None:
+    strands = roots[:, None] + np.linspace(0, 0.1, 8)[None, :, None] * np.array([0.0, 0.0, -1.0])
+    with pytest.raises(InputError, match=expected):
+        register_groom(as_file(strands), body, "wrong", surface=surface)
+
+
+def test_what_is_no_head_of_hair_is_refused(body: BodyModel, surface: Surface) -> None:
+    generator = np.random.default_rng(0)
+    refused(generator.uniform(-0.12, 0.12, (1000, 3)), body, surface, "scalp")
+    refused(generator.normal(size=(3, 3)), body, surface, "at least 20 strands, found 3")
+    refused(np.ones((100, 3)), body, surface, "one point")
+    refused(generator.uniform(-0.1, 0.1, (500, 3)) * [1, 1, 0], body, surface, "line or a plane")
+    refused(generator.uniform(-0.1, 0.1, (500, 1)) * [1, 2, 3], body, surface, "line or a plane")
+
+
+def test_every_style_registers_onto_itself(body: BodyModel, surface: Surface) -> None:
+    for name, controls in STYLES.items():
+        style = make_groom(replace(controls, root_rows=20), body, surface=surface)
+        _, report = register_groom(as_file(100 * style.rest_strands.numpy() @ Y_UP.T), body, name, surface=surface)
+        assert report.unit == "cm"
+        assert report.up_axis == "+y"
+        assert report.median_residual < 2
+
+
+@pytest.mark.shared_data
+def test_sintel_fits_our_scalp(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+    folder = shared_data / "grooms" / "sintel"
+    strands = read_strands(folder / "sintel_hair_16points.tfx")
+    registered, report = register_groom(strands, body, "sintel", surface=surface)
+    assert (report.unit, report.up_axis) == ("m", "+y")
+    assert report.kept >= 11300
+    assert report.median_residual < 4
+    assert report.p95_residual < 10
+    # Sintel faces +z and stands upright.
+    assert np.degrees(Rotation.from_matrix(np.array(report.rotation) @ Y_UP).magnitude()) < 10
+    checked(registered, body, surface)
+    _, with_head = register_groom(strands, body, "sintel", read_head(folder / "sintel_head.obj"), surface=surface)
+    assert with_head.kept >= 11300
+    assert with_head.median_residual < 6
+
+
+@pytest.mark.shared_data
+def test_ponytail_registers_from_its_four_parts(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+    parts = [read_strands(path) for path in sorted((shared_data / "grooms" / "ponytail").glob("*.tfx"))]
+    registered, report = register_groom(concatenate_strands(parts), body, "ponytail", surface=surface)
+    assert report.kept >= 4900
+    assert report.median_residual < 4
+    # In no known unit; y up, and the face looks to -z.
+    assert report.scale == pytest.approx(2.98e-3, rel=0.05)
+    assert np.array(report.rotation)[1, 2] > 0.9
+    checked(registered, body, surface)
+
+
+@pytest.mark.shared_data
+def test_mohawk_from_another_species_registers_upright(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+    strands = read_strands(shared_data / "grooms" / "mohawk" / "Ratboy_mohawk.tfx")
+    registered, report = register_groom(strands, body, "mohawk", surface=surface)
+    assert report.kept >= 1800
+    assert report.median_residual < 9
+    assert abs(float(registered.rest_strands[:, 0, 0].mean())) < 5e-3
+    checked(registered, body, surface)

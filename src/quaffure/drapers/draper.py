@@ -1,13 +1,14 @@
 """What every way of draping answers to."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from quaffure.config import HairMaterial
 from quaffure.drapers.scene import Scene
 from quaffure.types import Positions
 
 
+@runtime_checkable
 class Draper(Protocol):
     """Settles a groom on posed bodies.
 

@@ -1,0 +1,83 @@
+import pytest
+import torch
+
+from quaffure.body.body_model import load_body
+from quaffure.body.clips import bundled_clip
+from quaffure.config import HairMaterial
+from quaffure.drapers.adam import AdamDraper
+from quaffure.drapers.drape_motion import drape_motion
+from quaffure.drapers.posed import PosedDraper
+from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.energies.closed_form import sagged_vectors
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.rest_state import rest_state
+from quaffure.evaluation.figures import figures_of_merit, intersection_percent, measure
+from quaffure.geometry.polyline import integrate_directions
+from quaffure.groom.procedural import make_groom
+
+BODY = load_body()
+GROOM = make_groom("long_straight", BODY).select(torch.arange(0, 2400, 40))
+
+
+def turned_scene() -> Scene:
+    return Scene(GROOM, BodyBatch(BODY, bundled_clip("neck_turn", BODY).body_pose[[20, 65]], torch.zeros(2, 10)))
+
+
+def test_adam_finds_the_closed_form_where_nothing_touches() -> None:
+    material = HairMaterial(k_body_collision=0.0, k_self_collision=0.0)
+    scene = turned_scene()
+    rest = rest_state(GROOM.rest_strands, material)
+    sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, material.k_cosserat)
+    expected = integrate_directions(scene.posed[:, :, 0], sag, rest.rest_length)
+    solver = AdamDraper(material, steps=200)
+    shaken = Scene(GROOM, scene.bodies)
+    shaken.__dict__["director"] = scene.director  # the start is the sag itself: shake it to make the solver work
+    from unittest import mock
+
+    with mock.patch("quaffure.drapers.adam.sagged_vectors", lambda *a: sag + 0.3 * torch.randn(sag.shape)):
+        draped, report = solver.solve(shaken)
+    assert report.relative_gradient < 0.02
+    torch.testing.assert_close(draped, expected, atol=5e-4, rtol=0)
+
+
+def test_adam_takes_hair_out_of_the_body_and_lowers_the_energy() -> None:
+    scene = turned_scene()
+    draped, report = AdamDraper(steps=150).solve(scene)
+    energy = HairEnergy(GROOM)
+    before, after = (figures_of_merit(x, scene, energy) for x in (scene.posed, draped))
+    assert before["body_intersection_percent"].min() > 1
+    assert after["body_intersection_percent"].max() < 0.3
+    assert (after["energy"] < before["energy"]).all()
+    assert after["length_error_percent_max"].max() < 0.01
+    assert report.iterations == 150
+
+
+def test_figures_of_a_rigidly_posed_groom() -> None:
+    scene = turned_scene()
+    figures = figures_of_merit(scene.posed, scene, HairEnergy(GROOM), reference=scene.posed + 0.01)
+    assert figures["orientation_error_deg"].max() < 0.1
+    assert figures["length_error_percent"].max() < 0.01
+    torch.testing.assert_close(figures["distance_mm"], torch.full((2,), 10 * 3**0.5))
+    assert (figures["excess_energy"] != 0).all()
+
+
+def test_intersections_count_vertices_inside_and_no_roots() -> None:
+    scene = Scene(GROOM, BodyBatch(BODY, torch.zeros(1, 81), torch.zeros(1, 10)))
+    assert intersection_percent(scene.posed, scene).item() < 0.2
+    pushed = scene.posed.clone()
+    head = scene.bodies.posed.joint_positions[0, BODY.joint_names.index("Head")] + torch.tensor([0, 0, 0.05])
+    pushed[:, :15, 1:] = head  # a quarter of the 60 strands, all but their roots
+    assert intersection_percent(pushed, scene).item() == pytest.approx(25, abs=0.2)
+
+
+def test_measure_of_a_motion_and_its_own_reference() -> None:
+    motion = bundled_clip("nod", BODY).frames("0:12")
+    posed = drape_motion(PosedDraper(), GROOM, BODY, motion, torch.zeros(10))
+    draped, merely_posed = measure(posed, GROOM, BODY, reference=posed)
+    assert draped["excess_energy"].abs().max() == 0
+    assert draped["distance_mm"].max() == 0
+    torch.testing.assert_close(draped["jitter"], torch.ones(12))
+    for name, figure in merely_posed.items():
+        torch.testing.assert_close(figure, draped[name])
+    assert posed.meta["draper"] == "posed"
+    assert len(posed) == 12

@@ -1,0 +1,149 @@
+from pathlib import Path
+
+import pytest
+import torch
+
+from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.motion import Motion
+from quaffure.body.pose_features import FEATURE_COUNT, pose_features
+from quaffure.config import HairMaterial
+from quaffure.drapers.neural import NeuralDraper, rest_texture
+from quaffure.drapers.quaffure_model import load_model
+from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.energies.closed_form import sagged_vectors
+from quaffure.energies.rest_state import rest_state
+from quaffure.errors import InputError
+from quaffure.geometry.polyline import integrate_directions
+from quaffure.groom.groom import Groom
+from quaffure.groom.procedural import make_groom
+from quaffure.networks.checkpoint import load_network, save_network
+from quaffure.networks.quaffure_network import NetworkConfig, build_network
+
+DIRECTIONS = NetworkConfig(pose_features=FEATURE_COUNT)
+DISPLACEMENT = NetworkConfig(output="displacement")
+
+
+@pytest.fixture(scope="module")
+def body() -> BodyModel:
+    return load_body()
+
+
+@pytest.fixture(scope="module")
+def groom(body: BodyModel) -> Groom:
+    return make_groom("bob", body).select(torch.arange(0, 2400, 30))
+
+
+@pytest.fixture
+def scene(body: BodyModel, groom: Groom) -> Scene:
+    generator = torch.Generator().manual_seed(0)
+    pose = 0.2 * torch.randn(3, 81, generator=generator)
+    return Scene(groom, BodyBatch(body, pose, torch.randn(3, 10, generator=generator)))
+
+
+def shaken(config: NetworkConfig, strength: float = 0.05) -> NeuralDraper:
+    """A network whose last layer is not zero, as if it had learnt something."""
+    torch.manual_seed(0)
+    network = build_network(config)
+    for parameter in network.parameters():
+        parameter.data += strength * torch.randn_like(parameter)
+    return NeuralDraper(network.eval(), HairMaterial())
+
+
+def test_untrained_directions_are_the_closed_form_sag(scene: Scene) -> None:
+    draper = NeuralDraper(build_network(DIRECTIONS), HairMaterial())
+    rest = rest_state(scene.groom.rest_strands, HairMaterial())
+    sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, HairMaterial().k_cosserat)
+    expected = integrate_directions(scene.posed[:, :, 0], sag, rest.rest_length)
+    torch.testing.assert_close(draper.drape(scene), expected, atol=1e-5, rtol=0)
+    assert (expected - scene.posed).norm(dim=-1).max() > 0.01
+
+
+def test_untrained_displacements_are_zero(scene: Scene) -> None:
+    torch.testing.assert_close(NeuralDraper(build_network(DISPLACEMENT), HairMaterial()).drape(scene), scene.posed)
+
+
+def test_directions_keep_lengths_and_roots(scene: Scene) -> None:
+    draped = shaken(DIRECTIONS).drape(scene)
+    assert (draped - scene.posed).norm(dim=-1).max() > 0.02
+    torch.testing.assert_close(draped[:, :, 0], scene.posed[:, :, 0])
+    lengths = draped.diff(dim=2).norm(dim=-1)
+    torch.testing.assert_close(lengths, scene.groom.rest_lengths.expand(3, -1, -1), atol=2e-6, rtol=1e-4)
+
+
+def test_displacements_leave_the_roots(scene: Scene) -> None:
+    draped = shaken(DISPLACEMENT).drape(scene)
+    assert (draped - scene.posed).norm(dim=-1).max() > 1e-3
+    assert torch.equal(draped[:, :, 0], scene.posed[:, :, 0])
+
+
+@pytest.mark.parametrize("config", [DIRECTIONS, DISPLACEMENT], ids=["directions", "displacement"])
+def test_turning_the_whole_body_turns_the_drape(config: NetworkConfig, scene: Scene, body: BodyModel) -> None:
+    draper = shaken(config)
+    turned_pose = scene.bodies.body_pose.clone()
+    angle = torch.tensor(0.9)
+    c, s = angle.cos(), angle.sin()
+    turn = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+
+    turned_pose[:, :3] = axis_angle_from_matrix(turn @ matrix_from_axis_angle(turned_pose[:, :3]))
+    turned = Scene(scene.groom, BodyBatch(body, turned_pose, scene.bodies.body_shape))
+    hips = scene.bodies.posed.joint_positions[:, None, None, 0]
+    expected = (draper.drape(scene) - hips) @ turn.T + hips
+    torch.testing.assert_close(draper.drape(turned), expected, atol=2e-4, rtol=0)
+
+
+def test_a_drape_does_not_depend_on_the_batch_or_the_order_of_strands(scene: Scene, body: BodyModel) -> None:
+    draper = shaken(DIRECTIONS)
+    whole = draper.drape(scene)
+    one = Scene(scene.groom, BodyBatch(body, scene.bodies.body_pose[1:2], scene.bodies.body_shape[1:2]))
+    torch.testing.assert_close(draper.drape(one)[0], whole[1], atol=1e-5, rtol=0)
+    order = torch.randperm(len(scene.groom), generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(
+        draper.drape(Scene(scene.groom.select(order), scene.bodies)), whole[:, order], atol=1e-5, rtol=0
+    )
+
+
+def test_pose_features_do_not_change_with_heading_and_do_with_the_head(body: BodyModel) -> None:
+    poses = torch.zeros(3, 81)
+    poses[1, 2] = 1.0  # the hips, about the vertical
+    poses[2, 3 * body.joint_names.index("Head")] = 0.4
+    features = pose_features(body, *body.posed_joints(poses, torch.zeros(3, 10)))
+    assert features.shape == (3, FEATURE_COUNT)
+    torch.testing.assert_close(features[1], features[0], atol=1e-5, rtol=0)
+    assert (features[2] - features[0]).abs().max() > 0.1
+    torch.testing.assert_close(features[0, :3], torch.tensor([0.0, 0.0, -1.0]))
+
+
+def test_rest_texture_holds_every_strand_once(groom: Groom, body: BodyModel) -> None:
+    texture = rest_texture(groom, body.rest_joints[body.joint_names.index("Head")])
+    assert texture[0, -1].sum() == len(groom)
+    assert texture[0, :, texture[0, -1] == 0].abs().max() == 0
+
+
+def test_checkpoints_round_trip_in_half_precision(tmp_path: Path, scene: Scene) -> None:
+    draper = shaken(DIRECTIONS)
+    material = HairMaterial(k_cosserat=1e-7)
+    save_network(tmp_path / "n.safetensors", draper.network, material, {"step": "7"})
+    network, loaded_material, notes = load_network(tmp_path / "n.safetensors")
+    assert (loaded_material, notes["step"], network.config) == (material, "7", DIRECTIONS)
+    again = NeuralDraper(network, HairMaterial()).drape(scene)
+    torch.testing.assert_close(again, draper.drape(scene), atol=5e-3, rtol=0)
+
+
+def test_a_file_that_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.safetensors"
+    with pytest.raises(InputError, match="no such file"):
+        load_network(path)
+    path.write_bytes(b"\x80\x04K\x01.")
+    with pytest.raises(InputError, match="checkpoint"):
+        load_network(path)
+
+
+def test_the_shipped_model_drapes(groom: Groom) -> None:
+    model = load_model()
+    assert model.drape(groom, torch.zeros(2, 81), torch.zeros(2, 10)).shape == (2, len(groom), 24, 3)
+
+
+def test_motion_frames_are_checked() -> None:
+    with pytest.raises(InputError, match="A = 5"):
+        Motion(torch.zeros(4, 81), 30.0, "m").frames("5:9")

@@ -1,3 +1,5 @@
+from unittest import mock
+
 import pytest
 import torch
 
@@ -29,13 +31,9 @@ def test_adam_finds_the_closed_form_where_nothing_touches() -> None:
     rest = rest_state(GROOM.rest_strands, material)
     sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, material.k_cosserat)
     expected = integrate_directions(scene.posed[:, :, 0], sag, rest.rest_length)
-    solver = AdamDraper(material, steps=200)
-    shaken = Scene(GROOM, scene.bodies)
-    shaken.__dict__["director"] = scene.director  # the start is the sag itself: shake it to make the solver work
-    from unittest import mock
-
-    with mock.patch("quaffure.drapers.adam.sagged_vectors", lambda *a: sag + 0.3 * torch.randn(sag.shape)):
-        draped, report = solver.solve(shaken)
+    # Adam starts from the sag itself: shake it, to make the solver work.
+    with mock.patch("quaffure.drapers.adam.sagged_vectors", lambda *_: sag + 0.3 * torch.randn(sag.shape)):
+        draped, report = AdamDraper(material, steps=200).solve(scene)
     assert report.relative_gradient < 0.02
     torch.testing.assert_close(draped, expected, atol=5e-4, rtol=0)
 

@@ -1,4 +1,5 @@
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from quaffure.errors import InputError
 from quaffure.render import scene
 from quaffure.render.camera import Camera
-from quaffure.render.framing import frame_hair
+from quaffure.render.framing import facing_deg, frame_hair
 from quaffure.render.pictures import write_picture
 from quaffure.render.scene import StrandRenderer
 from quaffure.render.video import write_video
@@ -155,3 +156,12 @@ def test_machine_without_opengl_is_told_what_to_install(monkeypatch: pytest.Monk
     with pytest.raises(InputError, match=r"apt install libegl1.*libEGL\.so\.1 not loaded") as caught:
         StrandRenderer(8, 8)
     assert "\n" not in str(caught.value)
+
+
+def test_cameras_turn_with_the_body() -> None:
+    seq = drape(patch_of_strands((0.0, 1.0, 0.0)))
+    turned = replace(seq, body_pose=seq.body_pose.copy())
+    turned.body_pose[:, :3] = [0.0, 0.0, np.pi / 2]  # faces +x
+    assert facing_deg(seq, 0) == pytest.approx(0)
+    assert facing_deg(turned, 0) == pytest.approx(90)
+    assert Camera.front((0, 0, 0), 1, 90).eye[0] > 1

@@ -27,7 +27,7 @@ class HairMaterial:
     k_stretch: float = 1.0
     """Stiffness of an edge against stretching, Eq. 7 [N/m]."""
     k_body_collision: float = 10.0
-    """Stiffness of the contact with the body, Eq. 10 [N/m^2]."""
+    """Stiffness of the contact with the body, Eq. 10 [J/m^3]."""
     collision_margin: float = 3e-3
     """Distance D kept from the body, Eq. 10 [m]."""
     collision_ramp: float = 0.25

@@ -1,18 +1,20 @@
 """What the subcommands print."""
 
 import json
+import sys
 
 from rich.console import Console
 from rich.table import Table
 
-console = Console()
+# Where the output is no terminal, rich would fold tables to 80 columns.
+console = Console() if sys.stdout.isatty() else Console(width=140)
 
 
 def print_rows(rows: list[dict[str, object]], title: str) -> None:
     """A table whose columns are the keys of the first row."""
     table = Table(title=title, title_justify="left")
     for column in rows[0]:
-        table.add_column(column, overflow="fold")
+        table.add_column(column, overflow="fold", no_wrap=column == next(iter(rows[0])))
     for row in rows:
         table.add_row(*(f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row.values()))
     console.print(table)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 from rich.progress import Progress
@@ -16,6 +16,7 @@ from quaffure.drapers.drape_motion import drape_motion
 from quaffure.drapers.draper import Draper
 from quaffure.drapers.posed import PosedDraper
 from quaffure.drapers.quaffure_model import load_model
+from quaffure.errors import InputError
 from quaffure.evaluation.figures import PerFrame, measure
 from quaffure.groom.drape_sequence import DrapeSequence
 from quaffure.io.drape_file import read_drape
@@ -26,7 +27,7 @@ from quaffure.io.load_groom import load_groom
 class DrapeCommand:
     """Drape a groom on a moving body, write it, and print figures of merit."""
 
-    groom: tyro.conf.Positional[str]
+    groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")]
     """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
     """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .png, .mp4."""
@@ -48,6 +49,8 @@ class DrapeCommand:
     """Print the figures of merit as JSON."""
 
     def run(self) -> None:
+        if not self.out:
+            raise InputError("--out", "at least one file to write", "none")
         writers = [writer_for(path) for path in self.out]
         body = load_body()
         motion = motion_of(self.motion, body).frames(self.frames)
@@ -56,6 +59,8 @@ class DrapeCommand:
         draper = self._draper()
         with console.status("reading the groom"):
             groom = load_groom(self.groom, body, self.head)
+        if reference is not None:
+            self._check_reference(reference, (len(motion), *groom.rest_strands.shape))
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task(f"draping {len(groom)} strands", total=len(motion))
             sequence = drape_motion(
@@ -66,6 +71,11 @@ class DrapeCommand:
                 write(path, sequence)
         with console.status("measuring"):
             self._report(sequence, *measure(sequence, groom, body, reference))
+
+    def _check_reference(self, reference: DrapeSequence, shape: tuple[int, ...]) -> None:
+        """Before the work and not after it."""
+        if reference.strands.shape != shape:
+            raise InputError(f"{self.reference}", f"strands {shape}", f"{reference.strands.shape}")
 
     def _draper(self) -> Draper:
         if self.draper == "adam":

@@ -1,5 +1,6 @@
 """What a user types for a motion or a body shape, read."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from quaffure.io.read_motion import read_motion
 from quaffure.training.pose_sampler import FPS
 from quaffure.types import Float, Tensor
 
+SHAPE_SUFFIXES = (".csv", ".npz", ".txt")
 MAX_COEFFICIENT = 10.0  # standard deviations; beyond it nothing human is left
 
 
@@ -31,27 +33,38 @@ def motion_of(text: str, body: BodyModel) -> Motion:
 
 
 def body_shape_of(text: str) -> Float[Tensor, "10"]:
-    """Shape coefficients from numbers separated by commas, from a text file of them, or from an .npz's `body_shape`.
+    """Shape coefficients from numbers separated by commas, a text file of them, or an .npz's `body_shape`.
 
     Raises:
         InputError: not ten finite numbers of a size that a body can have.
     """
     if not text:
         return torch.zeros(10)
-    path = Path(text)
-    if path.suffix == ".npz":
-        arrays = read_npz(path, ("body_shape",))
-        values = arrays.get("body_shape", np.empty(0)).flatten()
-    else:
-        if path.suffix in (".txt", ".csv") and not path.is_file():
-            raise InputError(path, "a file of ten shape coefficients", "no such file")
-        numbers = path.read_text() if path.is_file() else text
-        try:
-            values = np.array([float(number) for number in numbers.replace(",", " ").split()])
-        except (ValueError, UnicodeDecodeError) as error:
-            raise InputError(f"shape '{text}'", "ten numbers", str(error)) from error
+    source = f"shape '{text}'"
+    # Not Path.is_file, which raises where the numbers are longer than a name can be.
+    names_file = os.path.isfile(text) or Path(text).suffix.lower() in SHAPE_SUFFIXES
+    values = _file_numbers(Path(text)) if names_file else _numbers(text, source)
     if values.shape != (10,):
-        raise InputError(f"shape '{text}'", "10 coefficients", f"{values.size}")
+        raise InputError(source, "10 coefficients", f"{values.size}")
     if not (np.abs(values) <= MAX_COEFFICIENT).all():
-        raise InputError(f"shape '{text}'", f"coefficients within +-{MAX_COEFFICIENT:g}", f"{values.tolist()}")
+        raise InputError(source, f"coefficients within +-{MAX_COEFFICIENT:g}", f"{values.tolist()}")
     return torch.tensor(values, dtype=torch.float32)
+
+
+def _file_numbers(path: Path) -> Float[np.ndarray, " n"]:
+    if path.suffix.lower() == ".npz":
+        return read_npz(path, ("body_shape",)).get("body_shape", np.empty(0)).flatten()
+    try:
+        return _numbers(path.read_text(encoding="utf-8"), path)
+    except UnicodeDecodeError as error:
+        raise InputError(path, "a text file of ten numbers", "bytes that are not text") from error
+    except OSError as error:
+        raise InputError(path, "a file of ten shape coefficients", error.strerror or str(error)) from error
+
+
+def _numbers(text: str, source: str | Path) -> Float[np.ndarray, " n"]:
+    try:
+        return np.array([float(number) for number in text.replace(",", " ").split()])
+    except ValueError as error:
+        found = str(error).removeprefix("could not convert string to float: ")
+        raise InputError(source, "numbers separated by commas", found) from error

@@ -1,7 +1,10 @@
 """The command line: subcommands, one line for a user's mistake, exit code 2."""
 
+import io
+import re
 import sys
-from typing import Annotated
+from contextlib import redirect_stderr
+from typing import Annotated, NoReturn
 
 import tyro
 
@@ -21,17 +24,39 @@ Command = (
 
 def main(arguments: list[str] | None = None) -> None:
     """Run `quaffure`. Exits with 2 and one line on the error stream for bad input."""
-    command = tyro.cli(
-        Command,  # type: ignore[arg-type]
-        prog="quaffure",
-        description="Drape strand hair on a posed, shaped body.",
-        args=arguments,
-        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes, tyro.conf.FlagConversionOff),
-    )
     try:
-        command.run()
+        _parsed(arguments).run()
     except InputError as error:
-        print(f"quaffure: {error}", file=sys.stderr)
-        sys.exit(2)
+        _refuse(str(error))
     except KeyboardInterrupt:
         sys.exit(130)
+
+
+def _parsed(arguments: list[str] | None) -> Command:
+    """The subcommand with its options; tyro's boxed complaint about them is told in one line instead."""
+    complaint = io.StringIO()
+    try:
+        with redirect_stderr(complaint):
+            return tyro.cli(
+                Command,
+                prog="quaffure",
+                description="Drape strand hair on a posed, shaped body.",
+                args=arguments,
+                config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+            )
+    except SystemExit as stop:
+        if not stop.code:  # --help
+            raise
+        _refuse(_without_box(complaint.getvalue()))
+
+
+def _without_box(complaint: str) -> str:
+    """What stands between a box's title and its first rule."""
+    lines = re.findall(r"^│(.*)│$", complaint, re.MULTILINE) or [complaint]
+    said = "\n".join(lines).partition("──")[0]
+    return f"{said.strip().rstrip('.')} (see quaffure --help)"
+
+
+def _refuse(reason: str) -> NoReturn:
+    print("quaffure:", " ".join(reason.split()), file=sys.stderr)
+    sys.exit(2)

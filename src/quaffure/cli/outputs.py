@@ -18,6 +18,8 @@ def writer_for(path: Path) -> Callable[[Path, DrapeSequence], None]:
         raise InputError(path, f"an output of suffix {', '.join(WRITERS)}", f"suffix '{path.suffix}'")
     if not path.parent.is_dir():
         raise InputError(path, "a path in an existing folder", f"no folder {path.parent}")
+    if path.is_dir():
+        raise InputError(path, "a file to write", "a folder")
     return writer
 
 

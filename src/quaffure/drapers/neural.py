@@ -10,7 +10,7 @@ from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.groom.groom import Groom
-from quaffure.networks.quaffure_network import DirectionNetwork, DisplacementNetwork, NetworkInputs
+from quaffure.networks.quaffure_network import NetworkInputs, QuaffureNetwork
 from quaffure.types import Float, Positions, Tensor
 
 _METRES = 0.1  # what one unit of the rest texture means
@@ -27,13 +27,11 @@ class NeuralDraper:
 
     name = "neural"
 
-    def __init__(
-        self, network: DirectionNetwork | DisplacementNetwork, material: HairMaterial, bf16: bool = False
-    ) -> None:
+    def __init__(self, network: QuaffureNetwork, material: HairMaterial, bf16: bool = False) -> None:
         self.network, self.material, self.bf16 = network, material, bf16
 
     def drape(self, scene: Scene) -> Positions:
-        with torch.inference_mode():
+        with torch.no_grad():
             return self.deform(scene, rest_state(scene.groom.rest_strands, self.material))
 
     def deform(self, scene: Scene, rest: RestState) -> Positions:

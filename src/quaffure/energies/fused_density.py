@@ -40,7 +40,7 @@ class _SelfCollision(torch.autograd.Function):
             energy[sample] = material.k_self_collision * float((excess.astype(np.float64) ** 3).sum())
             slope = np.float32(3 * material.k_self_collision) * excess * excess
             _gradient(x, y, z, masses, slope, order, start, shape, h, gradient[sample])
-        ctx.save_for_backward(torch.from_numpy(gradient).reshape(positions.shape))  # type: ignore[attr-defined]
+        ctx.save_for_backward(torch.from_numpy(gradient).reshape(positions.shape))
         return energy
 
     @staticmethod
@@ -51,8 +51,8 @@ class _SelfCollision(torch.autograd.Function):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _excess(
-    x: np.ndarray, y: np.ndarray, z: np.ndarray, mass: np.ndarray, rest_density: np.ndarray, start: np.ndarray, shape: tuple[int, int, int],
-    h: np.float32, excess: np.ndarray,
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, mass: np.ndarray, rest_density: np.ndarray,
+    start: np.ndarray, shape: tuple[int, int, int], h: np.float32, excess: np.ndarray,
 ) -> None:  # fmt: skip
     scale = np.float32(1.0 / (4.0 * math.pi)) / (h * h * h)
     inverse = np.float32(1.0) / h
@@ -78,8 +78,8 @@ def _excess(
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _gradient(
-    x: np.ndarray, y: np.ndarray, z: np.ndarray, mass: np.ndarray, slope: np.ndarray, order: np.ndarray, start: np.ndarray,
-    shape: tuple[int, int, int], h: np.float32, gradient: np.ndarray,
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, mass: np.ndarray, slope: np.ndarray, order: np.ndarray,
+    start: np.ndarray, shape: tuple[int, int, int], h: np.float32, gradient: np.ndarray,
 ) -> None:  # fmt: skip
     scale = np.float32(3.0 / (4.0 * math.pi)) / (h * h * h * h)
     inverse = np.float32(1.0) / h

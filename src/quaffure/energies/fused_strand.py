@@ -63,9 +63,9 @@ class _StrandEnergy(torch.autograd.Function):
             surface.clear_origin, surface.clear,
             per_strand, gradient.numpy(),
         )  # fmt: skip
-        ctx.save_for_backward(gradient)  # type: ignore[attr-defined]
+        ctx.save_for_backward(gradient)
         terms = torch.from_numpy(per_strand.sum(axis=1)).to(positions.dtype)
-        ctx.mark_non_differentiable(terms)  # type: ignore[attr-defined]
+        ctx.mark_non_differentiable(terms)
         return terms.sum(dim=1), terms
 
     @staticmethod

@@ -1,6 +1,7 @@
 """What the energies need to know of a groom at rest."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 
@@ -14,16 +15,23 @@ class RestState:
     """Rest quantities of a groom, made once and shared by every pose.
 
     Attributes:
+        rest_strands: vertices of the rest groom [m].
+        smoothing_length: h of the density [m].
         rest_length: of every edge (l_rest) [m].
         mass: lumped at every vertex (m) [kg]: half of each adjacent edge, the root included.
         collision_margin: distance D that every vertex keeps from the body [m]; zero at the root.
-        rest_density: density of hair at every vertex of the rest groom (rho_rest) [kg/m^3].
     """
 
+    rest_strands: Float[Tensor, "s n 3"]
+    smoothing_length: float
     rest_length: RestLengths
     mass: Float[Tensor, "s n"]
     collision_margin: Float[Tensor, "s n"]
-    rest_density: Float[Tensor, "s n"]
+
+    @cached_property
+    def rest_density(self) -> Float[Tensor, "s n"]:
+        """Density of hair at every vertex of the rest groom (rho_rest) [kg/m^3]."""
+        return densities(self.rest_strands[None], self.mass, self.smoothing_length)[0]
 
     @property
     def mass_beyond(self) -> Float[Tensor, "s e"]:
@@ -42,5 +50,4 @@ def rest_state(rest_strands: Float[Tensor, "s n 3"], material: HairMaterial) -> 
     mass = torch.nn.functional.pad(half, (0, 1)) + torch.nn.functional.pad(half, (1, 0))
     from_root = torch.nn.functional.pad(rest_length.cumsum(dim=1), (1, 0))
     margin = (material.collision_ramp * from_root).clamp(max=material.collision_margin)
-    rest_density = densities(rest_strands[None], mass, material.smoothing_length)[0]
-    return RestState(rest_length, mass, margin, rest_density)
+    return RestState(rest_strands, material.smoothing_length, rest_length, mass, margin)

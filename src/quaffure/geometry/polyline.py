@@ -30,7 +30,7 @@ class _IntegrateDirections(torch.autograd.Function):
     @staticmethod
     def forward(ctx: FunctionCtx, vectors: Tensor, root: Tensor, rest_length: Tensor) -> Tensor:
         vectors = vectors.contiguous()
-        ctx.save_for_backward(vectors, rest_length)  # type: ignore[attr-defined]
+        ctx.save_for_backward(vectors, rest_length)
         batch, strands, edges, _ = vectors.shape
         positions = torch.empty(batch, strands, edges + 1, 3)
         _integrate(root.contiguous().numpy(), vectors.numpy(), rest_length.contiguous().numpy(), positions.numpy())

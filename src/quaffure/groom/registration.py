@@ -208,7 +208,7 @@ def _check_fit(
     if near.sum() < max(FEWEST_STRANDS, LEAST_KEPT * len(near)):
         reach = f"roots within {1e3 * FARTHEST_ROOT:.0f} mm of the scalp once aligned"
         raise InputError(source, reach, f"{int(near.sum())} of {len(near)} there")
-    median = float(np.median(residual[near]))
+    median = float(np.median(residual))
     if median > LARGEST_MEDIAN_RESIDUAL:
         fit = f"roots that fit a scalp to {1e3 * LARGEST_MEDIAN_RESIDUAL:.0f} mm in the median"
         raise InputError(source, fit, f"{1e3 * median:.1f} mm in the best of all units and axes")

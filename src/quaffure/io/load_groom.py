@@ -1,10 +1,11 @@
 """A groom from whatever names one: a bundled style, a registered groom file, or strands of any supported format."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from quaffure.body.body_model import BodyModel
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
 from quaffure.groom.groom import Groom
@@ -16,16 +17,18 @@ from quaffure.io.groom_file import is_groom_file, read_groom
 from quaffure.io.read_strands import read_strands
 
 
-def load_groom(groom: str | Path, body: BodyModel, head: Path | None = None) -> Groom:
+def load_groom(groom: str | Path, body: BodyModel | None = None, head: Path | None = None) -> Groom:
     """A groom on `body`, 24 vertices a strand, at most one strand in a texel of the scalp's texture.
 
     Args:
         groom: a bundled name (`STYLES`), or the path of a groom file or of a strand file.
+        body: the shipped one where none is given.
         head: the mesh (.obj) of the head that a strand file's hair grows on, in the same units and axes.
 
     Raises:
         InputError: no such name or file, a broken file, or strands that cannot be registered.
     """
+    body = body or _shipped_body()
     if isinstance(groom, str) and groom in STYLES:
         return make_groom(groom, body)
     path = Path(groom)
@@ -39,6 +42,11 @@ def load_groom(groom: str | Path, body: BodyModel, head: Path | None = None) -> 
         return select_guides(loaded)
     mesh = read_head(head) if head is not None else None
     return select_guides(register_groom(read_strands(path), body, path.stem, mesh)[0])
+
+
+@cache
+def _shipped_body() -> BodyModel:
+    return load_body()
 
 
 def read_head(path: Path) -> HeadMesh:

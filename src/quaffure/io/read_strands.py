@@ -11,12 +11,22 @@ from quaffure.io.hairsalon import read_hairsalon
 from quaffure.io.npz_strands import read_npz_strands
 from quaffure.io.tressfx import read_tressfx
 
+
+def _read_usd(path: Path) -> Strands:
+    from quaffure.io.usd import read_usd_strands
+
+    return read_usd_strands(path)
+
+
 STRAND_READERS: dict[str, Callable[[Path], Strands]] = {
     ".bin": read_ct2hair,
     ".data": read_hairsalon,
     ".hair": read_hair,
     ".npz": read_npz_strands,
     ".tfx": read_tressfx,
+    ".usd": _read_usd,
+    ".usda": _read_usd,
+    ".usdc": _read_usd,
 }
 
 

@@ -10,19 +10,17 @@ from safetensors.torch import save_file
 
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
-from quaffure.networks.quaffure_network import DirectionNetwork, DisplacementNetwork, NetworkConfig, build_network
+from quaffure.networks.quaffure_network import NetworkConfig, QuaffureNetwork, build_network
 
 
-def save_network(
-    path: Path, network: DirectionNetwork | DisplacementNetwork, material: HairMaterial, notes: dict[str, str]
-) -> None:
+def save_network(path: Path, network: QuaffureNetwork, material: HairMaterial, notes: dict[str, str]) -> None:
     """Write half-precision weights, the network's configuration and the material that it was trained for."""
     half = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
     metadata = {"network": json.dumps(asdict(network.config)), "material": json.dumps(asdict(material)), **notes}
     save_file(half, path, metadata)
 
 
-def load_network(path: Path) -> tuple[DirectionNetwork | DisplacementNetwork, HairMaterial, dict[str, str]]:
+def load_network(path: Path) -> tuple[QuaffureNetwork, HairMaterial, dict[str, str]]:
     """A network in evaluation mode, its material, and the notes saved with it.
 
     Raises:

@@ -99,7 +99,10 @@ class DirectionNetwork(nn.Module):
         return self.strand(self.from_texel(texels) + own).float().unflatten(-1, (EDGES, 3))
 
 
-def build_network(config: NetworkConfig) -> DirectionNetwork | DisplacementNetwork:
+QuaffureNetwork = DirectionNetwork | DisplacementNetwork
+
+
+def build_network(config: NetworkConfig) -> QuaffureNetwork:
     return DirectionNetwork(config) if config.output == "directions" else DisplacementNetwork(config)
 
 
@@ -112,8 +115,7 @@ def _code(encoder: GroomEncoder, config: NetworkConfig, inputs: NetworkInputs) -
     return torch.cat(parts, dim=1)
 
 
-def _start_at_zero(layer: nn.Linear | nn.Conv2d) -> None:
+def _start_at_zero(layer: nn.Module) -> None:
     """An untrained network deforms nothing."""
-    nn.init.zeros_(layer.weight)
-    if layer.bias is not None:
-        nn.init.zeros_(layer.bias)
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)

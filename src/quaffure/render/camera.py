@@ -42,24 +42,24 @@ class Camera:
         return Camera(_triple(eye), _triple(target))
 
     @staticmethod
-    def front(centre: Sequence[float] | np.ndarray, extent: float) -> "Camera":
-        """Facing the face, from -y."""
-        return Camera.around(centre, extent, 0.0)
+    def front(centre: Sequence[float] | np.ndarray, extent: float, facing_deg: float = 0.0) -> "Camera":
+        """Facing the face of a body turned by `facing_deg` about the vertical; from -y when that is 0."""
+        return Camera.around(centre, extent, facing_deg)
 
     @staticmethod
-    def three_quarter(centre: Sequence[float] | np.ndarray, extent: float) -> "Camera":
+    def three_quarter(centre: Sequence[float] | np.ndarray, extent: float, facing_deg: float = 0.0) -> "Camera":
         """Half way between front and side."""
-        return Camera.around(centre, extent, 40.0)
+        return Camera.around(centre, extent, facing_deg + 40.0)
 
     @staticmethod
-    def side(centre: Sequence[float] | np.ndarray, extent: float) -> "Camera":
+    def side(centre: Sequence[float] | np.ndarray, extent: float, facing_deg: float = 0.0) -> "Camera":
         """From the body's left, +x; the face looks to the left of the picture."""
-        return Camera.around(centre, extent, 90.0)
+        return Camera.around(centre, extent, facing_deg + 90.0)
 
     @staticmethod
-    def back(centre: Sequence[float] | np.ndarray, extent: float) -> "Camera":
+    def back(centre: Sequence[float] | np.ndarray, extent: float, facing_deg: float = 0.0) -> "Camera":
         """From behind, +y."""
-        return Camera.around(centre, extent, 180.0)
+        return Camera.around(centre, extent, facing_deg + 180.0)
 
     @property
     def camera_from_world(self) -> Float[np.ndarray, "4 4"]:

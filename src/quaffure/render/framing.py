@@ -2,12 +2,20 @@
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from quaffure.groom.drape_sequence import DrapeSequence
 
 # Around the middle of the roots, this ball holds face and chin of any adult head.
 HEAD_RADIUS = 0.24  # m
 MARGIN = 1.12
+
+
+def facing_deg(seq: DrapeSequence, frame: int) -> float:
+    """How far the hips are turned from -y about the vertical [deg], as a camera's azimuth counts."""
+    hips = Rotation.from_rotvec(seq.body_pose[frame, :3])
+    x, y, _ = hips.apply([0.0, -1.0, 0.0])
+    return float(np.degrees(np.arctan2(x, -y)))
 
 
 def frame_hair(seq: DrapeSequence) -> tuple[Float[np.ndarray, "3"], float]:

@@ -9,7 +9,7 @@ from quaffure.errors import InputError
 from quaffure.groom.drape_sequence import DrapeSequence
 from quaffure.io.atomic import replacing
 from quaffure.render.camera import Camera
-from quaffure.render.framing import frame_hair
+from quaffure.render.framing import facing_deg, frame_hair
 from quaffure.render.scene import CHESTNUT, StrandRenderer
 
 VIEWS = (Camera.front, Camera.three_quarter, Camera.side, Camera.back)
@@ -39,7 +39,11 @@ def write_picture(
             np.hstack(
                 [
                     renderer.render(
-                        seq.strands[f], seq.body_vertices[f], seq.body_faces, view(centre, extent), hair_colour
+                        seq.strands[f],
+                        seq.body_vertices[f],
+                        seq.body_faces,
+                        view(centre, extent, facing_deg(seq, f)),
+                        hair_colour,
                     )
                     for view in VIEWS
                 ]

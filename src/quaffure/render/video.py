@@ -11,7 +11,7 @@ from quaffure.errors import InputError
 from quaffure.groom.drape_sequence import DrapeSequence
 from quaffure.io.atomic import replacing
 from quaffure.render.camera import Camera
-from quaffure.render.framing import frame_hair
+from quaffure.render.framing import facing_deg, frame_hair
 from quaffure.render.scene import CHESTNUT, StrandRenderer
 
 VIEWS = (Camera.front, Camera.side)
@@ -28,7 +28,9 @@ def write_video(
     tile: int = TILE,
     on_frame: Callable[[int], None] | None = None,
 ) -> None:
-    """Write front and side views next to each other (.mp4, H.264), the camera standing still.
+    """Write front and side views next to each other (.mp4, H.264).
+
+    The camera stands still, facing where the body faces half way.
 
     Args:
         hair_colour: albedo in linear RGB.
@@ -43,7 +45,7 @@ def write_video(
     if tile % 2:
         raise InputError("tile", "an even number of pixels, as H.264 stores colour at half size", str(tile))
     centre, extent = frame_hair(seq)
-    cameras = [view(centre, extent) for view in VIEWS]
+    cameras = [view(centre, extent, facing_deg(seq, len(seq) // 2)) for view in VIEWS]
     with (
         replacing(path) as temporary,
         StrandRenderer(tile, tile, supersampling=SUPERSAMPLING) as renderer,

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import cast
 
 import torch
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
@@ -21,7 +22,7 @@ from quaffure.energies.pose_regularization import energy_pose_regularization
 from quaffure.groom.groom import Groom
 from quaffure.io.atomic import replacing
 from quaffure.networks.checkpoint import save_network
-from quaffure.networks.quaffure_network import NetworkConfig, build_network
+from quaffure.networks.quaffure_network import NetworkConfig, QuaffureNetwork, build_network
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.types import BodyPose, BodyShape, Tensor
 
@@ -84,6 +85,11 @@ class DecoderTraining:
         self.best = float("inf")
         self.seconds = 0.0
 
+    @property
+    def averaged(self) -> QuaffureNetwork:
+        """The exponential average of the weights over the last thousand steps or so: what is validated and kept."""
+        return cast(QuaffureNetwork, self.average.module)
+
     def steps(self) -> Iterator[dict[str, float]]:
         """Train to the last step, yielding after each one the loss [m g L per vertex] and the rate [samples/s]."""
         samples = self.config.runs * self.config.frames * len(self.grooms)
@@ -127,7 +133,7 @@ class DecoderTraining:
 
     def validate(self, validation: Validation) -> dict[str, float]:
         """Energy terms of the averaged network [m g L per vertex], mean over grooms; keeps the best weights so far."""
-        draper = NeuralDraper(self.average.module, self.config.material)
+        draper = NeuralDraper(self.averaged, self.config.material)
         sums: dict[str, float] = {}
         bodies = BodyBatch(self.body, validation.body_pose, validation.body_shape)
         with torch.no_grad():
@@ -140,7 +146,7 @@ class DecoderTraining:
             self.best = sums["energy"]
             notes = {"step": str(self.step), "grooms": ",".join(groom.name for groom in self.grooms)}
             with replacing(self.folder / "best.safetensors") as path:
-                save_network(path, self.average.module, self.config.material, notes)
+                save_network(path, self.averaged, self.config.material, notes)
         self._log({"step": self.step, "seconds": round(self.seconds, 1), **{k: round(v, 6) for k, v in sums.items()}})
         return sums
 

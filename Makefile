@@ -1,0 +1,34 @@
+# make demo: drapes a bundled groom on a bundled motion, into out/.   make test: all checks, as in CI.
+# Both make .venv first: some minutes and 2 GB the first time, nothing after that.
+
+PYTHON ?= python3
+SHELL := bash
+BIN := .venv/bin
+SETUP := .venv/setup-done
+
+.PHONY: demo test setup clean
+.DEFAULT_GOAL := demo
+
+DEMO_OUTPUTS := out/demo.png out/demo.mp4 out/demo.usd out/demo.npz
+
+demo: $(SETUP)
+	@mkdir -p out
+	@echo "Draping the bundled groom long_straight on the bundled motion neck_turn, then drawing it: two to five minutes."
+	$(BIN)/quaffure drape long_straight --motion neck_turn --frames ::2 $(addprefix --out ,$(DEMO_OUTPUTS))
+
+# pytest stays last: its summary is the last line of the output.
+test: $(SETUP)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest
+
+setup: $(SETUP)
+
+$(SETUP): pyproject.toml constraints.txt scripts/set_up.sh
+	@PYTHON="$(PYTHON)" bash scripts/set_up.sh
+	@touch $@
+
+clean:
+	rm -rf .venv out

@@ -1,0 +1,104 @@
+"""How many samples a second training takes, and where the time of a step goes.
+
+    python benchmarks/training_step.py [GROOM ...]
+
+One sample is one groom in one pose with all five loss terms, forward, backward and update. Run it on an idle machine.
+"""
+
+import argparse
+import statistics
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from unittest import mock
+
+import torch
+
+from quaffure.body.body_model import load_body
+from quaffure.body.pose_prior import load_pose_prior
+from quaffure.drapers.neural import NeuralDraper
+from quaffure.drapers.scene import BodyBatch
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.io.load_groom import load_groom
+from quaffure.training.pose_sampler import PoseSampler
+from quaffure.training.train_decoder import DecoderTraining, TrainConfig
+
+WARM_UP, STEPS = 8, 24
+
+
+class Stopwatch:
+    """Wall time spent inside wrapped functions."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+
+    def around(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            start = time.perf_counter()
+            answer = function(*args, **kwargs)
+            self.seconds[part] += time.perf_counter() - start
+            return answer
+
+        return timed
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("grooms", nargs="*", default=["long_straight", "bob"])
+    parser.add_argument("--self-collision-every", type=int, default=6)
+    options = parser.parse_args()
+    body = load_body()
+    grooms = tuple(load_groom(name, body) for name in options.grooms)
+    config = TrainConfig(runs=3, frames=2, bf16=True, self_collision_every=options.self_collision_every)
+    with TemporaryDirectory() as folder:
+        training = DecoderTraining(config, body, grooms, PoseSampler(load_pose_prior()), Path(folder))
+        measure(training)
+
+
+def measure(training: DecoderTraining) -> None:
+    """Print samples per second, and the share of each part by wrapping the functions that a step calls."""
+    steps = training.steps()
+    for _ in range(WARM_UP):
+        next(steps)
+    times = []
+    for _ in range(STEPS):
+        start = time.perf_counter()
+        next(steps)
+        times.append(time.perf_counter() - start)
+    samples = training.config.runs * training.config.frames * len(training.grooms)
+    mean = statistics.mean(times)
+    print(f"{samples / mean:.1f} samples/s, {1000 * mean / samples:.1f} ms a sample, {samples} samples a step")
+    print(f"torch threads: {torch.get_num_threads()}, grooms: {[(g.name, len(g)) for g in training.grooms]}")
+
+    watch = Stopwatch()
+    parts = (
+        (PoseSampler, "sample", "poses and shapes"),
+        (HairEnergy, "along_strands", "Eqs. 6, 7, 9, 10, value and gradient"),
+        (HairEnergy, "self_collision", "Eqs. 11-13, value and gradient"),
+        (NeuralDraper, "deform", "posing and network, forward"),
+        (torch.Tensor, "backward", "backward"),
+        (type(training.optimizer), "step", "update"),
+    )
+    patches = [mock.patch.object(owner, name, watch.around(part, getattr(owner, name))) for owner, name, part in parts]
+    for cached, part in (("posed", "body"), ("surface", "contact look-up")):
+        function = getattr(BodyBatch, cached).func
+        patches.append(mock.patch.object(getattr(BodyBatch, cached), "func", watch.around(part, function)))
+    for patch in patches:
+        patch.start()
+    start = time.perf_counter()
+    for _ in range(STEPS):
+        next(steps)
+    total = time.perf_counter() - start
+    mock.patch.stopall()
+    # The body is posed inside the first groom's draping, its look-up inside the energy's arguments.
+    watch.seconds["posing and network, forward"] -= watch.seconds["body"]
+    watch.seconds["everything else"] = total - sum(watch.seconds.values())
+    for part, seconds in sorted(watch.seconds.items(), key=lambda item: -item[1]):
+        print(f"{100 * seconds / total:5.1f} %  {1000 * seconds / (STEPS * samples):6.2f} ms a sample  {part}")
+
+
+if __name__ == "__main__":
+    main()

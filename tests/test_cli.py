@@ -1,0 +1,458 @@
+"""The command line: what it writes, and one line with exit code 2 for every mistake that a user can make."""
+
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.clips import CLIP_NAMES
+from quaffure.cli.main import main
+from quaffure.config import HairMaterial
+from quaffure.drapers import quaffure_model
+from quaffure.errors import InputError
+from quaffure.groom.groom import Groom
+from quaffure.groom.hair_style import STYLES
+from quaffure.groom.procedural import make_groom
+from quaffure.io.drape_file import read_drape, write_drape
+from quaffure.io.groom_file import write_groom
+from quaffure.io.read_strands import read_strands
+from quaffure.io.usd import write_usd
+from quaffure.networks.checkpoint import save_network
+from quaffure.networks.quaffure_network import NetworkConfig, build_network
+from tests.synthetic_drape import drape as synthetic_drape
+from tests.synthetic_drape import patch_of_strands
+from tests.test_bvh import TWO_JOINTS
+from tests.test_groom_files import GOOD, data_bytes, hair_bytes, npz_bytes, tfx4_bytes
+
+STRANDS = 60
+
+
+@pytest.fixture(scope="module")
+def body() -> BodyModel:
+    return load_body()
+
+
+@pytest.fixture(scope="module")
+def groom(body: BodyModel) -> Groom:
+    whole = make_groom("bob", body)
+    return whole.select(torch.linspace(0, len(whole) - 1, STRANDS).long())
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory, groom: Groom) -> Path:
+    """A folder with a small groom and a small network."""
+    folder = tmp_path_factory.mktemp("inputs")
+    write_groom(folder / "tiny.npz", groom)
+    torch.manual_seed(0)
+    network = build_network(NetworkConfig(texel_channels=4, strand_width=8))
+    save_network(folder / "tiny.safetensors", network, HairMaterial(), {"trained": "not at all"})
+    return folder
+
+
+class Refusal:
+    """Runs a command that must fail the way a user can bear."""
+
+    def __init__(self, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+        self.folder, self.capfd = folder, capfd
+        self.out = folder / "out"
+        self.out.mkdir()
+
+    def __call__(self, *arguments: str | Path, without_out: bool = False) -> str:
+        """The one line on the error stream."""
+        out = [] if without_out else ["--out", str(self.out / "hair.npz"), "--out", str(self.out / "hair.usd")]
+        with pytest.raises(SystemExit) as stop:
+            main([*map(str, arguments), *out])
+        errors = self.capfd.readouterr().err
+        assert stop.value.code == 2, errors
+        assert errors.startswith("quaffure: ")
+        assert errors.count("\n") == 1
+        assert errors.endswith("\n")
+        assert not list(self.out.iterdir())
+        return errors
+
+    def saved(self, name: str, content: bytes) -> Path:
+        path = self.folder / name
+        path.write_bytes(content)
+        return path
+
+
+@pytest.fixture
+def refusal(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Refusal:
+    return Refusal(tmp_path, capfd)
+
+
+def posed(groom: Path | str, *more: str) -> tuple[str, ...]:
+    return ("drape", str(groom), "--draper", "posed", *more)
+
+
+# --- what is written -------------------------------------------------------------------------------------------------
+
+
+def test_drape_writes_every_format_and_prints_figures(
+    tmp_path: Path, inputs: Path, groom: Groom, capfd: pytest.CaptureFixture[str]
+) -> None:
+    outputs = [tmp_path / f"hair{suffix}" for suffix in (".npz", ".usd", ".png", ".mp4")]
+    asked = [word for path in outputs for word in ("--out", str(path))]
+    main([*posed(inputs / "tiny.npz", "--frames", "0:3", "--shape=-1,0,0,0,0,0,0,0,0,2", "--json"), *asked])
+    printed = json.loads(capfd.readouterr().out)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in outputs)
+
+    drape = read_drape(outputs[0])
+    assert drape.strands.shape == (3, STRANDS, 24, 3)
+    np.testing.assert_array_equal(drape.strands, drape.posed)
+    assert drape.body_shape.tolist() == [-1, 0, 0, 0, 0, 0, 0, 0, 0, 2]
+    assert drape.meta["draper"] == "posed"
+    assert drape.meta["motion"] == "neck_turn"
+    np.testing.assert_allclose(read_strands(outputs[1]).points, drape.strands[0].reshape(-1, 3), atol=1e-6)
+    assert outputs[2].read_bytes().startswith(b"\x89PNG")
+    assert b"ftyp" in outputs[3].read_bytes()[:16]
+
+    assert printed["meta"]["groom"] == groom.name
+    assert printed["milliseconds"] > 0
+    figures = printed["per_frame"]["posed"]
+    assert all(len(per_frame) == 3 for per_frame in figures.values())
+    assert max(figures["orientation_error_deg"]) < 1e-3
+    assert max(figures["length_error_percent"]) < 0.01
+    assert min(figures["body_intersection_percent"]) >= 0
+
+
+def test_adam_settles_one_frame_and_serves_as_reference(
+    tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    groom, reference = str(inputs / "tiny.npz"), tmp_path / "adam.npz"
+    main(["drape", groom, "--draper", "adam", "--frames", "40:41", "--out", str(reference)])
+    table = capfd.readouterr().out
+    assert "body_intersection_percent" in table
+    assert str(reference) in table.replace("\n", "")
+    out = ["--out", str(tmp_path / "posed.npz"), "--json"]
+    main([*posed(groom, "--frames", "40:41", "--reference", str(reference)), *out])
+    figures = json.loads(capfd.readouterr().out)["per_frame"]["posed"]
+    assert figures["excess_energy"][0] > 0
+    assert figures["distance_mm"][0] > 1
+
+
+def test_neural_drapes_with_weights_of_ones_own(tmp_path: Path, inputs: Path) -> None:
+    out = tmp_path / "hair.npz"
+    weights = str(inputs / "tiny.safetensors")
+    main(["drape", str(inputs / "tiny.npz"), "--weights", weights, "--frames", "0:1", "--out", str(out)])
+    drape = read_drape(out)
+    assert drape.meta["draper"] == "neural"
+    segments = np.linalg.norm(np.diff(drape.strands[0], axis=1), axis=-1)
+    np.testing.assert_allclose(segments, drape.rest_lengths, rtol=1e-3, atol=1e-6)
+
+
+def test_grooms_keep_their_contract(capfd: pytest.CaptureFixture[str]) -> None:
+    main(["grooms", "--json"])
+    rows = json.loads(capfd.readouterr().out)
+    assert [row["name"] for row in rows] == list(STYLES)
+    for row in rows:
+        assert {"name", "style", "strands", "length_m", "licence", "held_out"} <= row.keys()
+        assert 0.05 < row["length_m"] < 0.6
+        assert 500 < row["strands"] <= 4096
+        assert row["licence"]
+        assert isinstance(row["held_out"], bool)
+
+
+def test_info_tells_terms(inputs: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(quaffure_model, "WEIGHTS", inputs / "tiny.safetensors")
+    main(["info", "--json"])
+    rows = {row["part"]: row for row in json.loads(capfd.readouterr().out)}
+    assert {"quaffure", "body", "pose prior", "clips", "grooms", "weights"} <= rows.keys()
+    assert all(row["terms"] for row in rows.values())
+    assert rows["weights"]["what"] == "trained not at all"
+    main(["info"])
+    assert "mocap.cs.cmu.edu" in capfd.readouterr().out
+
+
+def test_shipped_weights_load() -> None:
+    assert quaffure_model.load_model().notes
+
+
+def test_help_is_no_error(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["drape", "--help"])
+    assert not stop.value.code
+    assert "--motion" in capfd.readouterr().out
+
+
+# --- grooms ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", [".hair", ".data", ".bin", ".tfx", ".npz", ".usd"])
+def test_missing_grooms(refusal: Refusal, suffix: str) -> None:
+    path = refusal.folder / f"missing{suffix}"
+    line = refusal(*posed(path))
+    assert f"{path}: expected" in line
+    assert "found no such file" in line
+
+
+@pytest.mark.parametrize("name", ["hair ragged", "hair all", "data", "bin", "tfx 3", "tfx 4", "npz ragged", "npz even"])
+def test_truncated_strand_files(refusal: Refusal, name: str) -> None:
+    suffix, content, _ = GOOD[name]
+    for end in (0, len(content) // 2, len(content) - 1):
+        path = refusal.saved(f"cut{suffix}", content[:end])
+        line = refusal(*posed(path))
+        assert f"{path}: expected " in line
+        assert ", found " in line
+
+
+@pytest.mark.parametrize("suffix", [".usd", ".usda", ".usdc"])
+def test_truncated_usd_files(refusal: Refusal, suffix: str) -> None:
+    path = refusal.folder / f"cut{suffix}"
+    write_usd(path, synthetic_drape(patch_of_strands((0, 0, 1))))
+    content = path.read_bytes()
+    for end in (0, 4, len(content) // 2, len(content) - 1):
+        path.write_bytes(content[:end])
+        line = refusal(*posed(path))
+        assert f"{path}: expected " in line
+        assert ", found " in line
+
+
+def test_truncated_groom_files(refusal: Refusal, inputs: Path) -> None:
+    content = (inputs / "tiny.npz").read_bytes()
+    path = refusal.saved("cut.npz", content[: len(content) // 2])
+    assert f"{path}: expected " in refusal(*posed(path))
+
+
+def test_grooms_with_nan(refusal: Refusal, inputs: Path) -> None:
+    path = refusal.saved("nan.data", data_bytes([np.array([[0, 0, 0], [0, np.nan, 1]])]))
+    assert f"{path}: expected finite coordinates, found NaN" in refusal(*posed(path))
+    with np.load(inputs / "tiny.npz") as file:
+        arrays = dict(file)
+    arrays["rest_strands"][0, 5] = np.nan
+    path = refusal.saved("nan.npz", npz_bytes(**arrays))
+    assert f"{path}: expected finite rest_strands, found NaN" in refusal(*posed(path))
+
+
+EMPTY = {
+    "none.hair": hair_bytes([], 1 | 2),
+    "none.data": data_bytes([]),
+    "bald.data": data_bytes([np.zeros((1, 3))] * 9),
+    "none.bin": data_bytes([]),
+    "none.tfx": tfx4_bytes([]),
+    "none.npz": npz_bytes(points=np.zeros((0, 3)), counts=np.zeros(0, dtype=np.int64)),
+    "none.usda": b'#usda 1.0\ndef Xform "Hair" {}\n',
+}
+
+
+@pytest.mark.parametrize("name", EMPTY)
+def test_grooms_with_no_strands(refusal: Refusal, name: str) -> None:
+    path = refusal.saved(name, EMPTY[name])
+    line = refusal(*posed(path))
+    assert f"{path}: expected at least one strand" in line
+    assert "found no strands" in line
+
+
+def test_a_random_cloud_is_no_groom(refusal: Refusal) -> None:
+    cloud = np.random.default_rng(0).uniform(-1, 1, (1000, 12, 3))
+    path = refusal.saved("cloud.npz", npz_bytes(strands=cloud))
+    assert f"{path}: expected roots " in refusal(*posed(path))
+
+
+def test_unknown_names(refusal: Refusal) -> None:
+    line = refusal(*posed("beehive"))
+    assert "beehive: expected a bundled groom" in line
+    assert all(name in line for name in STYLES)
+    line = refusal(*posed("bob", "--motion", "backflip"))
+    assert "'backflip': expected" in line
+    assert all(name in line for name in CLIP_NAMES)
+
+
+def test_unknown_formats(refusal: Refusal) -> None:
+    path = refusal.saved("hair.txt", b"hair")
+    line = refusal(*posed(path))
+    assert f"{path}: expected a strand file" in line
+    assert ".txt" in line
+    path = refusal.saved("dance.fbx", b"dance")
+    assert f"{path}: expected a motion file" in refusal(*posed("bob", "--motion", str(path)))
+
+
+# --- motion ----------------------------------------------------------------------------------------------------------
+
+
+def test_missing_motion(refusal: Refusal) -> None:
+    path = refusal.folder / "missing.bvh"
+    line = refusal(*posed("bob", "--motion", str(path)))
+    assert f"{path}: expected a motion file" in line
+    assert "found no such file" in line
+
+
+def test_motion_without_the_needed_joints(refusal: Refusal) -> None:
+    path = refusal.saved("arm.bvh", TWO_JOINTS.encode())
+    line = refusal(*posed("bob", "--motion", str(path)))
+    assert f"{path}: expected " in line
+    assert "chest" in line
+
+
+def test_truncated_motion(refusal: Refusal) -> None:
+    for end in (0, 60, 200, len(TWO_JOINTS) - 24):
+        path = refusal.saved("cut.bvh", TWO_JOINTS[:end].encode())
+        line = refusal(*posed("bob", "--motion", str(path)))
+        assert f"{path}, line " in line
+        assert ": expected " in line
+
+
+@pytest.mark.parametrize(
+    ("arrays", "expected"),
+    [
+        ({"body_pose": np.full((4, 81), np.nan), "fps": 30.0}, "expected finite joint angles, found NaN"),
+        ({"body_pose": np.zeros((4, 72)), "fps": 30.0}, "expected body poses [frames >= 1, 81], found [4, 72]"),
+        ({"body_pose": np.zeros((4, 81))}, "expected one number fps"),
+        ({"body_pose": np.zeros((4, 81)), "fps": 0.0}, "expected a frame rate above 0"),
+        ({"poses": np.full((4, 66), np.inf), "mocap_framerate": 60.0}, "expected finite joint angles"),
+        ({"poses": np.zeros((4, 9)), "mocap_framerate": 60.0}, "expected poses [frames >= 1, 66 or more]"),
+        ({"poses": np.zeros((4, 66))}, "expected one number mocap_framerate"),
+        ({"something": np.zeros(3)}, "expected an array poses"),
+    ],
+)
+def test_bad_motion_arrays(refusal: Refusal, arrays: dict[str, np.ndarray], expected: str) -> None:
+    path = refusal.saved("motion.npz", npz_bytes(**arrays))
+    assert f"{path}: {expected}" in refusal(*posed("bob", "--motion", str(path)))
+
+
+@pytest.mark.parametrize("frames", ["5:2", "0:100000", "::0", "a:b", "7", "-3:", "1:2:3:4"])
+def test_bad_frames(refusal: Refusal, frames: str) -> None:
+    assert f"frames '{frames}': expected " in refusal(*posed("bob", f"--frames={frames}"))
+
+
+# --- shape -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        ("1,2,3", "expected 10 coefficients, found 3"),
+        ("0,0,0,0,0,0,0,0,0,0,0", "expected 10 coefficients, found 11"),
+        ("-1,0", "expected 10 coefficients, found 2"),
+        ("tall", "expected numbers separated by commas, found 'tall'"),
+        ("0,0,0,0,0,0,0,0,0,nan", "expected coefficients within +-10"),
+        ("0,0,0,0,0,0,0,0,0,1e30", "expected coefficients within +-10"),
+        ("0," * 400, "expected 10 coefficients, found 400"),
+    ],
+)
+def test_bad_shape_vectors(refusal: Refusal, shape: str, expected: str) -> None:
+    assert f"shape '{shape}': {expected}" in refusal(*posed("bob", "--shape", shape))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("missing.txt", None, "No such file"),
+        ("missing.npz", None, "No such file"),
+        ("three.txt", b"1 2 3\n", "expected 10 coefficients, found 3"),
+        ("words.csv", b"a,b,c", "expected numbers separated by commas, found 'a'"),
+        ("binary.txt", b"\xff\xfe\x00", "expected a text file"),
+        ("nan.txt", b"nan " * 10, "expected coefficients within"),
+        ("other.npz", npz_bytes(beta=np.zeros(10)), "expected 10 coefficients, found 0"),
+        ("cut.npz", npz_bytes(body_shape=np.zeros(10))[:100], "expected an undamaged .npz"),
+    ],
+)
+def test_bad_shape_files(refusal: Refusal, name: str, content: bytes | None, expected: str) -> None:
+    path = refusal.folder / name
+    if content is not None:
+        path.write_bytes(content)
+    line = refusal(*posed("bob", "--shape", str(path)))
+    assert str(path) in line
+    assert expected in line
+
+
+def test_shape_files_are_read(tmp_path: Path, inputs: Path) -> None:
+    shape = tmp_path / "shape"
+    shape.write_text("0.5 0 0 0 0\n0 0 0 0 -1\n")
+    drapes = []
+    for source, out in ((shape, tmp_path / "a.npz"), (tmp_path / "a.npz", tmp_path / "b.npz")):
+        main([*posed(inputs / "tiny.npz", "--frames", "0:1", "--shape", str(source)), "--out", str(out)])
+        drapes.append(read_drape(out).body_shape.tolist())
+    assert drapes == [[0.5, 0, 0, 0, 0, 0, 0, 0, 0, -1]] * 2
+
+
+# --- outputs, reference, weights, options ----------------------------------------------------------------------------
+
+
+def test_bad_outputs(refusal: Refusal, inputs: Path) -> None:
+    groom = posed(inputs / "tiny.npz")
+    line = refusal(*groom, "--out", refusal.out / "hair.docx")
+    assert f"{refusal.out / 'hair.docx'}: expected an output of suffix .npz, .usd" in line
+    assert "found suffix '.docx'" in line
+    absent = refusal.folder / "absent" / "hair.npz"
+    assert f"{absent}: expected a path in an existing folder, found no folder" in refusal(*groom, "--out", absent)
+    folder = refusal.folder / "folder.npz"
+    folder.mkdir()
+    assert f"{folder}: expected a file to write, found a folder" in refusal(*groom, "--out", folder)
+    assert "--out: expected at least one file" in refusal(*groom, without_out=True)
+
+
+def test_a_writer_that_fails_leaves_nothing(refusal: Refusal, inputs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def half_written(self: object, path: str) -> bool:
+        Path(path).write_bytes(b"PXR-USDC")
+        return False
+
+    monkeypatch.setattr("pxr.Sdf.Layer.Export", half_written)
+    out = ["--out", refusal.out / "hair.usd"]
+    line = refusal(*posed(inputs / "tiny.npz", "--frames", "0:1"), *out, without_out=True)
+    assert "hair.usd: expected a writable file" in line
+
+
+def test_bad_references(refusal: Refusal, inputs: Path) -> None:
+    other = refusal.folder / "other.npz"
+    write_drape(other, synthetic_drape(patch_of_strands((0, 0, 1))))
+    line = refusal(*posed(inputs / "tiny.npz", "--frames", "0:3", "--reference", str(other)))
+    assert f"{other}: expected strands (3, {STRANDS}, 24, 3), found (3, 150, 8, 3)" in line
+    cut = refusal.saved("cut.npz", other.read_bytes()[:1000])
+    assert f"{cut}: expected a drape file" in refusal(*posed("bob", "--reference", str(cut)))
+
+
+def pickled(whole: bytes) -> bytes:
+    return b"\x80\x04\x95" + whole[:200]
+
+
+def forged_header(whole: bytes) -> bytes:
+    return struct.pack("<Q", 2**62) + whole[8:]
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda w: b"", lambda w: w[: len(w) // 2], lambda w: w[:-1], pickled, forged_header]
+)
+def test_bad_weights(refusal: Refusal, inputs: Path, damage: Callable[[bytes], bytes]) -> None:
+    path = refusal.saved("bad.safetensors", damage((inputs / "tiny.safetensors").read_bytes()))
+    line = refusal("drape", inputs / "tiny.npz", "--weights", path)
+    assert f"{path}: expected a checkpoint of this package, found " in line
+
+
+def test_missing_weights(refusal: Refusal) -> None:
+    path = refusal.folder / "missing.safetensors"
+    assert f"{path}: expected a checkpoint (.safetensors), found no such file" in refusal(
+        "drape", "bob", "--weights", path
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["drape", "bob", "--draper", "magic"], "'magic' for argument '--draper'. Expected one of ('neural', 'posed'"),
+        (["drape", "bob", "--colour", "red"], "--colour"),
+        (["drape"], "GROOM"),
+        (["drape", "bob", "--motion"], "--motion"),
+        (["comb"], "comb"),
+        ([], "drape, train, grooms, info"),
+    ],
+)
+def test_bad_options(refusal: Refusal, arguments: list[str], said: str) -> None:
+    line = refusal(*arguments, without_out="bob" not in arguments or "--motion" in arguments)
+    assert said in line
+    assert "│" not in line
+
+
+def test_reasons_of_several_lines_are_told_in_one(refusal: Refusal) -> None:
+    path = refusal.folder / "two\nlines.hair"
+    assert "two lines.hair: expected" in refusal(*posed(path))
+
+
+def test_python_errors_are_input_errors() -> None:
+    with pytest.raises(InputError, match="no such file"):
+        quaffure_model.load_model(Path("missing.safetensors"))

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from unittest import mock
 
 import pytest
@@ -13,7 +14,8 @@ from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.rest_state import rest_state
-from quaffure.evaluation.figures import figures_of_merit, intersection_percent, measure
+from quaffure.errors import InputError
+from quaffure.evaluation.figures import acceleration, figures_of_merit, intersection_percent, measure
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.groom.procedural import make_groom
 
@@ -32,7 +34,7 @@ def test_adam_finds_the_closed_form_where_nothing_touches() -> None:
     sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, material.k_cosserat)
     expected = integrate_directions(scene.posed[:, :, 0], sag, rest.rest_length)
     # Adam starts from the sag itself: shake it, to make the solver work.
-    with mock.patch("quaffure.drapers.adam.sagged_vectors", lambda *_: sag + 0.3 * torch.randn(sag.shape)):
+    with mock.patch("quaffure.drapers.adam.sagged_vectors", return_value=sag + 0.3 * torch.randn(sag.shape)):
         draped, report = AdamDraper(material, steps=200).solve(scene)
     assert report.relative_gradient < 0.02
     torch.testing.assert_close(draped, expected, atol=5e-4, rtol=0)
@@ -56,7 +58,10 @@ def test_figures_of_a_rigidly_posed_groom() -> None:
     assert figures["orientation_error_deg"].max() < 0.1
     assert figures["length_error_percent"].max() < 0.01
     torch.testing.assert_close(figures["distance_mm"], torch.full((2,), 10 * 3**0.5))
-    assert (figures["excess_energy"] != 0).all()
+    raised = HairEnergy(GROOM).terms(scene.posed + 0.01, scene.director, scene.surface)
+    rest = HairEnergy(GROOM).terms(scene.posed, scene.director, scene.surface)
+    excess = sum(rest.values()) - sum(raised.values())
+    torch.testing.assert_close(figures["excess_energy"], HairEnergy(GROOM).per_vertex(excess), rtol=1e-3, atol=1e-5)
 
 
 def test_intersections_count_vertices_inside_and_no_roots() -> None:
@@ -71,6 +76,9 @@ def test_intersections_count_vertices_inside_and_no_roots() -> None:
 def test_measure_of_a_motion_and_its_own_reference() -> None:
     motion = bundled_clip("nod", BODY).frames("0:12")
     posed = drape_motion(PosedDraper(), GROOM, BODY, motion, torch.zeros(10))
+    trembling = replace(posed, strands=posed.strands.copy())
+    trembling.strands[::2, :, 1:, 0] += 1e-3  # to and fro by 1 mm: a second difference of 2 mm at 23 of 24 vertices
+    assert float(acceleration(trembling, BODY)) == pytest.approx(2e-3 * 23 / 24, rel=0.1)
     draped, merely_posed = measure(posed, GROOM, BODY, reference=posed)
     assert draped["excess_energy"].abs().max() == 0
     assert draped["distance_mm"].max() == 0
@@ -79,3 +87,22 @@ def test_measure_of_a_motion_and_its_own_reference() -> None:
         torch.testing.assert_close(figure, draped[name])
     assert posed.meta["draper"] == "posed"
     assert len(posed) == 12
+
+
+def test_compiled_contact_is_that_of_the_reference_on_a_posed_body() -> None:
+    scene = turned_scene()
+    energy = HairEnergy(GROOM)
+    compiled, reference = (
+        terms(scene.posed, scene.director, scene.surface) for terms in (energy.terms, energy.reference_terms)
+    )
+    assert compiled["body_collision"].min() > 0
+    torch.testing.assert_close(compiled["body_collision"], reference["body_collision"], rtol=1e-4, atol=0)
+
+
+def test_a_reference_of_another_motion_is_refused() -> None:
+    turn, bow = (
+        drape_motion(PosedDraper(), GROOM, BODY, bundled_clip(name, BODY).frames("20:24"), torch.zeros(10))
+        for name in ("neck_turn", "bow")
+    )
+    with pytest.raises(InputError, match="body_pose"):
+        measure(turn, GROOM, BODY, reference=bow)

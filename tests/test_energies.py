@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -6,11 +7,18 @@ import torch
 from quaffure.config import HairMaterial
 from quaffure.energies.body_collision import energy_body_collision
 from quaffure.energies.elastic import directors, energy_stretch, energy_stretch_shear, orientation_errors
+from quaffure.energies.force_limit import STRAND_WEIGHTS, limit_forces
 from quaffure.energies.gravity import energy_gravity, energy_gravity_above_root
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.pose_regularization import energy_pose_regularization
 from quaffure.energies.rest_state import rest_state
-from quaffure.energies.self_collision import densities, energy_self_collision, kernel_volume, smoothing_kernel
+from quaffure.energies.self_collision import (
+    densities,
+    density_excesses,
+    energy_self_collision,
+    kernel_volume,
+    smoothing_kernel,
+)
 from quaffure.geometry.signed_distance import signed_distance
 from tests.scenes import bent_inwards, sphere_groom, sphere_surface, strands_round_sphere
 
@@ -176,3 +184,47 @@ def test_each_compiled_term_has_the_gradient_of_its_twin() -> None:
             (gradient,) = torch.autograd.grad(total(x, director, sphere_surface(2)).sum(), x)
             gradients.append(gradient[:, :, 1:])
         assert (gradients[0] - gradients[1]).norm() < 2e-5 * gradients[1].norm(), name
+
+
+def test_pose_regularization_by_hand() -> None:
+    deformation = torch.zeros(1, 2, 1, 3, 3)
+    deformation[0, 1, 0, 2] = torch.tensor([0.0, 0.02, 0.0])  # one vertex moves 2 cm between two frames
+    torch.testing.assert_close(energy_pose_regularization(deformation, 5.0), torch.tensor([5.0 * 0.02**2 / 2]))
+
+
+def test_scale_is_the_weight_times_the_length() -> None:
+    straight = torch.zeros(1, 3, 3)
+    straight[0, :, 2] = torch.tensor([0.0, -0.1, -0.2])
+    groom = sphere_groom(strands=1, vertices=3)
+    energy = HairEnergy(replace(groom, rest_strands=straight), HairMaterial(linear_density=1e-5))
+    # Masses 0.5, 1 and 0.5 mg: a third of 2 mg, lifted by 0.2 m.
+    assert energy.scale == pytest.approx(9.81 * 2e-6 / 3 * 0.2)
+    torch.testing.assert_close(energy.per_vertex(torch.tensor([3 * energy.scale])), torch.ones(1))
+
+
+def test_density_excess_by_hand() -> None:
+    excess = density_excesses(torch.tensor([[[1.5, 0.5, 1.0]]]), torch.tensor([[1.0, 1.0, 1.0]]))
+    torch.testing.assert_close(excess, torch.tensor([[[50.0, 0.0, 0.0]]]))
+
+
+def test_large_forces_are_scaled_down_and_small_ones_kept() -> None:
+    rest = rest_state(strands_round_sphere(2, 4), HairMaterial())
+    positions = torch.zeros(1, 2, 4, 3, requires_grad=True)
+    weight = 9.81 * rest.mass.sum(1)
+    push = torch.zeros(1, 2, 4, 3)
+    push[0, 0, 1, 0], push[0, 1, 2, 1] = 3 * weight[0], -1000 * weight[1]
+    (limit_forces(positions, rest, joules=4.0) * push / 4.0).sum().backward()
+    expected = push / 4.0
+    expected[0, 1, 2, 1] = -STRAND_WEIGHTS * weight[1] / 4.0
+    torch.testing.assert_close(positions.grad, expected)
+
+
+def test_kernels_refuse_what_is_not_finite() -> None:
+    groom = sphere_groom(strands=4)
+    energy, surface = HairEnergy(groom), sphere_surface()
+    broken = groom.rest_strands[None].clone()
+    broken[0, 1, 3] = float("nan")
+    with pytest.raises(ValueError, match="finite"):
+        energy.along_strands(broken, directors(groom.rest_strands[None]), surface)
+    with pytest.raises(ValueError, match="finite"):
+        energy.self_collision(broken)

@@ -24,5 +24,10 @@ def test_one_stray_point_does_not_fill_the_memory() -> None:
     assert as_set(pairs) == as_set(fixed_radius_pairs_reference(points, 0.01))
 
 
+def test_huge_coordinates_neither_crash_nor_pair() -> None:
+    points = torch.tensor([[1e25, -1e25, 1e25], [-1e25, 1e25, -1e25], [0.0, 0.0, 0.0], [0.0, 0.0, 0.005]])
+    assert as_set(fixed_radius_pairs(points, 0.01)) == {(2, 3)}
+
+
 def test_points_in_one_place_are_a_pair() -> None:
     assert as_set(fixed_radius_pairs(torch.zeros(3, 3), 0.1)) == {(0, 1), (0, 2), (1, 2)}

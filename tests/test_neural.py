@@ -14,6 +14,7 @@ from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import integrate_directions
+from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from quaffure.groom.groom import Groom
 from quaffure.groom.procedural import make_groom
 from quaffure.networks.checkpoint import load_network, save_network
@@ -83,8 +84,6 @@ def test_turning_the_whole_body_turns_the_drape(config: NetworkConfig, scene: Sc
     angle = torch.tensor(0.9)
     c, s = angle.cos(), angle.sin()
     turn = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-
     turned_pose[:, :3] = axis_angle_from_matrix(turn @ matrix_from_axis_angle(turned_pose[:, :3]))
     turned = Scene(scene.groom, BodyBatch(body, turned_pose, scene.bodies.body_shape))
     hips = scene.bodies.posed.joint_positions[:, None, None, 0]
@@ -142,6 +141,16 @@ def test_a_file_that_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
 def test_the_shipped_model_drapes(groom: Groom) -> None:
     model = load_model()
     assert model.drape(groom, torch.zeros(2, 81), torch.zeros(2, 10)).shape == (2, len(groom), 24, 3)
+
+
+def test_the_shipped_model_refuses_what_does_not_fit(groom: Groom) -> None:
+    model = load_model()
+    with pytest.raises(InputError, match="body_pose"):
+        model.drape(groom, torch.zeros(2, 72), torch.zeros(2, 10))
+    with pytest.raises(InputError, match="body_shape"):
+        model.drape(groom, torch.zeros(2, 81), torch.zeros(1, 10))
+    with pytest.raises(InputError, match="texel"):
+        model.drape(groom.select(torch.tensor([0, 0])), torch.zeros(2, 81), torch.zeros(2, 10))
 
 
 def test_motion_frames_are_checked() -> None:

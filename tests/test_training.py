@@ -8,6 +8,7 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
+from quaffure.errors import InputError
 from quaffure.groom.groom import Groom
 from quaffure.groom.procedural import make_groom
 from quaffure.networks.checkpoint import load_network
@@ -107,3 +108,17 @@ def test_runs_are_consecutive_frames_of_one_body() -> None:
     assert len({round(float(start), 3) for start in pose[::3, 0]}) > 1
     assert torch.equal(shape[0], shape[2])
     assert not torch.equal(shape[0], shape[3])
+
+
+def test_a_folder_of_another_run_is_refused(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
+    training(body, groom, tmp_path).save()
+    with pytest.raises(InputError, match="seed 1"):
+        training(body, groom, tmp_path, replace(TINY, seed=1)).resume()
+    (tmp_path / "checkpoint.pt").write_bytes(b"PK\x03\x04 cut short")
+    with pytest.raises(InputError, match="checkpoint"):
+        training(body, groom, tmp_path).resume()
+
+
+def test_settings_out_of_range_are_refused() -> None:
+    with pytest.raises(InputError, match="validate-every"):
+        TrainConfig(validate_every=0)

@@ -23,6 +23,7 @@ FLIP_SECONDS = 0.1
 FLIP_RETURN_SHARE = 0.3
 # Nine hours at 30 fps: beyond it, a file's frame time is a mistake and not a motion.
 MAX_FRAMES = 1_000_000
+LARGEST_ANGLE = 100.0  # rad; continuous angles pass 2 pi, sixteen turns are a mistake
 
 _FRAMES = re.compile(r"(\d*):(\d*)(?::(\d+))?")
 
@@ -49,6 +50,9 @@ class Motion:
             raise InputError(self.name, "body poses [frames >= 1, 81]", f"{list(self.body_pose.shape)}")
         if not bool(torch.isfinite(self.body_pose).all()):
             raise InputError(self.name, "finite joint angles", "NaN or infinity")
+        largest = float(self.body_pose.abs().max())
+        if largest > LARGEST_ANGLE:
+            raise InputError(self.name, f"joint angles within {LARGEST_ANGLE:g} rad", f"{largest:.3g}")
         if not 0.0 < self.fps < float("inf"):
             raise InputError(self.name, "a frame rate above 0 fps", f"{self.fps}")
 

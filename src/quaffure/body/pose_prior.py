@@ -79,7 +79,7 @@ class PosePrior:
         spacing = self.scores[1] - self.scores[0]
         place = ((score - self.scores[0]) / spacing).clamp(0, len(self.scores) - 1)
         below = place.long().clamp(max=len(self.scores) - 2)
-        columns = torch.arange(81).expand_as(below)
+        columns = torch.arange(81, device=below.device).expand_as(below)
         low, high = self.quantiles[below, columns], self.quantiles[below + 1, columns]
         return torch.lerp(low, high, place - below)
 

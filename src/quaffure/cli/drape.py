@@ -1,5 +1,6 @@
 """`quaffure drape`: a groom, a body and a motion in; draped hair out."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,6 +17,7 @@ from quaffure.drapers.drape_motion import drape_motion
 from quaffure.drapers.draper import Draper
 from quaffure.drapers.posed import PosedDraper
 from quaffure.drapers.quaffure_model import load_model
+from quaffure.drapers.xpbd import XpbdDraper
 from quaffure.errors import InputError
 from quaffure.evaluation.figures import PerFrame, measure
 from quaffure.groom.drape_sequence import DrapeSequence
@@ -39,7 +41,7 @@ class DrapeCommand:
     """Ten body shape coefficients separated by commas, or a file that holds them; without it, the mean body."""
     head: Path | None = None
     """The head mesh (.obj) that a groom file was made on; helps to register it."""
-    draper: Literal["neural", "posed", "adam"] = "neural"
+    draper: Literal["neural", "posed", "adam", "xpbd"] = "neural"
     """How to settle the hair."""
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones."""
@@ -78,9 +80,16 @@ class DrapeCommand:
             raise InputError(f"{self.reference}", f"strands {shape}", f"{reference.strands.shape}")
 
     def _draper(self) -> Draper:
-        if self.draper == "adam":
-            return AdamDraper()
-        return PosedDraper() if self.draper == "posed" else load_model(self.weights).draper
+        """The draper asked for; solvers take the material that the weights were trained for, to be comparable."""
+        model = load_model(self.weights)
+        material = model.draper.material
+        solvers: dict[str, Callable[[], Draper]] = {
+            "neural": lambda: model.draper,
+            "posed": lambda: PosedDraper(material),
+            "adam": lambda: AdamDraper(material),
+            "xpbd": lambda: XpbdDraper(material),
+        }
+        return solvers[self.draper]()
 
     def _report(self, sequence: DrapeSequence, draped: PerFrame, posed: PerFrame) -> None:
         named = {"posed": posed, self.draper: draped}

@@ -45,6 +45,9 @@ class TrainCommand:
         if self.config.network.pose_features not in (0, FEATURE_COUNT):
             expected = f"0 or {FEATURE_COUNT}"
             raise InputError("--pose-features", expected, f"{self.config.network.pose_features}")
+        for clip in sampler.clips:
+            if len(clip) < self.config.frames:
+                raise InputError(f"motion '{clip.name}'", f"at least {self.config.frames} frames", f"{len(clip)}")
         self.out.mkdir(parents=True, exist_ok=True)
         training = DecoderTraining(self.config, body, grooms, sampler, self.out)
         if training.resume():

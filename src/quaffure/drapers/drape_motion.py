@@ -1,4 +1,4 @@
-"""A draper carried over a motion, a few frames at a time, so that memory stays bounded."""
+"""A draper carried over a motion, a few frames at a time; the drapes of all frames are kept."""
 
 import time
 from collections.abc import Callable
@@ -73,4 +73,4 @@ def material_of(sequence: DrapeSequence) -> HairMaterial:
 
 
 def _frames(parts: list[torch.Tensor]) -> np.ndarray:
-    return np.concatenate([part.detach().numpy() for part in parts])
+    return np.concatenate([part.detach().cpu().numpy() for part in parts])

@@ -4,12 +4,13 @@ import torch
 
 from quaffure.body.motion import without_heading
 from quaffure.body.pose_features import HEAD, pose_features, world_from_head
-from quaffure.config import TEXTURE_SIZE, HairMaterial
+from quaffure.config import HairMaterial
 from quaffure.drapers.scene import Scene
 from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.groom.groom import Groom
+from quaffure.groom.scalp_texture import encode
 from quaffure.networks.quaffure_network import NetworkInputs, QuaffureNetwork
 from quaffure.types import Float, Positions, Tensor
 
@@ -64,9 +65,11 @@ class NeuralDraper:
 
 
 def rest_texture(groom: Groom, rest_head: Float[Tensor, "3"]) -> Float[Tensor, "1 channels 64 64"]:
-    """Rest vertices relative to the head joint on the scalp's texture, and the mask of texels that hold a strand."""
+    """Rest vertices relative to the head joint on the scalp's texture, and the mask of texels that hold a strand.
+
+    Raises:
+        ValueError: two strands share a texel.
+    """
     own = ((groom.rest_strands - rest_head) / _METRES).flatten(1)
-    with_mask = torch.cat([own, torch.ones_like(own[:, :1])], dim=1)
-    texture = with_mask.new_zeros(with_mask.shape[1], TEXTURE_SIZE**2)
-    texture[:, groom.texels()] = with_mask.T
-    return texture.reshape(1, -1, TEXTURE_SIZE, TEXTURE_SIZE)
+    texture, mask = encode(groom, own)
+    return torch.cat([texture, mask[..., None].to(texture)], dim=-1).permute(2, 0, 1)[None]

@@ -17,8 +17,3 @@ def energy_body_collision(
         Energy [J]; zero, with zero gradient, where the distance is at least the margin.
     """
     return k_body_collision * (margin - distance).clamp(min=0).pow(3).sum(dim=(-2, -1))
-
-
-def depths(distance: Float[Tensor, "b s n"]) -> Float[Tensor, "b s n"]:
-    """Gauge of Eq. 10: how deep every vertex is inside the body [mm], zero outside."""
-    return (-distance).clamp(min=0) * 1000

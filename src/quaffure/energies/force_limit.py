@@ -5,7 +5,6 @@ scale by remembered gradients then stand still long after it is out. Saturating 
 vertices rest near the skin, and keeps every direction of descent.
 """
 
-
 from quaffure.config import STANDARD_GRAVITY
 from quaffure.energies.rest_state import RestState
 from quaffure.types import Float, Positions, Tensor

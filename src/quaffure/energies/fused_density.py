@@ -12,12 +12,17 @@ from torch.autograd.function import FunctionCtx
 
 from quaffure.config import HairMaterial
 from quaffure.energies.rest_state import RestState
-from quaffure.geometry.neighbors import cell_columns, sort_into_cells
+from quaffure.geometry.neighbors import cell_columns, check_finite, sort_into_cells
 from quaffure.types import Energy, Positions, Tensor
 
 
 def fused_self_collision(positions: Positions, rest: RestState, material: HairMaterial) -> Energy:
-    """Eq. 11 [J], differentiable in the positions [m], float32, on the CPU."""
+    """Eq. 11 [J], differentiable in the positions [m], float32, on the CPU.
+
+    Raises:
+        ValueError: a coordinate is not finite.
+    """
+    check_finite(positions)
     return _SelfCollision.apply(positions, rest, material)
 
 

@@ -14,6 +14,7 @@ from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.rest_state import RestState
 from quaffure.geometry.clear_cells import REACH, is_clear
 from quaffure.geometry.face_tree import MAX_DEPTH, closest_on_triangle, search
+from quaffure.geometry.neighbors import check_finite
 from quaffure.geometry.surface import Surface
 from quaffure.types import EdgeVectors, Float, Positions, Tensor
 
@@ -32,8 +33,12 @@ def strand_energy(
         surface: the posed body of every sample.
 
     Raises:
-        ValueError: the collision margin is larger than the distance that clear cells keep from the body.
+        ValueError: the collision margin is larger than the distance that clear cells keep from the body, a coordinate
+            is not finite, or a gradient is asked for that is not computed here.
     """
+    check_finite(positions)
+    if director.requires_grad or surface.vertices.requires_grad:
+        raise ValueError("expected directors and a body without gradient: `reference_terms` differentiates those")
     if material.collision_margin > REACH:
         raise ValueError(f"expected a collision margin up to {REACH} m, found {material.collision_margin}")
     return _StrandEnergy.apply(positions, director, rest, material, surface)

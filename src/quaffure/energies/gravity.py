@@ -18,8 +18,3 @@ def energy_gravity_above_root(positions: Positions, mass: Float[Tensor, "s n"]) 
     A head is 1.6 m above the origin and a strand's drop a tenth of that: float32 sums keep one more digit this way.
     """
     return energy_gravity(positions - positions[..., :1, :].detach(), mass)
-
-
-def drops(positions: Positions) -> Float[Tensor, "b s n"]:
-    """Gauge of Eq. 9: how far every vertex hangs below its strand's root [mm], positive downwards."""
-    return (positions[..., :1, 2] - positions[..., 2]) * 1000

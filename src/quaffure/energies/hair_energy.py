@@ -44,8 +44,7 @@ class HairEnergy:
         Compiled for float32 on the CPU, as are all the sums here; the torch twin elsewhere.
         """
         if not _compiled(positions):
-            terms = self.reference_terms(positions, director, surface)
-            return torch.stack([terms[name] for name in TERMS]).sum(dim=0)
+            return torch.stack(list(self._reference_strand_terms(positions, director, surface).values())).sum(dim=0)
         return strand_energy(positions, director, self.rest, self.material, surface)[0]
 
     def self_collision(self, positions: Positions) -> Energy:
@@ -66,15 +65,20 @@ class HairEnergy:
 
     def reference_terms(self, positions: Positions, director: EdgeVectors, surface: Surface) -> dict[str, Energy]:
         """Every term by name [J], differentiable, written out in torch: the twin of the compiled kernels."""
+        density = densities(positions, self.rest.mass, self.material.smoothing_length)
+        of_density = energy_self_collision(density, self.rest.rest_density, self.material.k_self_collision)
+        return self._reference_strand_terms(positions, director, surface) | {"self_collision": of_density}
+
+    def _reference_strand_terms(
+        self, positions: Positions, director: EdgeVectors, surface: Surface
+    ) -> dict[str, Energy]:
         rest, material = self.rest, self.material
         distance = signed_distance(positions.flatten(1, 2), surface).reshape(positions.shape[:3])
-        density = densities(positions, rest.mass, material.smoothing_length)
         return {
             "stretch_shear": energy_stretch_shear(positions, director, rest.rest_length, material.k_cosserat),
             "stretch": energy_stretch(positions, rest.rest_length, material.k_stretch),
             "gravity": energy_gravity_above_root(positions, rest.mass),
             "body_collision": energy_body_collision(distance, rest.collision_margin, material.k_body_collision),
-            "self_collision": energy_self_collision(density, rest.rest_density, material.k_self_collision),
         }
 
     @property

@@ -3,6 +3,7 @@
 Intersections come from the exact signed distance whose sign is that of the angle-weighted pseudonormal.
 """
 
+import numpy as np
 import torch
 
 from quaffure.body.body_model import BodyModel
@@ -32,10 +33,10 @@ def measure(
             `jitter`, which is one figure for the clip and repeated.
 
     Raises:
-        InputError: the reference holds other frames or strands.
+        InputError: the reference holds other frames, bodies or strands, or hair of another material.
     """
-    if reference is not None and reference.strands.shape != sequence.strands.shape:
-        raise InputError("reference", f"strands {sequence.strands.shape}", f"{reference.strands.shape}")
+    if reference is not None:
+        _check_reference(reference, sequence)
     energy = HairEnergy(groom, material_of(sequence))
     draped: list[PerFrame] = []
     posed: list[PerFrame] = []
@@ -52,6 +53,16 @@ def measure(
         ratio = acceleration(sequence, body) / acceleration(reference, body)
         whole["jitter"] = ratio.expand(len(sequence))
     return whole, _joined(posed)
+
+
+def _check_reference(reference: DrapeSequence, sequence: DrapeSequence) -> None:
+    if reference.strands.shape != sequence.strands.shape:
+        raise InputError("reference", f"strands {sequence.strands.shape}", f"{reference.strands.shape}")
+    for name in ("body_pose", "body_shape", "rest_lengths"):
+        if not np.allclose(getattr(reference, name), getattr(sequence, name), atol=1e-4):
+            raise InputError("reference", f"the same {name} as the drape's", "another")
+    if material_of(reference) != material_of(sequence):
+        raise InputError("reference", f"hair of {material_of(sequence)}", f"{material_of(reference)}")
 
 
 def figures_of_merit(

@@ -57,7 +57,7 @@ def build_face_tree(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "
     return FaceTree(order, np.array(first, np.int32), np.array(second, np.int32))
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True)  # no fastmath: it may take infinities for granted not to be there
 def refit(corners: np.ndarray, first: np.ndarray, second: np.ndarray, bounds: np.ndarray) -> None:
     """Fill `bounds` [m, 6] (lower, then upper corner) from `corners` [k, 3, 3] in the leaves' order."""
     for node in range(len(first) - 1, -1, -1):

@@ -12,8 +12,12 @@ _REFERENCE_PAIRS = 16_000_000  # point pairs that the twin holds in memory at on
 def fixed_radius_pairs(points: Float[Tensor, "p 3"], radius: float) -> Int[Tensor, "2 m"]:
     """Every unordered pair of distinct points at most `radius` [m] apart, once, the smaller index first.
 
-    Compiled on the CPU, the twin elsewhere. The order of the pairs is unspecified.
+    Compiled on the CPU, where points are compared in float32; the twin elsewhere. The order of pairs is unspecified.
+
+    Raises:
+        ValueError: a coordinate is not finite.
     """
+    check_finite(points)
     if points.device.type != "cpu":
         return fixed_radius_pairs_reference(points, radius)
     array = np.ascontiguousarray(points.detach().numpy(), dtype=np.float32)
@@ -24,6 +28,16 @@ def fixed_radius_pairs(points: Float[Tensor, "p 3"], radius: float) -> Int[Tenso
     pairs = np.empty((2, offsets[-1]), np.int64)
     _write_pairs(sorted_points, order, cell_start, shape, np.float32(radius), offsets, pairs)
     return torch.from_numpy(pairs)
+
+
+def check_finite(positions: Tensor) -> None:
+    """Compiled searches turn coordinates into indices, so none may be NaN or infinite.
+
+    Raises:
+        ValueError: one is.
+    """
+    if not bool(torch.isfinite(positions).all()):
+        raise ValueError("expected finite positions, found NaN or infinity")
 
 
 def fixed_radius_pairs_reference(points: Float[Tensor, "p 3"], radius: float) -> Int[Tensor, "2 m"]:
@@ -49,15 +63,12 @@ def sort_into_cells(points: np.ndarray, size: np.float32) -> tuple[np.ndarray, n
     upper = np.array([points[:, axis].max() for axis in range(3)])
     side = size
     while True:
-        nx, ny, nz = (
-            int((upper[0] - lower[0]) / side) + 1,
-            int((upper[1] - lower[1]) / side) + 1,
-            int((upper[2] - lower[2]) / side) + 1,
-        )
-        # One stray point far away must not make a grid that fills the memory.
-        if nx * ny * nz <= 64 * len(points) + 4096:
+        # One stray point far away must not make a grid that fills the memory. In floats: integers would wrap.
+        along = (upper - lower).astype(np.float64) / side + 1.0
+        if along[0] * along[1] * along[2] <= 64 * len(points) + 4096:
             break
         side *= np.float32(1.5)
+    nx, ny, nz = int(along[0]), int(along[1]), int(along[2])
     cells = np.empty(len(points), np.int64)
     start = np.zeros(nx * ny * nz + 1, np.int64)
     for index in range(len(points)):

@@ -19,9 +19,9 @@ def integrate_directions_reference(
 def integrate_directions(root: Float[Tensor, "b s 3"], vectors: EdgeVectors, rest_length: RestLengths) -> Positions:
     """Vertices of strands whose edges point along `vectors` (any length but zero) and measure `rest_length` [m].
 
-    Differentiable once in `vectors` alone. Compiled on the CPU in float32, the twin elsewhere.
+    Differentiable once. Compiled on the CPU in float32 where the roots need no gradient, the twin elsewhere.
     """
-    if vectors.device.type != "cpu" or vectors.dtype != torch.float32:
+    if vectors.device.type != "cpu" or vectors.dtype != torch.float32 or root.requires_grad:
         return integrate_directions_reference(root, vectors, rest_length)
     return _IntegrateDirections.apply(vectors, root, rest_length)
 

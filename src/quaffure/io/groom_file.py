@@ -20,6 +20,8 @@ NUMBERS: dict[str, tuple[tuple[str | int, ...], str]] = {
 }
 TEXTS = ("name", "licence")
 LARGEST_COMPRESSION = 1032  # deflate never packs tighter; a member that claims more is forged
+ROOT_SLACK = 2e-3  # m: between a strand's first vertex and its place on the scalp
+LONGEST_STRAND = 3.0  # m
 BARYCENTRIC_SLACK = 1e-3
 
 
@@ -111,5 +113,14 @@ def _check_roots(arrays: dict[str, np.ndarray], path: Path, body: BodyModel) -> 
     weights, uv = arrays["root_barycentric"], arrays["root_uv"]
     if weights.min() < -BARYCENTRIC_SLACK or np.abs(weights.sum(1) - 1).max() > BARYCENTRIC_SLACK:
         raise InputError(path, "barycentric coordinates that sum to 1", f"{weights.min():.3g}..{weights.max():.3g}")
+    vertices, faces = body.rest_vertices.cpu().numpy(), body.faces.cpu().numpy()
+    roots = (weights[..., None] * vertices[faces[arrays["root_faces"]]]).sum(1)
+    apart = float(np.abs(arrays["rest_strands"][:, 0] - roots).max())
+    if apart > ROOT_SLACK:
+        raise InputError(path, f"strands that begin at their roots to {ROOT_SLACK} m", f"{apart:.3g} m apart")
+    lengths = np.linalg.norm(np.diff(arrays["rest_strands"], axis=1), axis=-1)
+    if not (lengths.min() > 0 and lengths.sum(1).max() < LONGEST_STRAND):
+        found = f"{lengths.min():.3g} m and {lengths.sum(1).max():.3g} m"
+        raise InputError(path, f"segments longer than 0 and strands under {LONGEST_STRAND} m", found)
     if uv.min() < 0 or uv.max() > 1:
         raise InputError(path, "root_uv in the unit square", f"{uv.min():.3g}..{uv.max():.3g}")

@@ -20,12 +20,13 @@ def save_network(path: Path, network: QuaffureNetwork, material: HairMaterial, n
     save_file(half, path, metadata)
 
 
-def load_network(path: Path) -> tuple[QuaffureNetwork, HairMaterial, dict[str, str]]:
+def load_network(path: str | Path) -> tuple[QuaffureNetwork, HairMaterial, dict[str, str]]:
     """A network in evaluation mode, its material, and the notes saved with it.
 
     Raises:
         InputError: the file is missing or not a checkpoint of this package.
     """
+    path = Path(path)
     if not path.is_file():
         raise InputError(path, "a checkpoint (.safetensors)", "no such file")
     try:
@@ -36,7 +37,9 @@ def load_network(path: Path) -> tuple[QuaffureNetwork, HairMaterial, dict[str, s
         material = HairMaterial(**_known(json.loads(notes.pop("material")), HairMaterial))
         network = build_network(config)
         network.load_state_dict(weights)
-    except (SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
+            raise ValueError("NaN or infinite weights")
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
         first_line = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(path, "a checkpoint of this package", first_line) from error
     return network.eval(), material, notes

@@ -1,4 +1,4 @@
-"""Encoder of Sec. 3.2: a groom's rest geometry on the scalp texture to its code."""
+"""A groom's rest geometry on the scalp texture to its code, Sec. 3.2; trained with the decoder, not frozen."""
 
 from itertools import pairwise
 

@@ -18,6 +18,7 @@ from quaffure.types import BodyPose, BodyShape, Float, Int, Tensor
 
 EDGES = VERTICES_PER_STRAND - 1
 POSE_SIZE, SHAPE_SIZE = 81, 10
+MAX_WIDTH = 4096
 REST_CHANNELS = 3 * VERTICES_PER_STRAND + 1
 
 
@@ -33,6 +34,14 @@ class NetworkConfig:
     """Channels of the decoder's texture that the strand layers read (`directions` only)."""
     strand_width: int = 128
     """Width of the layers common to all strands (`directions` only)."""
+
+    def __post_init__(self) -> None:
+        if self.output not in ("directions", "displacement"):
+            raise ValueError(f"expected output directions or displacement, found {self.output!r}")
+        for name in ("pose_features", "texel_channels", "strand_width"):
+            value = getattr(self, name)
+            if not (isinstance(value, int) and 0 <= value <= MAX_WIDTH):
+                raise ValueError(f"expected {name} from 0 to {MAX_WIDTH}, found {value!r}")
 
 
 @dataclass(frozen=True)

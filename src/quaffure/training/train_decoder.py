@@ -2,6 +2,7 @@
 
 import csv
 import json
+import pickle
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
@@ -19,6 +20,8 @@ from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.force_limit import limit_forces
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.pose_regularization import energy_pose_regularization
+from quaffure.errors import InputError
+from quaffure.geometry.clear_cells import REACH
 from quaffure.groom.groom import Groom
 from quaffure.io.atomic import replacing
 from quaffure.networks.checkpoint import save_network
@@ -52,6 +55,13 @@ class TrainConfig:
     """Steps between two validations; the best weights so far are kept."""
     save_every_seconds: float = 120.0
     """Seconds between two checkpoints that the run can be resumed from."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "runs", "frames", "self_collision_every", "validate_every"):
+            if getattr(self, name) < 1:
+                raise InputError(f"--{name.replace('_', '-')}", "1 or more", f"{getattr(self, name)}")
+        if not 0 < self.material.collision_margin <= REACH:
+            raise InputError("--collision-margin", f"up to {REACH} m", f"{self.material.collision_margin}")
 
 
 @dataclass(frozen=True)
@@ -122,7 +132,9 @@ class DecoderTraining:
         """Eq. 1 over the batch, per vertex in units of m g L."""
         config = self.config
         draped = self.draper.deform(scene, energy.rest)
-        positions = limit_forces(draped, energy.rest, len(draped) * energy.per_vertex_unit)
+        # The gradient that arrives is that of the mean over samples and grooms.
+        joules = len(draped) * len(self.grooms) * energy.per_vertex_unit
+        positions = limit_forces(draped, energy.rest, joules)
         total = energy.along_strands(positions, scene.director, scene.surface)
         if self.step % config.self_collision_every == 0:
             total = total + config.self_collision_every * energy.self_collision(positions)
@@ -158,6 +170,7 @@ class DecoderTraining:
             "optimizer": self.optimizer.state_dict(),
             "generator": self.generator.get_state(),
             "counters": torch.tensor([self.step, self.best, self.seconds], dtype=torch.float64),
+            "identity": self._identity(),
         }
         with replacing(self.folder / "checkpoint.pt") as path:
             torch.save(state, path)
@@ -165,11 +178,21 @@ class DecoderTraining:
             path.write_text(json.dumps(asdict(self.config), indent=1))
 
     def resume(self) -> bool:
-        """Carry on from the folder's checkpoint; False where there is none."""
+        """Carry on from the folder's checkpoint; False where there is none.
+
+        Raises:
+            InputError: it is of another run, or damaged.
+        """
         path = self.folder / "checkpoint.pt"
         if not path.is_file():
             return False
-        state = torch.load(path, weights_only=True)
+        try:
+            state = torch.load(path, weights_only=True)
+            identity = state["identity"]
+        except (RuntimeError, KeyError, EOFError, pickle.UnpicklingError) as error:
+            raise InputError(path, "a checkpoint of a training run", str(error).splitlines()[0]) from error
+        if identity != self._identity():
+            raise InputError(self.folder, f"a run of {self._identity()}", identity)
         self.network.load_state_dict(state["network"])
         self.average.load_state_dict(state["average"])
         self.optimizer.load_state_dict(state["optimizer"])
@@ -177,6 +200,11 @@ class DecoderTraining:
         step, self.best, self.seconds = state["counters"].tolist()
         self.step = int(step)
         return True
+
+    def _identity(self) -> str:
+        """What may not change in a run: grooms, network, material and seed."""
+        config = self.config
+        return f"{[groom.name for groom in self.grooms]}, {config.network}, {config.material}, seed {config.seed}"
 
     def _log(self, row: dict[str, float]) -> None:
         path = self.folder / "validation.csv"

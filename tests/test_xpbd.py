@@ -1,0 +1,164 @@
+"""XPBD against closed forms, force balances and Adam."""
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import ConvexHull
+
+from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.drapers.adam import AdamDraper
+from quaffure.drapers.scene import Scene
+from quaffure.drapers.xpbd import XpbdDraper, XpbdSetting, energy_and_gradient, paper_setting
+from quaffure.energies.closed_form import sagged_edges
+from quaffure.energies.elastic import directors, edges
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.geometry.surface import Surface, posed_surface, surface_topology
+from quaffure.groom.groom import Groom
+from tests.scenes import sphere_groom, sphere_surface
+
+FREE = HairMaterial(k_body_collision=0.0, k_self_collision=0.0)
+LONG_STEPS = XpbdSetting(steps=40, iterations=200, first_time_step=0.5, last_time_step=0.01, refresh=200)
+
+
+SETTLED = XpbdSetting(steps=200, iterations=50, first_time_step=0.1, last_time_step=0.002, refresh=10)
+
+
+def scene_of(groom: Groom, posed: torch.Tensor | None = None, surface: Surface | None = None) -> Scene:
+    """A scene on a sphere of radius 0.1 m, or on `surface`."""
+    posed = groom.rest_strands[None] if posed is None else posed
+    # As if the cached parts had been asked for already: there is no body with a scalp.
+    scene = object.__new__(Scene)
+    bodies = SimpleNamespace(surface=surface or sphere_surface(len(posed)))
+    scene.__dict__.update(groom=groom, posed=posed, director=directors(posed), bodies=bodies)
+    return scene
+
+
+def box_surface() -> Surface:
+    """A box whose upper side is the plane z = 0."""
+    corners = np.array(list(itertools.product((-0.3, 0.3), (-0.3, 0.3), (-0.6, 0.0))))
+    faces = ConvexHull(corners).simplices.astype(np.int64)
+    normals = np.cross(corners[faces[:, 1]] - corners[faces[:, 0]], corners[faces[:, 2]] - corners[faces[:, 0]])
+    inwards = (normals * (corners[faces[:, 0]] - [0, 0, -0.3])).sum(1) < 0
+    faces[inwards] = faces[inwards][:, ::-1]
+    vertices = torch.tensor(corners, dtype=torch.float32)
+    return posed_surface(surface_topology(vertices, torch.from_numpy(faces)), vertices[None])
+
+
+def strands_by_hand(rest: torch.Tensor) -> Groom:
+    count = len(rest)
+    return Groom(
+        name="by_hand",
+        rest_strands=rest,
+        root_faces=torch.zeros(count, dtype=torch.long),
+        root_barycentric=torch.full((count, 3), 1 / 3),
+        root_uv=torch.rand(count, 2, generator=torch.Generator().manual_seed(1)),
+    )
+
+
+def gradients(draped: torch.Tensor, scene: Scene, energy: HairEnergy) -> tuple[torch.Tensor, torch.Tensor]:
+    """Gradient of the whole energy and of Eqs. 10 and 11 alone [N], roots left out."""
+    x = draped.clone().requires_grad_()
+    terms = energy.reference_terms(x, scene.director, scene.surface)
+    contact = terms["body_collision"] + terms["self_collision"]
+    (of_contact,) = torch.autograd.grad(contact.sum(), x, retain_graph=True)
+    (whole,) = torch.autograd.grad(torch.stack(list(terms.values())).sum(), x)
+    return whole[:, :, 1:], of_contact[:, :, 1:]
+
+
+def test_free_strands_hang_in_the_closed_form() -> None:
+    groom = sphere_groom(strands=13)
+    scene = scene_of(groom, groom.rest_strands.expand(2, -1, -1, -1))
+    draper = XpbdDraper(FREE, LONG_STEPS)
+    draped, report = draper.solve(scene)
+    rest = HairEnergy(groom, FREE).rest
+    exact = sagged_edges(scene.director, rest.rest_length, rest.mass_beyond, FREE.k_cosserat, FREE.k_stretch)
+    distance = (draped[:, :, 1:] - draped[:, :, :1] - exact.cumsum(2)).norm(dim=-1)
+    moved = (scene.posed - draped).norm(dim=-1)
+    assert moved.max() > 0.1
+    assert distance.max() < 1e-4
+    assert (edges(draped).norm(dim=-1) - exact.norm(dim=-1)).abs().max() < 2e-5
+    assert report.iterations == 8000
+    assert report.relative_gradient < 0.1
+
+
+def test_masses_and_time_steps_do_not_change_where_hair_comes_to_rest() -> None:
+    groom = sphere_groom(strands=5, vertices=10)
+    short = XpbdSetting(steps=1500, iterations=10, first_time_step=0.05, last_time_step=0.05, refresh=10)
+    ends = [XpbdDraper(FREE, setting).drape(scene_of(groom)) for setting in (LONG_STEPS, short)]
+    assert (ends[0] - ends[1]).norm(dim=-1).max() < 2e-4
+
+
+def test_a_vertex_rests_on_a_plane_at_its_analytic_penetration() -> None:
+    groom = strands_by_hand(torch.tensor([[[0.0, 0.0, 0.0], [0.02, 0.0, 0.004]]]))
+    # Hardly any elasticity: gravity against Eq. 10 alone.
+    material = HairMaterial(k_cosserat=1e-12, k_stretch=1e-6, k_self_collision=0.0)
+    scene = scene_of(groom, surface=box_surface())
+    draped, _ = XpbdDraper(material, XpbdSetting(steps=60, first_time_step=0.02)).solve(scene)
+    rest = HairEnergy(groom, material).rest
+    penetration = (STANDARD_GRAVITY * float(rest.mass[0, 1]) / (3 * material.k_body_collision)) ** 0.5
+    assert 1e-4 < penetration < 2e-4
+    assert draped[0, 0, 1, 2].item() == pytest.approx(material.collision_margin - penetration, abs=1e-6)
+
+
+def test_forces_of_a_strand_that_lies_on_a_sphere_balance() -> None:
+    groom = sphere_groom(strands=8)
+    material = HairMaterial(k_self_collision=0.0)
+    scene = scene_of(groom)
+    energy = HairEnergy(groom, material)
+    draped, report = XpbdDraper(material, SETTLED).solve(scene)
+    whole, contact = gradients(draped, scene, energy)
+    assert contact.norm() > STANDARD_GRAVITY * energy.rest.mass.mean()
+    assert whole.norm() < 0.04 * contact.norm()
+    assert report.relative_gradient < 0.2
+
+
+def test_two_strands_press_each_other_apart_until_forces_balance() -> None:
+    drop = torch.linspace(0, 0.05, 8)[:, None] * torch.tensor([0.0, 0.0, -1.0])
+    rest = torch.stack([drop + torch.tensor([side, 0.0, 0.5]) for side in (-0.005, 0.005)])
+    groom = strands_by_hand(rest)
+    posed = rest.clone()
+    posed[..., 0] *= 0.2
+    material = HairMaterial(k_self_collision=1e-4)
+    scene = scene_of(groom, posed[None])
+    draped, _ = XpbdDraper(material, SETTLED).solve(scene)
+    whole, contact = gradients(draped, scene, HairEnergy(groom, material))
+    assert (draped[0, 1, -1, 0] - draped[0, 0, -1, 0]) > 0.003
+    assert contact.norm() > 1e-7
+    assert whole.norm() < 0.02 * contact.norm()
+
+
+def test_deep_hair_comes_out_of_the_body() -> None:
+    groom = sphere_groom(strands=40)
+    posed = groom.rest_strands[None].clone()
+    posed[:, :, 1:] = posed[:, :, :1] + 0.5 * (posed[:, :, :1] - posed[:, :, 1:])
+    assert (posed[:, :, 5:12].norm(dim=-1) < 0.085).all()
+    draped = XpbdDraper().drape(scene_of(groom, posed))
+    assert torch.isfinite(draped).all()
+    assert (draped[:, :, 1:].norm(dim=-1) < 0.097).float().mean() < 0.02
+
+
+def test_it_descends_holds_the_roots_and_reaches_the_energy_of_adam() -> None:
+    groom = sphere_groom(strands=43)
+    scene = scene_of(groom, groom.rest_strands.expand(2, -1, -1, -1))
+    energy = HairEnergy(groom)
+    at_start, _ = energy_and_gradient(energy, scene, scene.posed)
+    draped, report = XpbdDraper().solve(scene)
+    adam = AdamDraper(steps=400).solve(scene)[1].energy
+    assert torch.equal(draped[:, :, 0], scene.posed[:, :, 0])
+    assert torch.equal(draped[0], draped[1])
+    assert report.energy < at_start
+    assert report.energy < adam + 0.03 * (at_start - adam)
+
+
+def test_the_setting_of_the_paper() -> None:
+    setting = paper_setting()
+    assert (setting.steps, setting.iterations) == (30, 10_000)
+    assert setting.time_step(0) == setting.time_step(29) == setting.first_time_step
+
+
+def test_a_margin_that_clear_cells_cannot_see_is_refused() -> None:
+    with pytest.raises(ValueError, match="collision margin"):
+        XpbdDraper(HairMaterial(collision_margin=0.006)).solve(scene_of(sphere_groom(strands=2)))

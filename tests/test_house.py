@@ -19,10 +19,8 @@ HEAVY = ("pxr", "moderngl", "av", "anny", "igl", "trimesh", "PIL")
 # Numba compiles no structs of arrays, so a kernel takes its arrays one by one.
 KERNELS_WITH_MANY_PARAMETERS = {
     "drapers/xpbd_kernels.py": {"excess_and_mobility", "find_planes", "pressure_gradient", "sweep_strands"},
-    "energies/density_hessian.py": {"add_density_product", "density_gradient"},
     "energies/fused_density.py": {"_excess", "_gradient"},
     "energies/fused_strand.py": {"_contact", "_strands"},
-    "energies/strand_hessian.py": {"contact", "strand_derivatives", "strand_energies"},
     "geometry/clear_cells.py": {"_outside"},
     "geometry/surface.py": {"_fill"},
 }

@@ -59,20 +59,26 @@ class DrapeCommand:
         body_shape = body_shape_of(self.shape)
         reference = None if self.reference is None else read_drape(self.reference)
         draper = self._draper()
-        with console.status("reading the groom"):
-            groom = load_groom(self.groom, body, self.head)
+        self._say(f"reading the groom {self.groom}")
+        groom = load_groom(self.groom, body, self.head)
         if reference is not None:
             self._check_reference(reference, (len(motion), *groom.rest_strands.shape))
+        self._say(f"draping {len(groom)} strands in {len(motion)} frames with {self.draper}")
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task(f"draping {len(groom)} strands", total=len(motion))
             sequence = drape_motion(
                 draper, groom, body, motion, body_shape, lambda frames: progress.advance(task, frames)
             )
         for path, write in zip(self.out, writers):
-            with console.status(f"writing {path}"):
-                write(path, sequence)
-        with console.status("measuring"):
-            self._report(sequence, *measure(sequence, groom, body, reference))
+            self._say(f"writing {path}")
+            write(path, sequence)
+        self._say("measuring")
+        self._report(sequence, *measure(sequence, groom, body, reference))
+
+    def _say(self, step: str) -> None:
+        """What is going on; not where the output is JSON for another program."""
+        if not self.json:
+            console.print(step)
 
     def _check_reference(self, reference: DrapeSequence, shape: tuple[int, ...]) -> None:
         """Before the work and not after it."""

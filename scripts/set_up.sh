@@ -26,11 +26,14 @@ if [ "$(uname -s)" = Linux ] && ! command -v nvidia-smi >/dev/null; then
     echo "set-up: installing the CPU build of $torch"
     install "$torch+cpu" 2>.venv/torch.log ||
         install --retries 1 --timeout 30 --extra-index-url https://download.pytorch.org/whl/cpu "$torch+cpu" ||
-        install "$torch"
+        {
+            echo "set-up: no CPU build of $torch within reach; taking PyPI's, which brings 4 GB of CUDA libraries" >&2
+            install "$torch"
+        }
 else
     install "$torch"
 fi
-echo "set-up: installing quaffure and its tools"
+echo "set-up: installing quaffure and its tools: a minute or two"
 install --quiet --editable '.[dev]'
 
 # OpenGL comes with the system and not from PyPI. Without a GPU, Mesa draws on the processor.

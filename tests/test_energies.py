@@ -153,22 +153,56 @@ def test_masses_add_up_to_density_times_length() -> None:
     torch.testing.assert_close(rest.mass_beyond[:, -1], rest.mass[:, -1])
 
 
-def test_compiled_kernels_and_reference_agree_in_value_and_gradient() -> None:
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
+def test_compiled_kernels_and_reference_agree_in_value_and_gradient(device: str) -> None:
     groom = sphere_groom(strands=300)
     positions, director = bent_inwards(groom)
-    energy = HairEnergy(groom, HairMaterial(k_self_collision=1e-4, smoothing_length=0.01))
-    surface = sphere_surface(2)
-    reference = energy.reference_terms(positions, director, surface)
+    material = HairMaterial(k_self_collision=1e-4, smoothing_length=0.01)
+    energy, twin, surface = HairEnergy(groom, material), HairEnergy(groom.to(device), material), sphere_surface(2)
+    reference = twin.reference_terms(positions.to(device), director.to(device), surface)
     for name, value in energy.terms(positions, director, surface).items():
         assert reference[name].abs().min() > 0, name
-        torch.testing.assert_close(value, reference[name], rtol=2e-5, atol=0, msg=name)
+        torch.testing.assert_close(value, reference[name].cpu(), rtol=2e-5, atol=0, msg=name)
     gradients = []
-    for total in (energy.total, lambda *scene: torch.stack(list(energy.reference_terms(*scene).values())).sum(0)):
-        x = positions.clone().requires_grad_()
-        value = total(x, director, surface)
-        (gradient,) = torch.autograd.grad(value @ torch.tensor([1.0, 2.0]), x)
-        gradients.append(gradient[:, :, 1:])
+    for total, at in (
+        (energy.total, "cpu"),
+        (lambda *s: torch.stack(list(twin.reference_terms(*s).values())).sum(0), device),
+    ):
+        x = positions.to(at).clone().requires_grad_()
+        value = total(x, director.to(at), surface)
+        (gradient,) = torch.autograd.grad(value @ torch.tensor([1.0, 2.0], device=at), x)
+        gradients.append(gradient[:, :, 1:].cpu())
     assert (gradients[0] - gradients[1]).norm() < 2e-5 * gradients[1].norm()
+
+
+def test_a_crowd_has_the_density_and_gradient_of_its_twin() -> None:
+    groom = sphere_groom(strands=100)
+    energy = HairEnergy(groom, HairMaterial(k_self_collision=1e-4, smoothing_length=0.01))
+    generator = torch.Generator().manual_seed(2)
+    # Some thousand vertices within reach of each other, some alone: where nothing is dense there is no gradient.
+    positions = 0.05 * torch.rand(2, 100, 24, 3, generator=generator)
+    positions[:, 60:] = 3 * torch.rand(2, 40, 24, 3, generator=generator) + 1
+    scene = directors(groom.rest_strands.expand(2, -1, -1, -1)), sphere_surface(2)
+    gradients = []
+    for total in (energy.self_collision, lambda x: energy.reference_terms(x, *scene)["self_collision"]):
+        x = positions.clone().requires_grad_()
+        (gradient,) = torch.autograd.grad(total(x).sum(), x)
+        gradients.append(gradient)
+    assert gradients[1][:, :60].norm(dim=-1).min() > 0
+    assert gradients[0][:, 60:].norm(dim=-1).max() <= 1e-6 * gradients[1].norm(dim=-1).max()
+    assert (gradients[0] - gradients[1]).norm() < 2e-5 * gradients[1].norm()
+
+
+@pytest.mark.parametrize("strands", [15, 16, 17, 33])
+def test_contact_of_any_number_of_strands_is_that_of_its_twin(strands: int) -> None:
+    groom = sphere_groom(strands=strands)
+    positions, director = bent_inwards(groom, batch=3)
+    energy, surface = HairEnergy(groom), sphere_surface(3)
+    expected = energy.reference_terms(positions, director, surface)["body_collision"]
+    assert expected.min() > 0
+    torch.testing.assert_close(
+        energy.terms(positions, director, surface)["body_collision"], expected, rtol=2e-5, atol=0
+    )
 
 
 def test_each_compiled_term_has_the_gradient_of_its_twin() -> None:

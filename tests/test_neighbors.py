@@ -1,8 +1,11 @@
+from itertools import pairwise
+
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from quaffure.geometry.neighbors import fixed_radius_pairs, fixed_radius_pairs_reference
+from quaffure.geometry.neighbors import dealt, fixed_radius_pairs, fixed_radius_pairs_reference
 
 
 def as_set(pairs: torch.Tensor) -> set[tuple[int, int]]:
@@ -31,3 +34,17 @@ def test_huge_coordinates_neither_crash_nor_pair() -> None:
 
 def test_points_in_one_place_are_a_pair() -> None:
     assert as_set(fixed_radius_pairs(torch.zeros(3, 3), 0.1)) == {(0, 1), (0, 2), (1, 2)}
+
+
+@pytest.mark.cuda
+def test_twin_finds_the_same_pairs_on_cuda() -> None:
+    points = torch.rand(300, 3, generator=torch.Generator().manual_seed(0))
+    assert as_set(fixed_radius_pairs(points.cuda(), 0.2).cpu()) == as_set(fixed_radius_pairs(points, 0.2))
+
+
+@pytest.mark.parametrize(("count", "threads"), [(0, 2), (1, 1), (1, 8), (7, 2), (8, 2), (9, 4), (1000, 64)])
+def test_every_item_is_dealt_once(count: int, threads: int) -> None:
+    items = [dealt(index, count, threads) for index in range(count + threads)]
+    assert sorted(item for item in items if item < count) == list(range(count))
+    half = [item for item in items[: -(-count // threads)] if item < count]
+    assert threads == 1 or all(second - first == threads for first, second in pairwise(half))

@@ -1,11 +1,20 @@
+from collections.abc import Callable
+
 import igl
 import numpy as np
 import pytest
 import torch
 
+from quaffure.body.body_model import load_body
+from quaffure.body.pose_prior import load_pose_prior
+from quaffure.drapers.scene import BodyBatch
+from quaffure.geometry.clear_cells import FREE, OUTSIDE, REACH, UNKNOWN, SpaceMap, whereabouts
+from quaffure.geometry.face_tree import LANES, MAX_DEPTH, search, squared_distance
 from quaffure.geometry.mesh import opposite_faces
 from quaffure.geometry.signed_distance import foot_points, foot_points_reference, signed_distance
-from quaffure.geometry.surface import posed_surface, reference_surface_normals, surface_topology
+from quaffure.geometry.surface import Surface, posed_surface, reference_surface_normals, surface_topology
+from quaffure.geometry.wide_tree import WIDE_STACK, WideTree, nearest_face, search_all
+from quaffure.training.pose_sampler import PoseSampler
 from tests.scenes import sphere_mesh, sphere_surface
 
 
@@ -80,9 +89,120 @@ def test_open_and_flipped_meshes_are_refused() -> None:
 
 
 @pytest.mark.cuda
-def test_twin_runs_on_cuda() -> None:
-    surface = sphere_surface()
-    on_cuda = foot_points_reference(queries(100).cuda(), surface)
-    torch.testing.assert_close(
-        on_cuda.barycentric.cpu(), foot_points(queries(100), surface).barycentric, atol=1e-4, rtol=0
-    )
+def test_distances_on_cuda_are_those_of_the_kernel() -> None:
+    vertices, faces = star()
+    surface = posed_surface(surface_topology(vertices, faces), vertices[None])
+    on_cuda = signed_distance(queries(500).cuda(), surface)
+    torch.testing.assert_close(on_cuda.cpu(), signed_distance(queries(500), surface), atol=2e-6, rtol=0)
+
+
+def slivers() -> tuple[torch.Tensor, torch.Tensor]:
+    """A sphere with one vertex in the place of another, one on an edge between two, and one a micrometre beside one."""
+    vertices, faces = sphere_mesh(count=200)
+    edges = faces[:, :2]
+    vertices = vertices.clone()
+    vertices[edges[0, 0]] = vertices[edges[0, 1]]
+    near = faces[50]
+    vertices[near[0]] = 0.5 * (vertices[near[1]] + vertices[near[2]])
+    vertices[faces[120, 0]] = vertices[faces[120, 1]] + 1e-6
+    return vertices, faces
+
+
+@pytest.mark.parametrize("mesh", [star, slivers, lambda: sphere_mesh(count=4), lambda: sphere_mesh(count=2500)])
+def test_wide_search_finds_what_the_binary_one_finds(mesh: Callable[[], tuple[torch.Tensor, torch.Tensor]]) -> None:
+    vertices, faces = mesh()
+    surface = posed_surface(surface_topology(vertices, faces), vertices[None])
+    tree = surface.topology.tree
+    assert sorted(tree.face_order) == list(range(len(faces)))
+    stack = np.empty(MAX_DEPTH, np.int32)
+    for point, wide in zip(queries(300)[0].numpy(), search_all(queries(300)[0].numpy(), *one_body(surface))):
+        binary = search(point, 0, surface.corners[0], surface.bounds[0], tree.first, tree.second, stack)
+        to_wide, to_binary = (squared_distance(surface.corners[0, place], *point) for place in (wide, binary))
+        assert np.sqrt(to_wide) == pytest.approx(np.sqrt(to_binary), abs=1e-6)
+
+
+def one_body(surface: Surface) -> tuple[np.ndarray, WideTree]:
+    return surface.corners[0], surface.wide_tree(0)
+
+
+def test_limited_search_finds_just_the_faces_within_its_limit() -> None:
+    vertices, faces = star()
+    surface = posed_surface(surface_topology(vertices, faces), vertices[None])
+    corners, tree = one_body(surface)
+    stack, room = np.empty(WIDE_STACK, np.int32), np.empty(WIDE_STACK + 2 * LANES, np.float32)
+    points, limit = queries(1000), np.float32(0.01)
+    nearest = search_all(points[0].numpy(), corners, tree)
+    found = 0
+    for point, distance, place in zip(points[0].numpy(), signed_distance(points, surface)[0].abs(), nearest):
+        answer = nearest_face(*point, -1, limit * limit, tree, stack, room)
+        if abs(distance - limit) > 1e-6:
+            assert (answer >= 0) == bool(distance < limit)
+        if answer >= 0:
+            to_answer, to_nearest = (squared_distance(corners[each], *point) for each in (answer, place))
+            assert np.sqrt(to_answer) == pytest.approx(np.sqrt(to_nearest), abs=1e-6)
+            found += 1
+    assert 50 < found < 950
+
+
+def test_points_that_are_not_numbers_or_far_away_break_nothing() -> None:
+    vertices, faces = star()
+    surface = posed_surface(surface_topology(vertices, faces), vertices[None])
+    wild = np.array([[np.nan, 0, 0], [1e30, -1e30, 1e30], [3e38, 0, 0], [0, 0, 1e9]], np.float32)
+    places = search_all(wild, *one_body(surface))
+    assert (places >= 0).all()
+    assert (places < len(faces)).all()
+
+
+def map_of(surface: Surface, points: torch.Tensor) -> np.ndarray:
+    space = SpaceMap(*(field[0] for field in surface.map))
+    return np.array([whereabouts(*point, space) for point in points.numpy()])
+
+
+def test_the_map_never_calls_a_point_free_or_outside_that_is_not() -> None:
+    vertices, faces = sphere_mesh(count=4000)
+    vertices = vertices * (2.5 + torch.sin(50 * vertices).prod(dim=1, keepdim=True))  # bulges and hollows
+    surface = posed_surface(surface_topology(vertices, faces), vertices[None])
+    points = 3.5 * queries(8000)[0]
+    known, distance = map_of(surface, points), signed_distance(points[None], surface)[0].numpy()
+    assert distance[known == FREE].min() >= REACH
+    assert distance[known == OUTSIDE].min() > 0
+    assert (known[distance < 0] == UNKNOWN).all()
+    # The map must be of use: most of the outside is known.
+    assert (known[distance > 0.02] == FREE).mean() > 0.98
+    assert (known[(distance > 0) & (distance < 0.02)] == UNKNOWN).mean() < 0.6
+    assert (known == OUTSIDE).sum() > 20
+
+
+def test_a_cavity_is_not_called_outside() -> None:
+    inner, faces = sphere_mesh(0.2)
+    outer, _ = sphere_mesh(0.3)
+    vertices = torch.cat([outer, inner])
+    surface = posed_surface(surface_topology(vertices, torch.cat([faces, faces.flip(1) + len(outer)])), vertices[None])
+    points = torch.tensor([[0.0, 0, 0], [0.1, 0, 0], [0, 0.193, 0], [0.25, 0, 0], [0.35, 0, 0], [2.0, 0, 0]])
+    assert list(map_of(surface, points)) == [UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN, FREE, UNKNOWN]
+
+
+def test_distance_and_sign_on_posed_bodies_are_those_of_libigl() -> None:
+    body = load_body()
+    poses, shapes = PoseSampler(load_pose_prior()).sample(2, 1, torch.Generator().manual_seed(0))
+    surface = BodyBatch(body, poses, shapes).surface
+    # All over the skin and on either side of it: armpits, neck, behind the ears.
+    generator = torch.Generator().manual_seed(1)
+    vertices = surface.vertices[:, torch.randint(surface.vertices.shape[1], (3000,), generator=generator)]
+    points = vertices + 0.03 * (2 * torch.rand(vertices.shape, generator=generator) - 1)
+    found = signed_distance(points, surface).numpy()
+    for sample in range(2):
+        exact = igl.signed_distance(
+            points[sample].double().numpy(),
+            surface.vertices[sample].double().numpy(),
+            surface.topology.faces.numpy(),
+            sign_type=igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL,
+        )[0]
+        assert 0.2 < (exact < 0).mean() < 0.8
+        np.testing.assert_allclose(np.abs(found[sample]), np.abs(exact), atol=1e-5)
+        assert ((found[sample] < 0) == (exact < 0))[np.abs(exact) > 1e-5].all()
+        space = SpaceMap(*(field[sample] for field in surface.map))
+        known = np.array([whereabouts(*point, space) for point in points[sample].numpy()])
+        assert exact[known == FREE].min() >= REACH - 1e-6
+        assert exact[known == OUTSIDE].min() > 0
+        assert (known == OUTSIDE).sum() > 100

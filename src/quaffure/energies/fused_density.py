@@ -1,18 +1,20 @@
 """Eqs. 11-13 in two compiled passes over a cell list, value and gradient, without a list of pairs.
 
-Its torch twin is `quaffure.energies.self_collision`; a test holds the two together.
+The second pass touches only what it must: most hair is no denser than at rest, and a pair without excess on either side
+exerts no force. Its torch twin is `quaffure.energies.self_collision`; a test holds the two together.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import get_num_threads, njit, prange
 from torch.autograd.function import FunctionCtx
 
 from quaffure.config import HairMaterial
 from quaffure.energies.rest_state import RestState
-from quaffure.geometry.neighbors import cell_columns, check_finite, sort_into_cells
+from quaffure.geometry.neighbors import cell_columns, check_finite, dealt, sort_into_cells
 from quaffure.types import Energy, Positions, Tensor
 
 
@@ -26,25 +28,38 @@ def fused_self_collision(positions: Positions, rest: RestState, material: HairMa
     return _SelfCollision.apply(positions, rest, material)
 
 
+class Particles(NamedTuple):
+    """Vertices sorted into cells, one array a coordinate: the compiler then takes 8 or 16 neighbours abreast.
+
+    Attributes:
+        weight: what each counts in a sum over neighbours.
+        start: where each cell starts, one more than there are cells.
+    """
+
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    weight: np.ndarray
+    start: np.ndarray
+
+
 class _SelfCollision(torch.autograd.Function):
     @staticmethod
     def forward(ctx: FunctionCtx, positions: Tensor, rest: RestState, material: HairMaterial) -> Tensor:
         batch = len(positions)
         flat = positions.detach().contiguous().reshape(batch, -1, 3).numpy()
-        gradient = np.zeros_like(flat)
+        gradient = np.empty_like(flat)
         energy = torch.zeros(batch)
         mass, rest_density = rest.mass.flatten().numpy(), rest.rest_density.flatten().numpy()
         h = np.float32(material.smoothing_length)
         for sample in range(batch):
-            order, start, shape = sort_into_cells(flat[sample], np.float32(2) * h)
-            # One array a coordinate: the compiler then runs 8 or 16 neighbours abreast.
-            x, y, z = np.ascontiguousarray(flat[sample][order].T)
-            masses = mass[order]
+            order, shape, particles = _sorted(flat[sample], mass, np.float32(2) * h)
             excess = np.empty(len(order), np.float32)
-            _excess(x, y, z, masses, rest_density[order], start, shape, h, excess)
+            _excess(particles, shape, rest_density, order, h, get_num_threads(), excess)
             energy[sample] = material.k_self_collision * float((excess.astype(np.float64) ** 3).sum())
             slope = np.float32(3 * material.k_self_collision) * excess * excess
-            _gradient(x, y, z, masses, slope, order, start, shape, h, gradient[sample])
+            dense = _dense(particles, slope)
+            _gradient(particles, dense, shape, slope, order, h, get_num_threads(), gradient[sample])
         ctx.save_for_backward(torch.from_numpy(gradient).reshape(positions.shape))
         return energy
 
@@ -54,64 +69,145 @@ class _SelfCollision(torch.autograd.Function):
         return gradient * upstream[0][:, None, None, None], None, None
 
 
+@njit(cache=True)
+def _sorted(
+    points: np.ndarray, mass: np.ndarray, size: np.float32
+) -> tuple[np.ndarray, tuple[int, int, int], Particles]:
+    """The order of the vertices in cells of side `size`, the cells along x, y, z, and the vertices in that order,
+    weighted by their masses."""
+    order, start, shape = sort_into_cells(points, size)
+    x, y, z, weight = np.empty((4, len(order)), np.float32)
+    for place in range(len(order)):
+        index = order[place]
+        x[place], y[place], z[place] = points[index, 0], points[index, 1], points[index, 2]
+        weight[place] = mass[index]
+    return order, shape, Particles(x, y, z, weight, start)
+
+
+@njit(cache=True)
+def _dense(particles: Particles, slope: np.ndarray) -> Particles:
+    """The vertices with an excess alone, weighted by `slope`."""
+    count = 0
+    for place in range(len(slope)):
+        count += slope[place] > 0
+    x, y, z, weight = np.empty((4, count), np.float32)
+    start = np.empty_like(particles.start)
+    start[0] = 0
+    at = 0
+    for cell in range(len(start) - 1):
+        for place in range(particles.start[cell], particles.start[cell + 1]):
+            if slope[place] > 0:
+                x[at], y[at], z[at] = particles.x[place], particles.y[place], particles.z[place]
+                weight[at] = slope[place]
+                at += 1
+        start[cell + 1] = at
+    return Particles(x, y, z, weight, start)
+
+
 @njit(cache=True, parallel=True, fastmath=True)
 def _excess(
-    x: np.ndarray, y: np.ndarray, z: np.ndarray, mass: np.ndarray, rest_density: np.ndarray,
-    start: np.ndarray, shape: tuple[int, int, int], h: np.float32, excess: np.ndarray,
+    particles: Particles, shape: tuple[int, int, int], rest_density: np.ndarray, order: np.ndarray, h: np.float32,
+    threads: int, excess: np.ndarray,
 ) -> None:  # fmt: skip
+    """Density minus that at rest [kg/m^3] where it is above, in the sorted order; `rest_density` is not."""
     scale = np.float32(1.0 / (4.0 * math.pi)) / (h * h * h)
     inverse = np.float32(1.0) / h
-    for cell in prange(len(start) - 1):
-        if start[cell] == start[cell + 1]:
+    start = particles.start
+    columns, along = shape[0] * shape[1], shape[2]
+    for index in prange(columns + threads):
+        column = dealt(index, columns, threads)
+        if column >= columns or start[column * along] == start[(column + 1) * along]:
             continue
-        ranges = np.empty((9, 2), np.int64)
-        found = cell_columns(cell, shape, start, ranges)
-        for place in range(start[cell], start[cell + 1]):
-            px, py, pz = x[place], y[place], z[place]
-            total = np.float32(0.0)
-            for column in range(found):
-                near_by = slice(ranges[column, 0], ranges[column, 1])
-                xs, ys, zs, masses = x[near_by], y[near_by], z[near_by], mass[near_by]
-                for other in range(len(xs)):
+        room, ranges = np.empty((4, 256), np.float32), np.empty((9, 2), np.int64)
+        for cell in range(column * along, (column + 1) * along):
+            if start[cell] == start[cell + 1]:
+                continue
+            room, count = _near_by(cell, particles, shape, ranges, room)
+            xs, ys, zs, masses = room[0, :count], room[1, :count], room[2, :count], room[3, :count]
+            for place in range(start[cell], start[cell + 1]):
+                px, py, pz = particles.x[place], particles.y[place], particles.z[place]
+                total = np.float32(0.0)
+                for other in range(count):
                     dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
                     q = np.sqrt(dx * dx + dy * dy + dz * dz) * inverse
                     # (2 - q)+^3 - 4 (1 - q)+^3 is Eq. 13 without a branch.
                     far, near = max(np.float32(2.0) - q, np.float32(0.0)), max(np.float32(1.0) - q, np.float32(0.0))
                     total += masses[other] * (far * far * far - np.float32(4.0) * near * near * near)
-            excess[place] = max(total * scale - rest_density[place], np.float32(0.0))
+                excess[place] = max(total * scale - rest_density[order[place]], np.float32(0.0))
 
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _gradient(
-    x: np.ndarray, y: np.ndarray, z: np.ndarray, mass: np.ndarray, slope: np.ndarray, order: np.ndarray,
-    start: np.ndarray, shape: tuple[int, int, int], h: np.float32, gradient: np.ndarray,
+    particles: Particles, dense: Particles, shape: tuple[int, int, int], slope: np.ndarray, order: np.ndarray,
+    h: np.float32, threads: int, gradient: np.ndarray,
 ) -> None:  # fmt: skip
+    """Gradient of the energy: a vertex is pushed by the dense ones near it, and by all near it if it is dense."""
     scale = np.float32(3.0 / (4.0 * math.pi)) / (h * h * h * h)
     inverse = np.float32(1.0) / h
-    for cell in prange(len(start) - 1):
-        if start[cell] == start[cell + 1]:
+    start = particles.start
+    columns, along = shape[0] * shape[1], shape[2]
+    for index in prange(columns + threads):
+        column = dealt(index, columns, threads)
+        if column >= columns or start[column * along] == start[(column + 1) * along]:
             continue
-        ranges = np.empty((9, 2), np.int64)
-        found = cell_columns(cell, shape, start, ranges)
-        for place in range(start[cell], start[cell + 1]):
-            px, py, pz = x[place], y[place], z[place]
-            own_mass, own_slope = mass[place], slope[place]
-            gx, gy, gz = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            for column in range(found):
-                near_by = slice(ranges[column, 0], ranges[column, 1])
-                xs, ys, zs, masses, slopes = x[near_by], y[near_by], z[near_by], mass[near_by], slope[near_by]
-                for other in range(len(xs)):
-                    dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
-                    r = np.sqrt(dx * dx + dy * dy + dz * dz)
-                    q = r * inverse
-                    far, near = max(np.float32(2.0) - q, np.float32(0.0)), max(np.float32(1.0) - q, np.float32(0.0))
-                    slope_of_kernel = np.float32(4.0) * near * near - far * far
-                    pull = (own_slope * masses[other] + slopes[other] * own_mass) * slope_of_kernel
-                    pull /= max(r, np.float32(1e-8))
-                    gx += pull * dx
-                    gy += pull * dy
-                    gz += pull * dz
-            at = order[place]
-            gradient[at, 0] = scale * gx
-            gradient[at, 1] = scale * gy
-            gradient[at, 2] = scale * gz
+        room, ranges = np.empty((4, 256), np.float32), np.empty((9, 2), np.int64)
+        for cell in range(column * along, (column + 1) * along):
+            if start[cell] == start[cell + 1]:
+                continue
+            room, count = _near_by(cell, dense, shape, ranges, room)
+            for place in range(start[cell], start[cell + 1]):
+                gx, gy, gz = _slopes(particles.x[place], particles.y[place], particles.z[place], room, count, inverse)
+                pull, at = scale * particles.weight[place], order[place]
+                gradient[at, 0], gradient[at, 1], gradient[at, 2] = pull * gx, pull * gy, pull * gz
+            if dense.start[cell] == dense.start[cell + 1]:
+                continue
+            room, count = _near_by(cell, particles, shape, ranges, room)
+            for place in range(start[cell], start[cell + 1]):
+                if slope[place] > 0.0:
+                    gx, gy, gz = _slopes(
+                        particles.x[place], particles.y[place], particles.z[place], room, count, inverse
+                    )
+                    pull, at = scale * slope[place], order[place]
+                    gradient[at, 0] += pull * gx
+                    gradient[at, 1] += pull * gy
+                    gradient[at, 2] += pull * gz
+
+
+@njit(cache=True, inline="always")
+def _near_by(
+    cell: int, particles: Particles, shape: tuple[int, int, int], ranges: np.ndarray, room: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Write x, y, z and weight of all vertices in a cell and those round it to `room` [4, vertex]: one run for the
+    compiler. Returns it, or a larger one, and the number of vertices."""
+    found = cell_columns(cell, shape, particles.start, ranges)
+    count = 0
+    for column in range(found):
+        count += ranges[column, 1] - ranges[column, 0]
+    if count > room.shape[1]:
+        room = np.empty((4, 2 * count), np.float32)
+    at = 0
+    for column in range(found):
+        for place in range(ranges[column, 0], ranges[column, 1]):
+            room[0, at], room[1, at] = particles.x[place], particles.y[place]
+            room[2, at], room[3, at] = particles.z[place], particles.weight[place]
+            at += 1
+    return room, count
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _slopes(
+    px: np.float32, py: np.float32, pz: np.float32, others: np.ndarray, count: int, inverse: np.float32
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Weighted sum over the first `count` of `others` [4, vertex] of the gradient of Eq. 13 at p, times h / 3."""
+    gx, gy, gz = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    xs, ys, zs, weights = others[0, :count], others[1, :count], others[2, :count], others[3, :count]
+    for other in range(count):
+        dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
+        r = np.sqrt(dx * dx + dy * dy + dz * dz)
+        q = r * inverse
+        far, near = max(np.float32(2.0) - q, np.float32(0.0)), max(np.float32(1.0) - q, np.float32(0.0))
+        falls = weights[other] * (np.float32(4.0) * near * near - far * far) / max(r, np.float32(1e-8))
+        gx += falls * dx
+        gy += falls * dy
+        gz += falls * dz
+    return gx, gy, gz

@@ -1,24 +1,38 @@
 """Eqs. 6, 7, 9 and 10 of whole strands in one compiled pass, value and gradient.
 
 The same terms written out in torch are `HairEnergy.reference_terms`; a test holds the two together. A strand's 24
-vertices fit in cache, so one pass costs little more than reading them, and each vertex starts its search for the
-nearest face from its neighbour's.
+vertices fit in cache, so one pass costs little more than reading them. A vertex looks up whether it is free of the body
+or at least outside, where only faces within its margin are sought; where neither is known, the search is bounded by
+the distance to the last face that its strand came across.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import get_num_threads, njit, prange
 from torch.autograd.function import FunctionCtx
 
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.rest_state import RestState
-from quaffure.geometry.clear_cells import REACH, is_clear
-from quaffure.geometry.face_tree import MAX_DEPTH, closest_on_triangle, search
-from quaffure.geometry.neighbors import check_finite
+from quaffure.geometry.clear_cells import FREE, OUTSIDE, REACH, SpaceMap, whereabouts
+from quaffure.geometry.face_tree import LANES, closest_on_triangle, squared_distance
+from quaffure.geometry.neighbors import check_finite, dealt
 from quaffure.geometry.surface import Surface
+from quaffure.geometry.wide_tree import WIDE_STACK, WideTree, nearest_face
 from quaffure.types import EdgeVectors, Float, Positions, Tensor
 
 TERMS = ("stretch_shear", "stretch", "gravity", "body_collision")
+_RUN = 16  # strands that one thread takes in turn: near neighbours, each hands the next a face to start from
+
+
+class _Body(NamedTuple):
+    """One posed body, as the kernel reads it: see `Surface`."""
+
+    corners: np.ndarray
+    normals: np.ndarray
+    tree: WideTree
+    space: SpaceMap
 
 
 def strand_energy(
@@ -57,16 +71,14 @@ class _StrandEnergy(torch.autograd.Function):
         positions = positions.contiguous()
         gradient = torch.empty_like(positions)
         per_strand = np.empty((*positions.shape[:2], len(TERMS)), np.float64)
-        tree = surface.topology.tree
         stiffness = np.array(
             [material.k_cosserat, material.k_stretch, STANDARD_GRAVITY, material.k_body_collision], np.float32
         )
         _strands(
             positions.detach().numpy(), director.detach().contiguous().numpy(),
             rest.rest_length.numpy(), rest.mass.numpy(), rest.collision_margin.numpy(), stiffness,
-            surface.corners, surface.normals, surface.bounds, tree.first, tree.second,
-            surface.clear_origin, surface.clear,
-            per_strand, gradient.numpy(),
+            surface.corners, surface.normals, surface.wide, surface.map,
+            get_num_threads(), per_strand, gradient.numpy(),
         )  # fmt: skip
         ctx.save_for_backward(gradient)
         terms = torch.from_numpy(per_strand.sum(axis=1)).to(positions.dtype)
@@ -89,34 +101,35 @@ def _strands(
     stiffness: np.ndarray,
     corners: np.ndarray,
     normals: np.ndarray,
-    bounds: np.ndarray,
-    first: np.ndarray,
-    second: np.ndarray,
-    clear_origin: np.ndarray,
-    clear: np.ndarray,
+    wide: WideTree,
+    space: SpaceMap,
+    threads: int,
     terms: np.ndarray,
     gradient: np.ndarray,
 ) -> None:
     batch, strands = positions.shape[:2]
-    for index in prange(batch * strands):
-        sample, strand = index // strands, index % strands
-        x, out = positions[sample, strand], gradient[sample, strand]
-        terms[sample, strand, 0], terms[sample, strand, 1], terms[sample, strand, 2] = _elastic_and_gravity(
-            x, directors[sample, strand], rest_length[strand], mass[strand], stiffness, out
-        )
-        terms[sample, strand, 3] = _contact(
-            x,
-            margin[strand],
-            stiffness[3],
+    runs = (strands + _RUN - 1) // _RUN
+    for index in prange(batch * runs + threads):
+        item = dealt(index, batch * runs, threads)
+        if item >= batch * runs:
+            continue
+        sample = item // runs
+        body = _Body(
             corners[sample],
             normals[sample],
-            bounds[sample],
-            first,
-            second,
-            clear_origin[sample],
-            clear[sample],
-            out,
+            WideTree(wide.blocks[sample], wide.boxes[sample], wide.levels),
+            SpaceMap(
+                space.origin[sample], space.clear[sample], space.slot[sample], space.outside[sample], space.free[sample]
+            ),
         )
+        stack, room = np.empty(WIDE_STACK, np.int32), np.empty(WIDE_STACK + 2 * LANES, np.float32)
+        seed = 0
+        for strand in range((item % runs) * _RUN, min(strands, (item % runs + 1) * _RUN)):
+            x, out, of_strand = positions[sample, strand], gradient[sample, strand], terms[sample, strand]
+            of_strand[0], of_strand[1], of_strand[2] = _elastic_and_gravity(
+                x, directors[sample, strand], rest_length[strand], mass[strand], stiffness, out
+            )
+            of_strand[3], seed = _contact(x, margin[strand], stiffness[3], body, seed, stack, room, out)
 
 
 @njit(cache=True, fastmath=True, inline="always")
@@ -157,36 +170,55 @@ def _elastic_and_gravity(
 
 @njit(cache=True, fastmath=True, inline="always")
 def _contact(
-    x: np.ndarray, margin: np.ndarray, k_body_collision: float,
-    corners: np.ndarray, normals: np.ndarray, bounds: np.ndarray, first: np.ndarray, second: np.ndarray,
-    clear_origin: np.ndarray, clear: np.ndarray, gradient: np.ndarray,
-) -> float:  # fmt: skip
-    stack = np.empty(MAX_DEPTH, np.int32)
-    place = search(x[0], 0, corners, bounds, first, second, stack)
-    energy = 0.0
+    x: np.ndarray, margin: np.ndarray, k_body_collision: float, body: _Body, seed: int,
+    stack: np.ndarray, room: np.ndarray, gradient: np.ndarray,
+) -> tuple[float, int]:  # fmt: skip
+    """Eq. 10 of a strand, and the first face that it met: a good `seed` for the next strand."""
+    energy, place, first = 0.0, seed, -1
     for vertex in range(1, len(x)):
-        if is_clear(x[vertex, 0], x[vertex, 1], x[vertex, 2], clear_origin, clear):
-            continue
-        place = search(x[vertex], place, corners, bounds, first, second, stack)
         px, py, pz = x[vertex, 0], x[vertex, 1], x[vertex, 2]
-        cx, cy, cz, feature = closest_on_triangle(corners[place], px, py, pz)
-        ox, oy, oz = px - cx, py - cy, pz - cz
-        nx, ny, nz = normals[place, feature, 0], normals[place, feature, 1], normals[place, feature, 2]
-        distance = np.sqrt(ox * ox + oy * oy + oz * oz)
-        inside = ox * nx + oy * ny + oz * nz < 0.0
-        signed = -distance if inside else distance
-        short = margin[vertex] - signed
-        if short <= 0.0:
+        where = whereabouts(px, py, pz, body.space)
+        if where == FREE:
             continue
-        energy += k_body_collision * short * short * short
-        if distance > np.float32(1e-7):
-            scale = np.float32(1.0) / signed
-            nx, ny, nz = ox * scale, oy * scale, oz * scale
+        if where == OUTSIDE:
+            found = nearest_face(px, py, pz, -1, margin[vertex] * margin[vertex], body.tree, stack, room)
+            if found < 0:
+                continue
         else:
-            scale = np.float32(1.0) / np.sqrt(nx * nx + ny * ny + nz * nz)
-            nx, ny, nz = nx * scale, ny * scale, nz * scale
-        force = np.float32(3.0) * k_body_collision * short * short
-        gradient[vertex, 0] -= force * nx
-        gradient[vertex, 1] -= force * ny
-        gradient[vertex, 2] -= force * nz
-    return energy
+            squared = squared_distance(body.corners[place], px, py, pz)
+            found = nearest_face(px, py, pz, place, squared, body.tree, stack, room)
+        place = found
+        if first < 0:
+            first = found
+        energy += _push(
+            px, py, pz, margin[vertex], k_body_collision, body.corners[found], body.normals[found], gradient[vertex]
+        )
+    return energy, (first if first >= 0 else seed)
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _push(
+    px: float, py: float, pz: float, margin: float, k_body_collision: float,
+    triangle: np.ndarray, normals: np.ndarray, gradient: np.ndarray,
+) -> float:  # fmt: skip
+    """Eq. 10 of a vertex whose nearest face is known, its gradient added to `gradient`."""
+    cx, cy, cz, feature = closest_on_triangle(triangle, px, py, pz)
+    ox, oy, oz = px - cx, py - cy, pz - cz
+    nx, ny, nz = normals[feature, 0], normals[feature, 1], normals[feature, 2]
+    distance = np.sqrt(ox * ox + oy * oy + oz * oz)
+    inside = ox * nx + oy * ny + oz * nz < 0.0
+    signed = -distance if inside else distance
+    short = margin - signed
+    if short <= 0.0:
+        return 0.0
+    if distance > np.float32(1e-7):
+        scale = np.float32(1.0) / signed
+        nx, ny, nz = ox * scale, oy * scale, oz * scale
+    else:
+        scale = np.float32(1.0) / np.sqrt(nx * nx + ny * ny + nz * nz)
+        nx, ny, nz = nx * scale, ny * scale, nz * scale
+    force = np.float32(3.0) * k_body_collision * short * short
+    gradient[0] -= force * nx
+    gradient[1] -= force * ny
+    gradient[2] -= force * nz
+    return k_body_collision * short * short * short

@@ -1,17 +1,20 @@
 """Bounding-box tree over the faces of a mesh: built once for a topology, refitted to every pose.
 
-Nodes are stored parents first, so one backward sweep refits them. The compiled functions work on one posed mesh.
-Their torch twin is `quaffure.geometry.signed_distance.nearest_faces_reference`.
+Nodes are stored parents first, so one backward sweep refits them. The compiled functions work on one posed mesh, in any
+precision. Their torch twin is `quaffure.geometry.signed_distance.foot_points_reference`. Where only nearest faces are
+wanted, in single precision, `quaffure.geometry.wide_tree` over the same order of faces is several times as fast.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit, prange
+from numba import njit
 
 LEAF_SIZE = 4
 MAX_DEPTH = 64
+LANES = 16
+"""Children of a node and faces of a block in the wide tree."""
 
 
 @dataclass(frozen=True)
@@ -23,15 +26,18 @@ class FaceTree:
         first: of a leaf, its first place in `face_order`; of an inner node, its left child. The right child is
             `second`.
         second: of a leaf, minus its number of faces; of an inner node, its right child.
+        levels: of the wide tree, the first node of every level from the lowest up, then the number of nodes, then
+            that of faces. The children of the lowest level are blocks of `LANES` places of `face_order`.
     """
 
     face_order: Int[np.ndarray, " k"]
     first: Int[np.ndarray, " m"]
     second: Int[np.ndarray, " m"]
+    levels: Int[np.ndarray, " l"]
 
 
 def build_face_tree(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "k 3"]) -> FaceTree:
-    """Tree by median splits of the face centroids along the widest axis."""
+    """Trees by splits of the face centroids along the widest axis, in halves of whole blocks."""
     centroids = vertices[faces].mean(axis=1)
     order = np.arange(len(faces), dtype=np.int32)
     first: list[int] = []
@@ -50,11 +56,33 @@ def build_face_tree(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "
         second.append(0)
         spread = centroids[order[start:stop]]
         axis = int(np.argmax(spread.max(axis=0) - spread.min(axis=0)))
-        middle = (start + stop) // 2
+        middle = start + _left_share(stop - start)
         order[start:stop] = order[start:stop][np.argpartition(spread[:, axis], middle - start)]
         pending.append((middle, stop, node, True))
         pending.append((start, middle, node, False))
-    return FaceTree(order, np.array(first, np.int32), np.array(second, np.int32))
+    return FaceTree(order, np.array(first, np.int32), np.array(second, np.int32), _wide_levels(len(faces)))
+
+
+def _left_share(count: int) -> int:
+    """How many of `count` faces go left: half, in the largest power of `LANES` that splits them.
+
+    Every block, and every node of the wide tree, then is a node of the binary one: a compact piece of the surface.
+    """
+    if count <= LANES:
+        return count // 2
+    unit = LANES
+    while unit * LANES < count:
+        unit *= LANES
+    return unit * max(1, -(-count // unit) // 2)
+
+
+def _wide_levels(face_count: int) -> Int[np.ndarray, " l"]:
+    children = -(-face_count // LANES)
+    starts = [0]
+    while len(starts) == 1 or children > 1:
+        children = -(-children // LANES)
+        starts.append(starts[-1] + children)
+    return np.array([*starts, face_count], np.int64)
 
 
 @njit(cache=True)  # no fastmath: it may take infinities for granted not to be there
@@ -92,6 +120,7 @@ def closest_on_triangle(triangle: np.ndarray, x: float, y: float, z: float) -> t
 
     Ericson, Real-Time Collision Detection (2005), section 5.1.5, by Voronoi regions.
     """
+    none = np.float32(1e-30)  # a face without area divides by nothing else
     ax, ay, az = triangle[0, 0], triangle[0, 1], triangle[0, 2]
     abx, aby, abz = triangle[1, 0] - ax, triangle[1, 1] - ay, triangle[1, 2] - az
     acx, acy, acz = triangle[2, 0] - ax, triangle[2, 1] - ay, triangle[2, 2] - az
@@ -106,7 +135,7 @@ def closest_on_triangle(triangle: np.ndarray, x: float, y: float, z: float) -> t
     if d3 >= 0.0 and d4 <= d3:
         return ax + abx, ay + aby, az + abz, 5
     vc = d1 * d4 - d3 * d2
-    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0 and d1 > d3:  # d1 - d3 is the squared edge: none, where corners coincide
         t = d1 / (d1 - d3)
         return ax + t * abx, ay + t * aby, az + t * abz, 1
     cpx, cpy, cpz = apx - acx, apy - acy, apz - acz
@@ -116,15 +145,21 @@ def closest_on_triangle(triangle: np.ndarray, x: float, y: float, z: float) -> t
         return ax + acx, ay + acy, az + acz, 6
     vb = d5 * d2 - d1 * d6
     if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        t = d2 / (d2 - d6)
+        t = d2 / max(d2 - d6, none)
         return ax + t * acx, ay + t * acy, az + t * acz, 3
     va = d3 * d6 - d5 * d4
     if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        t = (d4 - d3) / max((d4 - d3) + (d5 - d6), none)
         return ax + abx + t * (acx - abx), ay + aby + t * (acy - aby), az + abz + t * (acz - abz), 2
-    scale = np.float32(1.0) / (va + vb + vc)
+    scale = np.float32(1.0) / max(va + vb + vc, none)
     v, w = vb * scale, vc * scale
     return ax + v * abx + w * acx, ay + v * aby + w * acy, az + v * abz + w * acz, 0
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def squared_distance(triangle: np.ndarray, x: float, y: float, z: float) -> float:
+    cx, cy, cz, _ = closest_on_triangle(triangle, x, y, z)
+    return (x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2
 
 
 @njit(cache=True, fastmath=True)
@@ -175,20 +210,3 @@ def search(
             stack[top] = near
             top += 1
     return place
-
-
-@njit(cache=True, parallel=True, fastmath=True)
-def search_all(
-    points: np.ndarray, corners: np.ndarray, bounds: np.ndarray, first: np.ndarray, second: np.ndarray
-) -> np.ndarray:
-    """Places of the faces nearest to `points` [p, 3]; neighbours in the list should be neighbours in space."""
-    count = len(points)
-    places = np.empty(count, np.int32)
-    chunk = 256
-    for block in prange((count + chunk - 1) // chunk):
-        stack = np.empty(MAX_DEPTH, np.int32)
-        place = 0
-        for index in range(block * chunk, min(count, (block + 1) * chunk)):
-            place = search(points[index], place, corners, bounds, first, second, stack)
-            places[index] = place
-    return places

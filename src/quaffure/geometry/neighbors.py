@@ -87,6 +87,17 @@ def sort_into_cells(points: np.ndarray, size: np.float32) -> tuple[np.ndarray, n
 
 
 @njit(cache=True, inline="always")
+def dealt(index: int, count: int, threads: int) -> int:
+    """The item that comes up at `index` of a parallel loop over `count` + `threads` when items are dealt like cards.
+
+    Each thread takes one run of indices; dense places lie together in space, and would all fall to one of them.
+    Indices without an item give `count` or more.
+    """
+    rounds = (count + threads - 1) // threads
+    return (index % rounds) * threads + index // rounds if index < rounds * threads else count
+
+
+@njit(cache=True, inline="always")
 def cell_columns(cell: int, shape: tuple[int, int, int], start: np.ndarray, ranges: np.ndarray) -> int:
     """Write the ranges of sorted places of the 3 x 3 columns of cells round `cell`; return how many there are.
 

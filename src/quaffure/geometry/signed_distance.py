@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from quaffure.geometry.face_tree import search_all
 from quaffure.geometry.surface import Surface, reference_surface_normals
+from quaffure.geometry.wide_tree import search_all
 from quaffure.types import Float, Int, Tensor
 
 _REFERENCE_PAIRS = 4_000_000  # point-face pairs that the twin holds in memory at once
@@ -39,7 +39,7 @@ def foot_points(points: Float[Tensor, "b p 3"], surface: Surface) -> FootPoints:
     samples = []
     for sample, of_sample in enumerate(points.detach()):
         array = np.ascontiguousarray(of_sample.numpy(), dtype=np.float32)
-        places = search_all(array, surface.corners[sample], surface.bounds[sample], tree.first, tree.second)
+        places = search_all(array, surface.corners[sample], surface.wide_tree(sample))
         faces = torch.from_numpy(tree.face_order[places]).long()
         triangles = surface.vertices[sample].detach().to(points)[surface.topology.faces[faces]]
         barycentric, feature = closest_barycentric(of_sample, triangles)
@@ -92,7 +92,8 @@ def closest_barycentric(
         dim=-1,
     )
     candidates = [inside]
-    features = [torch.where((inside >= 0).all(-1), 0, -1)]
+    # A face without area has no plane: its weights do not add up, and its edges answer for it.
+    features = [torch.where((inside >= 0).all(-1) & ((inside.sum(-1) - 1).abs() < 1e-3), 0, -1)]
     for edge in range(3):
         start, end = triangles[..., edge, :], triangles[..., (edge + 1) % 3, :]
         along = end - start

@@ -7,9 +7,10 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from numba import njit, prange
 
-from quaffure.geometry.clear_cells import CELLS, ORIGIN, find_clear_cells
+from quaffure.geometry.clear_cells import CELLS, MOST_SPLIT, ORIGIN, SpaceMap, find_clear_cells, split_near_cells
 from quaffure.geometry.face_tree import FaceTree, build_face_tree, refit
 from quaffure.geometry.mesh import angle_weighted_vertex_normals, face_normals, opposite_faces
+from quaffure.geometry.wide_tree import WideTree, refit_wide, wide_tree_room
 from quaffure.types import MeshFaces, MeshVertices, Tensor
 
 
@@ -44,6 +45,8 @@ class Surface:
             (Baerentzen and Aanaes 2005).
         clear_origin: corner of the grid of clear cells [m]; see `quaffure.geometry.clear_cells`.
         clear: 1 where a cell is outside and clear of the surface.
+        wide: the tree that nearest faces are sought in.
+        map: what is known of each place in space round `clear_origin`.
     """
 
     topology: SurfaceTopology
@@ -53,6 +56,12 @@ class Surface:
     normals: Float[np.ndarray, "b k 7 3"]
     clear_origin: Float[np.ndarray, "b 3"]
     clear: UInt8[np.ndarray, "b x y z"]
+    wide: WideTree
+    map: SpaceMap
+
+    def wide_tree(self, sample: int) -> WideTree:
+        """The tree of one pose."""
+        return WideTree(self.wide.blocks[sample], self.wide.boxes[sample], self.wide.levels)
 
 
 def surface_topology(vertices: Float[Tensor, "v 3"], faces: MeshFaces) -> SurfaceTopology:
@@ -85,18 +94,27 @@ def posed_surface(
     array = np.ascontiguousarray(vertices.detach().cpu().numpy(), dtype=np.float32)
     centre = array.mean(axis=1) if focus is None else focus.detach().cpu().numpy().astype(np.float32)
     batch, places, nodes = len(array), len(topology.tree_faces), len(topology.tree.first)
+    origin, clear = centre + ORIGIN, np.empty((batch, CELLS, CELLS, CELLS), np.uint8)
     surface = Surface(
         topology=topology,
         vertices=vertices,
         corners=np.empty((batch, places, 3, 3), np.float32),
         bounds=np.empty((batch, nodes, 6), np.float32),
         normals=np.empty((batch, places, 7, 3), np.float32),
-        clear_origin=centre + ORIGIN,
-        clear=np.empty((batch, CELLS, CELLS, CELLS), np.uint8),
+        clear_origin=origin,
+        clear=clear,
+        wide=wide_tree_room(topology.tree.levels, batch),
+        map=SpaceMap(
+            origin,
+            clear,
+            np.empty(clear.shape, np.int32),
+            np.empty((batch, MOST_SPLIT), np.uint64),
+            np.empty((batch, MOST_SPLIT), np.uint64),
+        ),
     )
     _fill(
         array, topology.tree_faces, topology.tree_opposite, topology.tree.first, topology.tree.second,
-        surface.corners, surface.bounds, surface.normals, surface.clear_origin, surface.clear,
+        surface.corners, surface.bounds, surface.normals, surface.wide, surface.map,
     )  # fmt: skip
     return surface
 
@@ -111,8 +129,8 @@ def _fill(
     corners: np.ndarray,
     bounds: np.ndarray,
     normals: np.ndarray,
-    clear_origin: np.ndarray,
-    clear: np.ndarray,
+    wide: WideTree,
+    space: SpaceMap,
 ) -> None:
     for sample in prange(len(vertices)):
         for place in range(len(faces)):
@@ -121,8 +139,15 @@ def _fill(
                     corners[sample, place, corner, axis] = vertices[sample, faces[place, corner], axis]
         _pseudonormals(corners[sample], faces, opposite, vertices.shape[1], normals[sample])
         refit(corners[sample], first, second, bounds[sample])
+        refit_wide(corners[sample], WideTree(wide.blocks[sample], wide.boxes[sample], wide.levels))
         find_clear_cells(
-            corners[sample], normals[sample], bounds[sample], first, second, clear_origin[sample], clear[sample]
+            corners[sample], normals[sample], bounds[sample], first, second, space.origin[sample], space.clear[sample]
+        )
+        split_near_cells(
+            corners[sample],
+            SpaceMap(
+                space.origin[sample], space.clear[sample], space.slot[sample], space.outside[sample], space.free[sample]
+            ),
         )
 
 

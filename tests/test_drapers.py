@@ -34,7 +34,7 @@ def test_adam_finds_the_closed_form_where_nothing_touches() -> None:
     sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, material.k_cosserat)
     expected = integrate_directions(scene.posed[:, :, 0], sag, rest.rest_length)
     # Adam starts from the sag itself: shake it, to make the solver work.
-    with mock.patch("quaffure.drapers.adam.sagged_vectors", return_value=sag + 0.3 * torch.randn(sag.shape)):
+    with mock.patch("quaffure.drapers.descent.sagged_vectors", return_value=sag + 0.3 * torch.randn(sag.shape)):
         draped, report = AdamDraper(material, steps=200).solve(scene)
     assert report.relative_gradient < 0.02
     torch.testing.assert_close(draped, expected, atol=5e-4, rtol=0)

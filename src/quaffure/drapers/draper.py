@@ -34,7 +34,7 @@ class StoppingReport:
 
     Attributes:
         energy: mean energy of the samples [J].
-        relative_gradient: norm of the gradient over that at the start.
+        relative_gradient: of the worst sample, as `quaffure.drapers.stopping` defines it.
         iterations: energy evaluations.
         seconds: wall time.
     """

@@ -70,6 +70,17 @@ def transported_frames(director: EdgeVectors) -> Quaternions:
     return torch.stack(frames, dim=-2)
 
 
+def carried_frames(frames: Quaternions, director: EdgeVectors, positions: Positions) -> Quaternions:
+    """`frames` whose third axes are the directors, each turned with its edge by the smallest angle.
+
+    Without a direction, and zero here, where an edge points exactly against its director.
+    """
+    tangent = torch.nn.functional.normalize(edges(positions), dim=-1)
+    aligned = 1 + (director * tangent).sum(-1, keepdim=True)
+    turn = torch.cat([aligned, torch.linalg.cross(director.expand_as(tangent), tangent)], dim=-1)
+    return quaternion_multiply(torch.nn.functional.normalize(turn, dim=-1), frames.expand(*turn.shape))
+
+
 def third_axis(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3"]:
     """Im(q e3 conj(q)), the director of a quaternion: of length |q|^2."""
     w, x, y, z = quaternion.unbind(-1)

@@ -1,7 +1,8 @@
 """The elastic models of the paper by name, behind one interface: what resists gravity and contact in a strand.
 
     state = elastic_model("cosserat").on(posed, rest_length)
-    energy = state.energy(positions, state.unknowns)        # minimize over both
+    energy = state.energy(positions, state.unknowns)                         # minimize over both, or, much faster,
+    energy = state.energy(positions, state.following(positions, turns))      # over positions and `turns`
 
 The modified model is the default everywhere; the full rod and the springs serve validation and the ablation of Fig. 10.
 """
@@ -17,6 +18,7 @@ from quaffure.energies.cosserat import (
     Quaternions,
     RodStiffness,
     bend_twist_strain,
+    carried_frames,
     energy_bend_twist,
     energy_unit_quaternion,
     relative_rotations,
@@ -35,7 +37,8 @@ from quaffure.energies.mass_spring import (
     with_ghosts,
 )
 from quaffure.errors import InputError
-from quaffure.types import Energy, Float, Positions, RestLengths, Tensor
+from quaffure.geometry.rotation import quaternion_multiply
+from quaffure.types import EdgeVectors, Energy, Float, Positions, RestLengths, Tensor
 
 Unknowns = Float[Tensor, "b s e u"]
 
@@ -46,10 +49,22 @@ class ElasticState(Protocol):
     Attributes:
         unknowns: what the model needs to know of every edge beside the positions, as on the posed strands; a solver
             minimizes over it too. Its last axis is empty for models of positions alone.
+        no_turns: the `turns` of `following` that change nothing.
     """
 
     @property
     def unknowns(self) -> Unknowns: ...
+
+    @property
+    def no_turns(self) -> Unknowns: ...
+
+    def following(self, positions: Positions, turns: Unknowns) -> Unknowns:
+        """Unknowns that follow the edges of `positions` [m] from the posed strands, then changed by `turns`.
+
+        A frame is held to its edge a thousand times more stiffly than to its neighbour. With the two moving together
+        that stiffness is out of a solver's way.
+        """
+        ...
 
     def energy(self, positions: Positions, unknowns: Unknowns) -> Energy:
         """Elastic energy of every sample [J]; a state of one sample serves a batch of positions [m]."""
@@ -129,6 +144,11 @@ class _ModifiedCosseratState:
     def unknowns(self) -> Unknowns:
         return _no_unknowns(self.posed)
 
+    no_turns = unknowns
+
+    def following(self, positions: Positions, turns: Unknowns) -> Unknowns:
+        return turns
+
     @cached_property
     def director(self) -> Tensor:
         return directors(self.posed)
@@ -146,8 +166,19 @@ class _CosseratState:
     rest_length: RestLengths
 
     @cached_property
+    def director(self) -> EdgeVectors:
+        return directors(self.posed)
+
+    @cached_property
     def unknowns(self) -> Quaternions:
-        return transported_frames(directors(self.posed))
+        return transported_frames(self.director)
+
+    @property
+    def no_turns(self) -> Quaternions:
+        return self.posed.new_tensor([1.0, 0.0, 0.0, 0.0]).expand_as(self.unknowns)
+
+    def following(self, positions: Positions, turns: Quaternions) -> Quaternions:
+        return quaternion_multiply(turns, carried_frames(self.unknowns, self.director, positions))
 
     @cached_property
     def rest_relative(self) -> Tensor:
@@ -181,6 +212,11 @@ class _MassSpringState:
     @property
     def unknowns(self) -> Unknowns:
         return _no_unknowns(self.posed)
+
+    no_turns = unknowns
+
+    def following(self, positions: Positions, turns: Unknowns) -> Unknowns:
+        return turns
 
     @cached_property
     def rest_lengths(self) -> dict[int, Tensor]:

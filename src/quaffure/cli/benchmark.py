@@ -1,0 +1,148 @@
+"""`quaffure benchmark solvers`: energy against time for every solver on the same drapes."""
+
+import importlib.util
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import torch
+import tyro
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.motion import Motion
+from quaffure.cli.console import console, print_json, print_rows
+from quaffure.cli.inputs import motion_of
+from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.errors import InputError
+from quaffure.evaluation.solver_benchmark import Budget, Case, Run, budgets, report, run_benchmark
+from quaffure.groom.groom import Groom
+from quaffure.io.atomic import replacing
+from quaffure.io.load_groom import load_groom
+
+QUICK_STRANDS = 100
+
+
+@dataclass(frozen=True)
+class BenchmarkCommand:
+    """Drape the same frames by every solver with several budgets; print, write and plot energy against time."""
+
+    what: Annotated[tyro.conf.Positional[Literal["solvers"]], tyro.conf.arg(metavar="{solvers}")]
+    """What to compare."""
+    out: Path
+    """The .json file to write; a plot goes beside it as .png."""
+    groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """A bundled groom or a file; may be given several times. Without it, long_straight."""
+    motion: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """A bundled clip or a file; may be given several times. Without it, neck_turn, bow and shrug."""
+    frames: str = ""
+    """Frames A:B:STEP of every motion, each a case; without it, the middle one."""
+    solver: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """A solver to run; may be given several times. Without it, all."""
+    strands: int | None = None
+    """Drape only so many strands of each groom, evenly chosen."""
+    quick: bool = False
+    """Small budgets on 100 strands, one case: some seconds."""
+    json: bool = False
+    """Print the file's content instead of a table."""
+
+    def run(self) -> None:
+        chosen = self._budgets()
+        self._check_out()
+        body = load_body()
+        cases = self._cases(body)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=console, transient=True, disable=self.json) as progress:
+            task = progress.add_task("compiling", total=len(cases) * len(chosen))
+            begun: list[str] = []
+
+            def on_run(label: str) -> None:
+                progress.update(task, description=label, completed=len(begun))
+                begun.append(label)
+
+            runs = run_benchmark(cases, chosen, on_run=on_run)
+        written = report(runs, chosen)
+        with replacing(self.out) as beside:
+            beside.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
+        drawn = self._plot(runs)
+        if self.json:
+            print_json(written)
+            return
+        for case in cases:
+            print_rows([_row(run) for run in runs if run.case == case.name], case.name)
+        if any(run.share < 1 for run in runs):
+            console.print("~ extrapolated from a part of the run")
+        console.print(drawn)
+
+    def _budgets(self) -> list[Budget]:
+        every = budgets(self.quick)
+        known = list(dict.fromkeys(budget.solver for budget in every))
+        for name in self.solver:
+            if name not in known:
+                raise InputError("--solver", f"one of {', '.join(known)}", f"'{name}'")
+        return [budget for budget in every if not self.solver or budget.solver in self.solver]
+
+    def _check_out(self) -> None:
+        """Before the work and not after it."""
+        if self.out.suffix.lower() != ".json":
+            raise InputError(self.out, "an output of suffix .json", f"suffix '{self.out.suffix}'")
+        if not self.out.parent.is_dir():
+            raise InputError(self.out, "a path in an existing folder", f"no folder {self.out.parent}")
+        if self.strands is not None and self.strands < 1:
+            raise InputError("--strands", "1 or more", f"{self.strands}")
+
+    def _cases(self, body: BodyModel) -> list[Case]:
+        motions = [motion_of(name, body) for name in self.motion or (("neck_turn",) if self.quick else _CLIPS)]
+        strands = self.strands if self.strands is not None else (QUICK_STRANDS if self.quick else None)
+        grooms = [_thinned(load_groom(name, body), strands) for name in self.groom or ("long_straight",)]
+        cases = []
+        for motion in motions:
+            for pose, name in _poses(motion, self.frames):
+                bodies = BodyBatch(body, pose, torch.zeros(1, 10))
+                cases += [Case(f"{groom.name}, {name}", Scene(groom, bodies)) for groom in grooms]
+        return cases
+
+    def _plot(self, runs: Sequence[Run]) -> str:
+        if importlib.util.find_spec("matplotlib") is None:
+            return f"written: {self.out}; no plot without matplotlib: pip install 'quaffure\\[docs]'"
+        from quaffure.evaluation.solver_plot import plot_runs
+
+        picture = self.out.with_suffix(".png")
+        plot_runs(picture, runs)
+        return f"written: {self.out}, {picture}"
+
+
+_CLIPS = ("neck_turn", "bow", "shrug")
+
+
+def _poses(motion: Motion, frames: str) -> list[tuple[torch.Tensor, str]]:
+    """Poses [1, 81] and what to call them."""
+    if not frames:
+        middle = len(motion) // 2
+        return [(motion.body_pose[middle : middle + 1], f"{motion.name} {middle}")]
+    chosen = motion.frames(frames).body_pose
+    return [(pose[None], f"{motion.name} {frames} #{index}") for index, pose in enumerate(chosen)]
+
+
+def _thinned(groom: Groom, strands: int | None) -> Groom:
+    if strands is None or strands >= len(groom):
+        return groom
+    return groom.select(torch.linspace(0, len(groom) - 1, strands).long())
+
+
+def _row(run: Run) -> dict[str, object]:
+    mark = "" if run.share == 1 else "~"
+    return {
+        "solver": run.solver,
+        "budget": run.effort or "",
+        "energy": run.energy,
+        "above the best": run.excess_energy,
+        "relative gradient": run.relative_gradient,
+        "body intersection %": run.body_intersection_percent,
+        "length error %": run.length_error_percent,
+        "density excess %": run.density_excess_percent,
+        "wall s": f"{mark}{run.seconds:.3g}",
+        "CPU s": f"{mark}{run.cpu_seconds:.3g}",
+    }

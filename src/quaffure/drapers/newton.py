@@ -1,0 +1,160 @@
+"""Newton's method on the vertices: the reference solver, whose minimum defines `excess_energy`.
+
+Each step solves a convex model of the whole energy by conjugate gradients, preconditioned by the block-tridiagonal
+factors of the strands (Nocedal and Wright 2006, section 7.1). Edges turn along arcs, so that a long step does not
+stretch them. Where single strands meet what the model did not foresee, a crease of the body or other hair, they alone
+take a shorter step. No step is taken that raises the energy.
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from quaffure.config import HairMaterial
+from quaffure.drapers.adam import AdamDraper
+from quaffure.drapers.draper import StoppingReport
+from quaffure.drapers.newton_system import NewtonSystem, PerStrand, PerVertex, Point, QuadraticModel, Vertices
+from quaffure.drapers.scene import Scene
+from quaffure.drapers.stopping import stopping_report
+from quaffure.drapers.xpbd import XpbdDraper
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.strand_newton import turn_edges
+from quaffure.types import Positions
+
+SUFFICIENT = 0.1
+"""Decrease that a step must bring, of what its slope promises."""
+TOLERABLE = 0.02
+"""What one strand may cost more than foreseen, of what the whole step promises."""
+SHORTER = 0.4
+_TRIALS = 12
+_INNER_ITERATIONS = 150
+
+
+@dataclass(frozen=True)
+class _Trust:
+    """What the model is told beyond derivatives; `quaffure.drapers.newton_system.QuadraticModel` explains both.
+
+    Both follow from the last step: hair that came closer resists sooner, a model that proved too stiff is softened.
+    """
+
+    slack: PerVertex
+    repulsion: float = 0.25
+
+    def after(self, rise: PerVertex, agreement: float, trials: int) -> "_Trust":
+        """The trust for the next step.
+
+        Args:
+            rise: of every density, had the whole step been taken [kg/m^3].
+            agreement: change of the energy over the model's for the whole step.
+            trials: steps tried.
+        """
+        repulsion = self.repulsion
+        if agreement > 1.1 and trials == 1:
+            repulsion *= 0.6
+        elif agreement < 0.6 or trials > 2:
+            repulsion *= 1.5
+        return _Trust(np.maximum(0.5 * self.slack, 0.7 * rise.clip(min=0)), min(max(repulsion, 0.05), 1.0))
+
+
+class NewtonDraper:
+    """Minimizes `HairEnergy` over vertices, roots held, from the better of where XPBD and Adam lead.
+
+    XPBD comes closer to rest, Adam on directions slides further where a head is bowed: never to end above either, it
+    asks both.
+
+    Attributes:
+        tolerance: norm of the gradient at which a sample is done, over that of gravity's gradient, which is also the
+            gradient of the posed groom away from the body: there nothing is bent or stretched.
+        steps: at most, a sample; fewer where none lowers the energy.
+    """
+
+    name = "newton"
+
+    def __init__(self, material: HairMaterial | None = None, tolerance: float = 1e-4, steps: int = 30) -> None:
+        self.material = material or HairMaterial()
+        self.tolerance, self.steps = tolerance, steps
+
+    def drape(self, scene: Scene) -> Positions:
+        return self.solve(scene)[0]
+
+    def solve(self, scene: Scene) -> tuple[Positions, StoppingReport]:
+        """Draped vertices [m] and where the solver stopped; its iterations are the evaluations of one sample."""
+        start = time.perf_counter()
+        energy = HairEnergy(scene.groom, self.material)
+        starts = torch.stack([draper.drape(scene) for draper in (XpbdDraper(self.material), AdamDraper(self.material))])
+        costs = torch.stack([energy.total(positions, scene.director, scene.surface) for positions in starts])
+        positions = starts[costs.argmin(dim=0), torch.arange(len(scene.posed))].detach()
+        evaluations = 0
+        for sample in range(len(positions)):
+            system = NewtonSystem(energy, scene, sample)
+            settled, _ = self.minimize(system, positions[sample].double().numpy())
+            positions[sample] = torch.from_numpy(settled)
+            evaluations += system.evaluations
+        seconds = time.perf_counter() - start
+        return positions, stopping_report(energy, scene, positions, evaluations // len(positions), seconds)
+
+    def minimize(self, system: NewtonSystem, positions: Vertices) -> tuple[Vertices, float]:
+        """Vertices [m] at or near a minimum, never higher than `positions`, and the relative norm of the gradient."""
+        trust = _Trust(np.full(positions.shape[:2], 0.05))
+        model = QuadraticModel(system, positions, trust.slack, trust.repulsion)
+        for _ in range(self.steps):
+            relative = float(np.linalg.norm(model.gradient)) / system.weight
+            if relative <= self.tolerance:
+                break
+            step = conjugate_gradients(model, min(0.1, 0.5 * relative**0.5))
+            reached, foreseen, trials, rise = _search(system, model, step)
+            agreement = (reached.energy - model.point.energy) / min(foreseen, -1e-300)
+            trust = trust.after(rise, agreement, trials)
+            if agreement <= 0 and trust.repulsion == 1.0:
+                break
+            positions = reached.positions if agreement > 0 else model.point.positions
+            model = QuadraticModel(system, positions, trust.slack, trust.repulsion)
+        return model.point.positions, float(np.linalg.norm(model.gradient)) / system.weight
+
+
+def conjugate_gradients(model: QuadraticModel, tolerance: float) -> Vertices:
+    """The model's minimum [m], to a preconditioned residual of `tolerance` relative to the gradient's."""
+    residual = -model.gradient
+    step, scaled = np.zeros_like(residual), model.precondition(residual)
+    direction, product = scaled.copy(), float((residual * scaled).sum())
+    target = tolerance**2 * product
+    for _ in range(_INNER_ITERATIONS):
+        image = model.product(direction)
+        curvature = float((direction * image).sum())
+        if curvature <= 0:
+            return step
+        length = product / curvature
+        step += length * direction
+        residual -= length * image
+        scaled = model.precondition(residual)
+        before, product = product, float((residual * scaled).sum())
+        if product <= target:
+            return step
+        direction = scaled + (product / before) * direction
+    return step
+
+
+def _search(system: NewtonSystem, model: QuadraticModel, step: Vertices) -> tuple[Point, float, int, PerVertex]:
+    """Shorten a step, strand by strand where strands are to blame, until it lowers the energy enough.
+
+    Returns where it leads, the change of energy that the model foresees for the whole step [J], the number of steps
+    tried, and by how much the whole step would have raised every density [kg/m^3].
+    """
+    slope = float((model.gradient * step).sum())
+    length: PerStrand = np.ones(len(step))
+    whole: PerVertex = np.empty(0)
+    for trial in range(1, _TRIALS + 1):
+        moved = np.empty_like(step)
+        turn_edges(model.point.positions, length[:, None, None] * step, moved)
+        reached = system.point(moved)
+        rise = reached.excess - model.point.excess
+        whole = rise if trial == 1 else whole
+        promised = slope * float(length.mean())
+        if reached.energy - model.point.energy <= SUFFICIENT * promised:
+            break
+        surprise = model.surprise(step, length, reached)
+        to_blame = surprise > -TOLERABLE * slope * 0.5**trial
+        length = np.where(to_blame if to_blame.any() and trial < _TRIALS // 2 else True, SHORTER * length, length)
+    return reached, 0.5 * slope, trial, whole

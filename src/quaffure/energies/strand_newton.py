@@ -1,0 +1,78 @@
+"""The strands' part of a Newton step, compiled: every strand is a block-tridiagonal system of its own."""
+
+import numpy as np
+from numba import njit, prange
+
+from quaffure.energies.block_tridiagonal import factor_strand
+from quaffure.energies.rounded_contact import Body
+from quaffure.energies.strand_hessian import Hair, strand_energy, strand_hessian
+
+SHORTEST_EDGE = 0.2
+"""No edge shrinks below this share of its length in one step."""
+
+
+@njit(cache=True, parallel=True)
+def strand_energies(positions: np.ndarray, hair: Hair, body: Body, places: np.ndarray, energies: np.ndarray) -> None:
+    """Fill the energy of every strand [J]; `places` as in `strand_energy`."""
+    for strand in prange(len(positions)):
+        energies[strand] = strand_energy(positions[strand], strand, hair, body, places[strand])
+
+
+@njit(cache=True, parallel=True)
+def linearize_strands(
+    positions: np.ndarray, hair: Hair, body: Body, places: np.ndarray, energies: np.ndarray, gradient: np.ndarray,
+    diagonal: np.ndarray, coupling: np.ndarray,
+) -> None:  # fmt: skip
+    """Fill energy [s], gradient [s, n, 3] and the convex Hessian's blocks (`strand_hessian`) of every strand."""
+    for strand in prange(len(positions)):
+        energies[strand] = strand_hessian(
+            positions[strand], strand, hair, body, places[strand], True,
+            gradient[strand], diagonal[strand], coupling[strand],
+        )  # fmt: skip
+
+
+@njit(cache=True, parallel=True)
+def factor_strands(diagonal: np.ndarray, coupling: np.ndarray, pivot_inverse: np.ndarray) -> int:
+    """`factor_strand` for every strand; return how many are not positive definite."""
+    failed = 0
+    for strand in prange(len(diagonal)):
+        if not factor_strand(diagonal[strand], coupling[strand], pivot_inverse[strand]):
+            failed += 1
+    return failed
+
+
+@njit(cache=True, parallel=True)
+def multiply_strands(diagonal: np.ndarray, coupling: np.ndarray, step: np.ndarray, product: np.ndarray) -> None:
+    """Fill the product of the strands' Hessians and a step [s, n, 3], zero at the roots."""
+    vertices = diagonal.shape[1]
+    for strand in prange(len(diagonal)):
+        product[strand, 0] = 0.0
+        for vertex in range(1, vertices):
+            for row in range(3):
+                total = 0.0
+                for column in range(3):
+                    total += diagonal[strand, vertex, row, column] * step[strand, vertex, column]
+                    if vertex > 1:
+                        total += coupling[strand, vertex - 1, row, column] * step[strand, vertex - 1, column]
+                    if vertex < vertices - 1:
+                        total += coupling[strand, vertex, row, column] * step[strand, vertex + 1, column]
+                product[strand, vertex, row] = total
+
+
+@njit(cache=True, parallel=True)
+def turn_edges(positions: np.ndarray, step: np.ndarray, moved: np.ndarray) -> None:
+    """Fill where a step [s, n, 3] leads when edges turn along arcs: what is across an edge does not lengthen it.
+
+    To first order `positions` + `step`, without the stretching of second order that a straight step brings.
+    """
+    for strand in prange(len(positions)):
+        moved[strand, 0] = positions[strand, 0]
+        edge, turned = np.empty(3), np.empty(3)
+        for vertex in range(1, positions.shape[1]):
+            edge[:] = positions[strand, vertex] - positions[strand, vertex - 1]
+            turned[:] = edge + step[strand, vertex] - step[strand, vertex - 1]
+            length = np.sqrt((edge * edge).sum())
+            wanted = max((edge * turned).sum() / length, SHORTEST_EDGE * length)
+            moved[strand, vertex] = moved[strand, vertex - 1] + turned * (
+                wanted / max(np.sqrt((turned * turned).sum()), 1e-12)
+            )

@@ -1,0 +1,198 @@
+"""Adam and L-BFGS on directions and positions, their common measure, and every elastic model."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.drapers.adam import AdamDraper, AdamPositionsDraper
+from quaffure.drapers.draper import Draper
+from quaffure.drapers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
+from quaffure.drapers.solvers import DESCENTS, MODIFIED_ONLY, SOLVERS, solver
+from quaffure.drapers.stopping import energy_and_gradient, relative_gradient, without_tensions
+from quaffure.energies.closed_form import sagged_edges, sagged_vectors
+from quaffure.energies.elastic_model import ELASTIC_MODELS
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.errors import InputError
+from quaffure.geometry.polyline import integrate_directions
+from tests.scenes import bent_inwards, sphere_groom, sphere_surface
+from tests.test_xpbd import scene_of, strands_by_hand
+
+FREE = HairMaterial(k_body_collision=0.0, k_self_collision=0.0)
+
+
+def horizontal_strand(length: float = 0.25) -> torch.Tensor:
+    """A straight strand [1 24 3] along x."""
+    strand = torch.zeros(1, 24, 3)
+    strand[0, :, 0] = torch.linspace(0, length, 24)
+    return strand
+
+
+# --- the solvers -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("draper", "share"),
+    [(AdamPositionsDraper(FREE, steps=500), 0.03), (LbfgsPositionsDraper(FREE, 800), 0.6)],
+    ids=["adam_positions", "lbfgs_positions"],
+)
+def test_free_strands_descend_towards_the_closed_form(
+    draper: AdamPositionsDraper | LbfgsPositionsDraper, share: float
+) -> None:
+    """At least a `share` of the energy between the posed groom and the exact minimum goes, and never more than all."""
+    scene = scene_of(sphere_groom(strands=12))
+    energy = HairEnergy(scene.groom, FREE)
+    rest = energy.rest
+    edges = sagged_edges(scene.director, rest.rest_length, rest.mass_beyond, FREE.k_cosserat, FREE.k_stretch)
+    exact = torch.cat([scene.posed[:, :, :1], scene.posed[:, :, :1] + edges.cumsum(2)], dim=2)
+    least, most = (float(energy.total(x, scene.director, scene.surface)) for x in (exact, scene.posed))
+    draped, report = draper.solve(scene)
+    assert least < most
+    assert share < (most - report.energy) / (most - least) < 1.001
+    assert torch.equal(draped[:, :, 0], scene.posed[:, :, 0])
+
+
+def test_lbfgs_on_directions_pushes_the_sag_out_of_the_body_and_keeps_lengths() -> None:
+    material = replace(HairMaterial(), k_self_collision=0.0)
+    scene = scene_of(sphere_groom(strands=12))
+    energy = HairEnergy(scene.groom, material)
+    rest = energy.rest
+    sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, material.k_cosserat)
+    start = integrate_directions(scene.posed[:, :, 0], sag, rest.rest_length)
+    before = float(energy.per_vertex(energy.total(start, scene.director, scene.surface)))
+    draped, report = LbfgsDraper(material).solve(scene)
+    after = float(energy.per_vertex(torch.tensor(report.energy)))
+    assert after < before - 0.1
+    assert torch.allclose(draped.diff(dim=2).norm(dim=-1), rest.rest_length.expand(1, -1, -1), rtol=1e-4)
+    assert torch.equal(draped[:, :, 0], scene.posed[:, :, 0])
+
+
+def test_every_name_makes_a_draper_that_knows_its_name() -> None:
+    for name in SOLVERS:
+        draper = solver(name, FREE)
+        assert isinstance(draper, Draper)
+        assert draper.material == FREE
+        assert draper.name == name.removesuffix("_paper")
+    for name in DESCENTS:
+        for elastic in ELASTIC_MODELS:
+            assert solver(name, FREE, elastic).elastic == elastic  # type: ignore[attr-defined]
+
+
+def test_unknown_names_and_models_that_a_solver_does_not_take_are_refused() -> None:
+    with pytest.raises(InputError, match=r"one of adam, .*magic"):
+        solver("magic")
+    with pytest.raises(InputError, match=r"one of modified_cosserat, .*jelly"):
+        solver("adam", elastic="jelly")
+    for name in MODIFIED_ONLY:
+        with pytest.raises(InputError, match=f"mass_spring.*adam.*{name}"):
+            solver(name, elastic="mass_spring")
+
+
+# --- where solvers stop ----------------------------------------------------------------------------------------------
+
+
+def test_tensions_along_the_edges_are_taken_out_of_a_gradient_and_nothing_else() -> None:
+    groom = sphere_groom(strands=3, vertices=7)
+    positions, _ = bent_inwards(groom)
+    generator = torch.Generator().manual_seed(0)
+    tangent = torch.nn.functional.normalize(positions.diff(dim=2), dim=-1)
+    balanced = torch.zeros_like(positions)
+    pull = torch.randn(tangent.shape[:3], generator=generator)[..., None] * tangent
+    balanced[:, :, 1:] += pull
+    balanced[:, :, :-1] -= pull
+    assert without_tensions(positions, balanced).abs().max() < 1e-5 * balanced.norm()
+    gradient = torch.randn(positions.shape, generator=generator)
+    left = without_tensions(positions, gradient)
+    assert (left.diff(dim=2) * tangent).sum(-1).abs().max() < 1e-5  # what is left lengthens no edge
+    assert left[:, :, 0].abs().max() == 0
+    torch.testing.assert_close(without_tensions(positions, gradient + 3 * balanced), left, atol=1e-4, rtol=1e-4)
+    assert 0.3 * gradient.norm() < left.norm() < gradient.norm()
+
+
+def test_solvers_on_directions_and_on_positions_end_at_the_same_measure() -> None:
+    scene = scene_of(sphere_groom(strands=12, vertices=8))
+    energy = HairEnergy(scene.groom, FREE)
+    posed = relative_gradient(energy, scene.posed, energy_and_gradient(energy, scene, scene.posed)[1])
+    weights = STANDARD_GRAVITY * energy.rest.mass[:, 1:].norm()
+    untouched = energy_and_gradient(energy, scene, scene.posed)[1]
+    assert float(untouched.norm() / weights) == pytest.approx(1, abs=0.2)
+    assert 0.3 < float(posed) < 1
+    on_directions = AdamDraper(FREE).solve(scene)[1]
+    on_positions = LbfgsPositionsDraper(FREE, 600).solve(scene)[1]
+    assert on_directions.relative_gradient < 1e-3
+    assert on_directions.relative_gradient < on_positions.relative_gradient < float(posed)
+
+
+# --- elastic models --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("elastic", "tip"),
+    # docs/validation.md, straight, 25 cm; here with edges that keep their lengths.
+    [
+        ("modified_cosserat", (140.9, 0, -188.4)),
+        ("cosserat", (34.2, 0, -237.2)),
+        ("mass_spring", (27.1, 0, -239.7)),
+    ],
+)
+def test_a_strand_hangs_as_its_elastic_model_is_documented_to(elastic: str, tip: tuple[float, float, float]) -> None:
+    scene = scene_of(strands_by_hand(horizontal_strand() + torch.tensor([0.1, 0.0, 0.5])))
+    draped, report = AdamDraper(FREE, elastic=elastic).solve(scene)
+    distance = (1000 * (draped[0, 0, -1] - draped[0, 0, 0]) - torch.tensor(tip)).norm()
+    assert distance < 2
+    assert report.relative_gradient < 0.02
+
+
+@pytest.mark.parametrize("elastic", list(ELASTIC_MODELS))
+def test_gradient_of_the_whole_energy_is_that_of_finite_differences(elastic: str) -> None:
+    groom = sphere_groom(strands=4, vertices=9)
+    groom = replace(groom, rest_strands=groom.rest_strands.double())
+    energy = HairEnergy(groom, HairMaterial(k_self_collision=1e-4), elastic)
+    surface = sphere_surface(1, dtype=torch.float64)
+    # Not as deep as they start: Eq. 10's cubic would drown the elastic part.
+    bent, director = (part.double() for part in bent_inwards(groom, batch=1))
+    bent = groom.rest_strands + 0.2 * (bent - groom.rest_strands)
+    turns = energy.no_turns(director) + 0.05 * torch.randn_like(energy.no_turns(director))
+    free = bent[:, :, 1:].clone().requires_grad_()
+    turns = turns.detach().requires_grad_()
+
+    def total(free: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
+        positions = torch.cat([bent[:, :, :1], free], dim=2)
+        unknowns = energy.following(positions, director, turns)
+        return 1e6 * energy.total(positions, director, surface, unknowns)
+
+    (gradient,) = torch.autograd.grad(total(free, turns).sum(), free)
+    assert gradient.abs().min() > 0
+    assert torch.autograd.gradcheck(total, (free, turns), eps=1e-7, atol=1e-3, rtol=1e-4)
+
+
+def test_compiled_and_reference_energy_agree_for_every_elastic_model() -> None:
+    groom = sphere_groom(strands=6)
+    positions, director = bent_inwards(groom, batch=1)
+    for elastic in ELASTIC_MODELS:
+        energy = HairEnergy(groom, elastic=elastic)
+        unknowns = energy.following(positions, director, energy.no_turns(director))
+        compiled = energy.terms(positions, director, sphere_surface(1), unknowns)
+        reference = energy.reference_terms(positions, director, sphere_surface(1), unknowns)
+        assert compiled.keys() >= {"gravity", "body_collision", "self_collision"}
+        assert ("elastic" in compiled) == (elastic != "modified_cosserat")
+        total = energy.total(positions, director, sphere_surface(1), unknowns)
+        torch.testing.assert_close(total, torch.stack(list(reference.values())).sum(0), rtol=1e-4, atol=0)
+        torch.testing.assert_close(total, torch.stack(list(compiled.values())).sum(0), rtol=1e-4, atol=0)
+
+
+def test_the_full_rod_asks_for_its_quaternions() -> None:
+    groom = sphere_groom(strands=2)
+    positions, director = bent_inwards(groom, batch=1)
+    with pytest.raises(ValueError, match="unknowns of the elastic model cosserat"):
+        HairEnergy(groom, elastic="cosserat").total(positions, director, sphere_surface(1))
+
+
+def test_frames_follow_their_edges() -> None:
+    groom = sphere_groom(strands=5)
+    positions, director = bent_inwards(groom, batch=1)
+    energy = HairEnergy(groom, elastic="cosserat")
+    w, x, y, z = energy.following(positions, director, energy.no_turns(director)).unbind(-1)
+    third = torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z], dim=-1)
+    torch.testing.assert_close(third, torch.nn.functional.normalize(positions.diff(dim=2), dim=-1), atol=1e-4, rtol=0)

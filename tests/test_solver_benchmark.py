@@ -1,0 +1,77 @@
+import json
+from pathlib import Path
+from unittest import mock
+
+import pytest
+
+from quaffure.cli.main import main
+from quaffure.config import HairMaterial
+from quaffure.drapers.posed import PosedDraper
+from quaffure.evaluation.solver_benchmark import Budget, Case, budgets, run_benchmark
+from tests.scenes import sphere_groom
+from tests.test_xpbd import scene_of
+
+
+def bench(out: Path, *more: str) -> None:
+    main(["benchmark", "solvers", "--quick", "--strands", "24", "--out", str(out), *more])
+
+
+def refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
+    with pytest.raises(SystemExit) as stop:
+        main(["benchmark", "solvers", *arguments])
+    errors = capfd.readouterr().err
+    assert stop.value.code == 2
+    assert errors.count("\n") == 1
+    return errors
+
+
+def test_benchmark_writes_prints_and_plots(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    out = tmp_path / "bench.json"
+    bench(out, "--json")
+    written = json.loads(out.read_text())
+    assert json.loads(capfd.readouterr().out) == written
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bench.json", "bench.png"]
+    assert (tmp_path / "bench.png").read_bytes().startswith(b"\x89PNG")
+    runs = written["runs"]
+    assert [run["solver"] for run in runs] == [budget.solver for budget in budgets(quick=True)]
+    assert min(run["excess_energy"] for run in runs) == 0
+    energy = {(run["solver"], run["effort"]): run["energy"] for run in runs}
+    assert energy["xpbd", 30] < energy["xpbd", 10] < energy["posed", 0]
+    assert energy["lbfgs", 60] < energy["lbfgs", 20] < energy["posed", 0]
+    for run in runs:
+        assert run["seconds"] > 0
+        assert run["cpu_seconds"] > 0
+        on_directions = run["solver"] in ("adam", "lbfgs", "posed")
+        assert (run["length_error_percent"] < 1e-3) == on_directions, run["solver"]
+
+
+def test_a_table_without_a_plot_where_matplotlib_is_missing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with mock.patch("quaffure.cli.benchmark.importlib.util.find_spec", return_value=None):
+        bench(tmp_path / "bench.json", "--solver", "posed", "--frames", "3:5", "--motion", "nod")
+    printed = capfd.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["bench.json"]
+    assert "quaffure[docs]" in printed.replace("\n", "")
+    assert "long_straight, nod 3:5 #1" in printed
+
+
+def test_a_part_of_a_run_is_extrapolated_and_the_best_has_no_excess() -> None:
+    ticks = iter(range(100))
+    parts = [Budget("posed", 1, PosedDraper), Budget("posed", 2, PosedDraper, share=0.25)]
+    case = Case("sphere", scene_of(sphere_groom(strands=3)))
+    with (
+        mock.patch("quaffure.evaluation.solver_benchmark._compile"),
+        mock.patch("quaffure.evaluation.solver_benchmark.time.perf_counter", side_effect=lambda: next(ticks)),
+    ):
+        whole, part = run_benchmark([case], parts, HairMaterial())
+    assert (whole.seconds, part.seconds, part.share) == (1, 4, 0.25)
+    assert whole.excess_energy == part.excess_energy == 0
+
+
+def test_mistakes_are_told_in_one_line_before_the_work(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = str(tmp_path / "bench.json")
+    assert "'magic'" in refused(capfd, "--out", out, "--solver", "magic")
+    assert "suffix .json" in refused(capfd, "--out", str(tmp_path / "bench.txt"))
+    assert "existing folder" in refused(capfd, "--out", str(tmp_path / "none" / "bench.json"))
+    assert "--strands" in refused(capfd, "--out", out, "--strands", "0")
+    assert not list(tmp_path.iterdir())

@@ -165,13 +165,13 @@ def test_what_is_no_head_of_hair_is_refused(body: BodyModel, surface: Surface) -
     refused(generator.uniform(-0.1, 0.1, (500, 1)) * [1, 2, 3], body, surface, "line or a plane")
 
 
-def test_every_style_registers_onto_itself(body: BodyModel, surface: Surface) -> None:
-    for name, controls in STYLES.items():
-        style = make_groom(replace(controls, root_rows=20), body, surface=surface)
-        _, report = register_groom(as_file(100 * style.rest_strands.numpy() @ Y_UP.T), body, name, surface=surface)
-        assert report.unit == "cm"
-        assert report.up_axis == "+y"
-        assert report.median_residual < 2
+@pytest.mark.parametrize("name", ["long_straight", "undercut", "afro", "ponytail"])
+def test_styles_register_onto_themselves(name: str, body: BodyModel, surface: Surface) -> None:
+    style = make_groom(replace(STYLES[name], root_rows=20), body, surface=surface)
+    _, report = register_groom(as_file(100 * style.rest_strands.numpy() @ Y_UP.T), body, name, surface=surface)
+    assert report.unit == "cm"
+    assert report.up_axis == "+y"
+    assert report.median_residual < 2
 
 
 @pytest.mark.shared_data

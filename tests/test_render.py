@@ -10,7 +10,7 @@ from quaffure.render import scene
 from quaffure.render.camera import Camera
 from quaffure.render.framing import facing_deg, frame_hair
 from quaffure.render.pictures import write_picture
-from quaffure.render.scene import StrandRenderer
+from quaffure.render.scene import StrandRenderer, samples_of, width_of
 from quaffure.render.video import write_video
 from tests.synthetic_drape import HEAD_CENTRE, ball, drape, patch_of_strands
 
@@ -89,7 +89,53 @@ def test_hair_casts_shadow(renderer: StrandRenderer) -> None:
         patch_of_strands((-0.55, -0.6, 0.55)) + np.array([0, -0.06, 0], np.float32), *ball(), camera
     )
     below_right = slice(SIZE // 2, 3 * SIZE // 4), slice(SIZE // 4, SIZE // 2)
-    assert (lit - shadowed)[below_right].max() > 25
+    assert (lit - shadowed)[below_right].max() > 12
+
+
+def test_thin_hair_casts_no_streaks(renderer: StrandRenderer) -> None:
+    """A curtain of single strands, out of sight, dims the skin evenly: no strand shows as a dark line."""
+    curtain = np.zeros((21, 8, 3), np.float32)
+    curtain[..., 0] = np.linspace(-0.205, -0.045, 21)[:, None]
+    curtain[..., 1], curtain[..., 2] = -0.25, np.linspace(1.84, 1.76, 8)
+    camera, rest = Camera.front(HEAD_CENTRE, 0.3), patch_of_strands((0.0, 1.0, 0.0))
+    scenes = rest, np.concatenate([rest, curtain])
+    lit, dimmed = (renderer.render(hair, *ball(), camera).astype(float).mean(axis=-1) for hair in scenes)
+    shadow = (lit - dimmed)[40:50, 30:54].mean(axis=0)
+    assert shadow.mean() > 2
+    smooth = np.polyval(np.polyfit(np.arange(24), shadow, 3), np.arange(24))
+    assert np.abs(shadow - smooth).max() < 0.4 * shadow.mean()
+
+
+def test_hair_behind_the_head_leaves_the_face_lit(renderer: StrandRenderer) -> None:
+    """The light's maps add up hair along a ray; what lies behind the body on it must not count."""
+    camera = Camera.front(HEAD_CENTRE, 0.3)
+    towards_light = np.array([-0.5, -0.6, 0.75]) / np.linalg.norm([-0.5, -0.6, 0.75])
+    tuft = patch_of_strands((0.0, 1.0, 0.0))
+    across = np.linspace(-0.05, 0.05, 8)[:, None] * np.cross(towards_light, [1.0, 0.0, 0.0])
+    lying = (tuft[:, :1] - tuft[:, :1].mean(axis=0) + across).astype(np.float32)
+    scenes = [
+        np.concatenate([tuft, lying + (HEAD_CENTRE + reach * towards_light).astype(np.float32)])
+        for reach in (-0.13, -5.0, 0.13)
+    ]
+    behind, away, before = (renderer.render(hair, *ball(), camera).astype(int) for hair in scenes)
+    face = slice(28, 40), slice(30, 42)
+    np.testing.assert_allclose(behind[face], away[face], atol=6)
+    assert (away - before)[face].mean() > 5
+
+
+def test_few_strands_stand_for_many() -> None:
+    widths = [width_of(count) for count in (100, 2400, 20_000, 100_000, 10_000_000)]
+    assert widths[0] == widths[1] == pytest.approx(0.8e-3)
+    assert widths == sorted(widths, reverse=True)
+    assert widths[-1] == pytest.approx(0.07e-3)
+
+
+def test_curls_are_drawn_rounder_than_straight_hair() -> None:
+    turn = np.linspace(0, 6 * np.pi, 24)
+    helix = np.stack([0.01 * np.cos(turn), 0.01 * np.sin(turn), -0.004 * turn], axis=-1)
+    assert samples_of(np.repeat(helix[None], 20, axis=0)) == 3
+    assert samples_of(patch_of_strands((0.0, 0.0, 1.0))) == 1
+    assert samples_of(np.zeros((5, 2, 3))) == 1
 
 
 def test_buffers_follow_the_scene(renderer: StrandRenderer) -> None:

@@ -1,9 +1,8 @@
 """`quaffure drape`: a groom, a body and a motion in; draped hair out."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 from rich.progress import Progress
@@ -12,17 +11,19 @@ from quaffure.body.body_model import load_body
 from quaffure.cli.console import console, print_json, print_rows
 from quaffure.cli.inputs import body_shape_of, motion_of
 from quaffure.cli.outputs import writer_for
-from quaffure.drapers.adam import AdamDraper
 from quaffure.drapers.drape_motion import drape_motion
 from quaffure.drapers.draper import Draper
-from quaffure.drapers.posed import PosedDraper
 from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.xpbd import XpbdDraper
+from quaffure.drapers.solvers import SOLVERS, solver
+from quaffure.energies.elastic_model import ELASTIC_MODELS, ModifiedCosserat
 from quaffure.errors import InputError
 from quaffure.evaluation.figures import PerFrame, measure
 from quaffure.groom.drape_sequence import DrapeSequence
+from quaffure.groom.guide_interpolation import interpolation_of
 from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
+
+NEURAL = "neural"
 
 
 @dataclass(frozen=True)
@@ -41,12 +42,17 @@ class DrapeCommand:
     """Ten body shape coefficients separated by commas, or a file that holds them; without it, the mean body."""
     head: Path | None = None
     """The head mesh (.obj) that a groom file was made on; helps to register it."""
-    draper: Literal["neural", "posed", "adam", "xpbd"] = "neural"
-    """How to settle the hair."""
+    draper: Annotated[str, tyro.conf.arg(metavar=f"{{{NEURAL},{','.join(SOLVERS)}}}")] = NEURAL
+    """How to settle the hair: the network, or one of the solvers (docs/solvers.md)."""
+    elastic: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = ModifiedCosserat.name
+    """The elastic model, for adam and lbfgs in all their forms. Figures of merit are those of the default one."""
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones."""
     reference: Path | None = None
     """An .npz drape of the same groom and frames by a solver, to measure against."""
+    strands: int | None = None
+    """Strands to interpolate between the draped ones for .png, .mp4 and .usd*: 10,000 to 100,000 are a full head of
+    hair. Without it, the draped strands are shown. An .npz always holds the draped strands."""
     json: bool = False
     """Print the figures of merit as JSON."""
 
@@ -61,6 +67,7 @@ class DrapeCommand:
         draper = self._draper()
         self._say(f"reading the groom {self.groom}")
         groom = load_groom(self.groom, body, self.head)
+        interpolation = None if self.strands is None else interpolation_of(groom, body, self.strands)
         if reference is not None:
             self._check_reference(reference, (len(motion), *groom.rest_strands.shape))
         self._say(f"draping {len(groom)} strands in {len(motion)} frames with {self.draper}")
@@ -69,9 +76,10 @@ class DrapeCommand:
             sequence = drape_motion(
                 draper, groom, body, motion, body_shape, lambda frames: progress.advance(task, frames)
             )
+        sequence.meta["elastic"] = self.elastic
         for path, write in zip(self.out, writers):
             self._say(f"writing {path}")
-            write(path, sequence)
+            write(path, sequence, interpolation)
         self._say("measuring")
         self._report(sequence, *measure(sequence, groom, body, reference))
 
@@ -88,14 +96,13 @@ class DrapeCommand:
     def _draper(self) -> Draper:
         """The draper asked for; solvers take the material that the weights were trained for, to be comparable."""
         model = load_model(self.weights)
-        material = model.draper.material
-        solvers: dict[str, Callable[[], Draper]] = {
-            "neural": lambda: model.draper,
-            "posed": lambda: PosedDraper(material),
-            "adam": lambda: AdamDraper(material),
-            "xpbd": lambda: XpbdDraper(material),
-        }
-        return solvers[self.draper]()
+        if self.draper != NEURAL:
+            if self.draper not in SOLVERS:
+                raise InputError("--draper", f"one of {', '.join((NEURAL, *SOLVERS))}", f"'{self.draper}'")
+            return solver(self.draper, model.draper.material, self.elastic)
+        if self.elastic != ModifiedCosserat.name:
+            raise InputError("--elastic", f"{ModifiedCosserat.name} with the draper {NEURAL}", f"'{self.elastic}'")
+        return model.draper
 
     def _report(self, sequence: DrapeSequence, draped: PerFrame, posed: PerFrame) -> None:
         named = {"posed": posed, self.draper: draped}

@@ -1,10 +1,14 @@
 """`quaffure grooms`: the bundled hairstyles."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
-from quaffure.body.body_model import load_body
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.cli.console import console, print_json, print_rows
-from quaffure.groom.hair_style import STYLES
+from quaffure.errors import InputError
+from quaffure.groom.clearance import rest_surface
+from quaffure.groom.groom import Groom
+from quaffure.groom.hair_style import HELD_OUT, STYLES
 from quaffure.groom.procedural import make_groom
 
 
@@ -14,21 +18,44 @@ class GroomsCommand:
 
     json: bool = False
     """Print JSON instead of a table."""
+    out: Path | None = None
+    """Draw them all to this picture (.png), each from three sides."""
 
     def run(self) -> None:
+        # Growing takes a while: what cannot be written is refused before.
+        if self.out is not None and self.out.suffix.lower() != ".png":
+            raise InputError(self.out, "a picture's name ending in .png", f"{self.out.suffix or 'no suffix'}")
+        if self.out is not None and not self.out.parent.is_dir():
+            raise InputError(self.out, "a path in an existing folder", f"no folder {self.out.parent}")
         body = load_body()
-        rows: list[dict[str, object]] = []
         with console.status("growing the grooms"):
-            for name in STYLES:
-                groom = make_groom(name, body)
-                rows.append(
-                    {
-                        "name": name,
-                        "style": name.replace("_", " "),
-                        "strands": len(groom),
-                        "length_m": round(float(groom.strand_lengths.mean()), 3),
-                        "licence": groom.licence,
-                        "held_out": False,
-                    }
-                )
+            surface = rest_surface(body)
+            grooms = [make_groom(name, body, surface=surface) for name in STYLES]
+        if self.out is not None:
+            _draw(self.out, grooms, body)
+        rows = [_row(groom) for groom in grooms]
         print_json(rows) if self.json else print_rows(rows, "bundled grooms")
+
+
+def _draw(path: Path, grooms: list[Groom], body: BodyModel) -> None:
+    from quaffure.render.contact_sheet import write_contact_sheet
+
+    notes = {
+        groom.name: f"{groom.strand_lengths.mean():.2f} m" + (", held out" if groom.name in HELD_OUT else "")
+        for groom in grooms
+    }
+    with console.status("drawing the grooms") as status:
+        write_contact_sheet(
+            path, grooms, body, notes, lambda done: status.update(f"drawing the grooms: {done} of {len(grooms)}")
+        )
+
+
+def _row(groom: Groom) -> dict[str, object]:
+    return {
+        "name": groom.name,
+        "style": groom.name.replace("_", " "),
+        "strands": len(groom),
+        "length_m": round(float(groom.strand_lengths.mean()), 3),
+        "licence": groom.licence,
+        "held_out": groom.name in HELD_OUT,
+    }

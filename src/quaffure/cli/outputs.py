@@ -5,10 +5,17 @@ from pathlib import Path
 
 from quaffure.errors import InputError
 from quaffure.groom.drape_sequence import DrapeSequence
+from quaffure.groom.guide_interpolation import GuideInterpolation, with_strands
+
+Writer = Callable[[Path, DrapeSequence, GuideInterpolation | None], None]
+
+MOST_BYTES = 4e9
+"""Of strands that a file is written from at once."""
 
 
-def writer_for(path: Path) -> Callable[[Path, DrapeSequence], None]:
-    """The function that writes a drape to files of this suffix.
+def writer_for(path: Path) -> Writer:
+    """The function that writes a drape to files of this suffix: the strands between its guides where it is given an
+    interpolation, else the guides. An .npz, which keeps the drape for other steps, holds the guides in either case.
 
     Raises:
         InputError: no writer knows the suffix, or the folder does not exist.
@@ -23,31 +30,38 @@ def writer_for(path: Path) -> Callable[[Path, DrapeSequence], None]:
     return writer
 
 
-def _write_npz(path: Path, sequence: DrapeSequence) -> None:
+def _write_npz(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:
     from quaffure.io.drape_file import write_drape
 
     write_drape(path, sequence)
 
 
-def _write_usd(path: Path, sequence: DrapeSequence) -> None:
+def _write_usd(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:
     from quaffure.io.usd import write_usd
 
+    if interpolation is not None:
+        bytes_of_strand = 2 * 12 * len(sequence) * interpolation.vertex_count
+        if bytes_of_strand * len(interpolation) > MOST_BYTES:
+            most = int(MOST_BYTES / bytes_of_strand)
+            found = f"{len(interpolation)}"
+            raise InputError("--strands", f"at most {most} for {len(sequence)} frames of USD", found)
+        sequence = with_strands(sequence, interpolation)
     write_usd(path, sequence)
 
 
-def _write_png(path: Path, sequence: DrapeSequence) -> None:
+def _write_png(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:
     from quaffure.render.pictures import write_picture
 
-    write_picture(path, sequence)
+    write_picture(path, sequence, interpolation=interpolation)
 
 
-def _write_mp4(path: Path, sequence: DrapeSequence) -> None:
+def _write_mp4(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:
     from quaffure.render.video import write_video
 
-    write_video(path, sequence)
+    write_video(path, sequence, interpolation=interpolation)
 
 
-WRITERS: dict[str, Callable[[Path, DrapeSequence], None]] = {
+WRITERS: dict[str, Writer] = {
     ".npz": _write_npz,
     ".usd": _write_usd,
     ".usda": _write_usd,

@@ -8,8 +8,8 @@ from torch.nn.functional import normalize
 from quaffure.groom.hair_style import HairStyle
 from quaffure.types import Float, Int, Tensor
 
-# A clump closes from its roots on as this power of the share of the length.
-CLUMP_POWER = 1.3
+# Below this length a strand has little room to wander: its frizz is in proportion [m].
+FRIZZ_LENGTH = 0.1
 
 
 def curl_arc_factor(controls: HairStyle) -> float:
@@ -28,22 +28,35 @@ def clump_of(roots: Float[Tensor, "s 3"], spacing: float) -> Int[Tensor, " s"]:
     return chosen[torch.cdist(roots, roots[chosen]).argmin(1)]
 
 
-def clumped(controls: HairStyle, axes: Float[Tensor, "s n 3"]) -> Float[Tensor, "s n 3"]:
-    """Axes drawn towards the leader of their clump, the more the closer to the tip."""
+def arc_lengths(strands: Float[Tensor, "s n 3"]) -> Float[Tensor, "s n"]:
+    """Length of each strand from its root to each vertex [m]."""
+    return torch.nn.functional.pad(strands.diff(dim=1).norm(dim=-1).cumsum(1), (1, 0))
+
+
+def clumped(controls: HairStyle, axes: Float[Tensor, "s n 3"], tied: Float[Tensor, " s"]) -> Float[Tensor, "s n 3"]:
+    """Axes drawn towards the leader of their clump, the more the closer to the tip; none before `tied` [m]."""
     leader = clump_of(axes[:, 0], controls.clump_spacing)
-    share = torch.linspace(0, 1, axes.shape[1]) ** CLUMP_POWER
+    reach = arc_lengths(axes)
+    free = (reach[:, -1:] - tied[:, None]).clamp(min=1e-6)
+    share = ((reach - tied[:, None]) / free).clamp(0, 1) ** controls.clump_profile
     # Leaders across a parting or round an ear go another way: only neighbours that stay near are followed.
     gap = axes[leader] - axes
+    # Hair shorter than the clumps are wide cannot reach their middle.
+    share = share * (reach[:, -1:] / controls.clump_spacing).clamp(max=1).square()
     near = torch.exp(-((gap.norm(dim=-1).amax(1) / (2.5 * controls.clump_spacing)) ** 2))
-    return axes + controls.clumping * share[:, None] * near[:, None, None] * gap
+    return axes + controls.clumping * (share * near[:, None])[..., None] * gap
 
 
 def curled(
-    controls: HairStyle, axes: Float[Tensor, "s n 3"], normals: Float[Tensor, "s 3"], generator: torch.Generator
+    controls: HairStyle,
+    axes: Float[Tensor, "s n 3"],
+    normals: Float[Tensor, "s 3"],
+    tied: Float[Tensor, " s"],
+    generator: torch.Generator,
 ) -> Float[Tensor, "s n 3"]:
-    """Strands that wind round their axes as helices opening from the root, and wander a little."""
+    """Strands that wind round their axes as helices opening from `tied` [m] on, and wander a little."""
     strands, count, _ = axes.shape
-    reach = torch.nn.functional.pad(axes.diff(dim=1).norm(dim=-1).cumsum(1), (1, 0))
+    reach = (arc_lengths(axes) - tied[:, None]).clamp(min=0)
     leader = clump_of(axes[:, 0], controls.clump_spacing)
     of_clump = torch.rand(strands, 3, generator=generator)[leader]
     of_strand = torch.rand(strands, 3, generator=generator)
@@ -54,7 +67,8 @@ def curled(
     first, second = parallel_frames(axes, normals)
     wind = torch.cos(angle)[..., None] * first + torch.sin(angle)[..., None] * second
     result = axes + (controls.curl_radius * varied[:, :1] * opening)[..., None] * wind
-    return result + controls.frizz * _wander(strands, count, generator)
+    frizz = controls.frizz * (reach[:, -1:] / FRIZZ_LENGTH).clamp(max=1) * reach / reach[:, -1:].clamp(min=1e-6)
+    return result + frizz[..., None] * _wander(strands, count, generator)
 
 
 def parallel_frames(
@@ -73,11 +87,11 @@ def parallel_frames(
 
 
 def _wander(strands: int, count: int, generator: torch.Generator) -> Float[Tensor, "s n 3"]:
-    """Two slow random waves, zero at the root, of order one at the tip."""
+    """Two slow random waves, zero at the root."""
     share = torch.linspace(0, 1, count)
     result = torch.zeros(strands, count, 3)
     for turns in (0.7, 1.6):
         phase = 2 * math.pi * torch.rand(strands, 1, 3, generator=generator)
         wave = torch.sin(2 * math.pi * turns * share[:, None] + phase) - torch.sin(phase)
-        result += 0.5 * share[:, None] * wave
+        result += 0.5 * wave
     return result

@@ -1,14 +1,24 @@
-"""What a picture of a drape must show: all of the hair, over all frames, and the head."""
+"""What a picture of a drape shows: its strands or those between them, all of the hair over all frames, and the head."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from scipy.spatial.transform import Rotation
 
 from quaffure.groom.drape_sequence import DrapeSequence
+from quaffure.groom.guide_interpolation import GuideInterpolation
 
 # Around the middle of the roots, this ball holds face and chin of any adult head.
 HEAD_RADIUS = 0.24  # m
 MARGIN = 1.12
+
+
+def drawn_strands(
+    seq: DrapeSequence, frame: int, interpolation: GuideInterpolation | None
+) -> Float32[np.ndarray, "m n 3"]:
+    """What is drawn of a frame [m]: the strands between its guides, or without interpolation the guides."""
+    if interpolation is None:
+        return seq.strands[frame]
+    return interpolation.strands(seq.strands[frame], seq.body_vertices[frame])
 
 
 def facing_deg(seq: DrapeSequence, frame: int) -> float:
@@ -20,9 +30,16 @@ def facing_deg(seq: DrapeSequence, frame: int) -> float:
 
 def frame_hair(seq: DrapeSequence) -> tuple[Float[np.ndarray, "3"], float]:
     """Centre and extent [m] of a cube that holds hair and head in every frame, for a camera that stands still."""
-    lowest, highest = seq.strands.min(axis=(0, 1, 2)), seq.strands.max(axis=(0, 1, 2))
-    for roots, body in zip(seq.strands[:, :, 0], seq.body_vertices):
-        near = body[np.linalg.norm(body - roots.mean(axis=0), axis=1) < HEAD_RADIUS]
-        if len(near):
-            lowest, highest = np.minimum(lowest, near.min(axis=0)), np.maximum(highest, near.max(axis=0))
+    boxes = [hair_box(strands, body) for strands, body in zip(seq.strands, seq.body_vertices)]
+    lowest = np.min([low for low, _ in boxes], axis=0)
+    highest = np.max([high for _, high in boxes], axis=0)
     return 0.5 * (lowest + highest), MARGIN * float((highest - lowest).max())
+
+
+def hair_box(
+    strands: Float[np.ndarray, "s n 3"], body: Float[np.ndarray, "v 3"]
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Lowest and highest corner [m] of a box that holds the hair, and of the body what is near the roots: the head."""
+    near = body[np.linalg.norm(body - strands[:, 0].mean(axis=0), axis=1) < HEAD_RADIUS]
+    points = np.concatenate([strands.reshape(-1, 3), near])
+    return points.min(axis=0), points.max(axis=0)

@@ -7,9 +7,10 @@ from PIL import Image
 
 from quaffure.errors import InputError
 from quaffure.groom.drape_sequence import DrapeSequence
+from quaffure.groom.guide_interpolation import GuideInterpolation
 from quaffure.io.atomic import replacing
 from quaffure.render.camera import Camera
-from quaffure.render.framing import facing_deg, frame_hair
+from quaffure.render.framing import drawn_strands, facing_deg, frame_hair
 from quaffure.render.scene import CHESTNUT, StrandRenderer
 
 VIEWS = (Camera.front, Camera.three_quarter, Camera.side, Camera.back)
@@ -18,13 +19,18 @@ MOST_FRAMES = 4
 
 
 def write_picture(
-    path: Path, seq: DrapeSequence, hair_colour: tuple[float, float, float] = CHESTNUT, tile: int = TILE
+    path: Path,
+    seq: DrapeSequence,
+    hair_colour: tuple[float, float, float] = CHESTNUT,
+    tile: int = TILE,
+    interpolation: GuideInterpolation | None = None,
 ) -> None:
     """Write a contact sheet (.png): up to four evenly spaced frames, one row each, from front to back of the head.
 
     Args:
         hair_colour: albedo in linear RGB.
         tile: width and height of one view [pixels].
+        interpolation: of strands between the drape's guides; without it the guides themselves are drawn.
 
     Raises:
         InputError: not a .png, not writable, or no OpenGL on this machine.
@@ -35,19 +41,9 @@ def write_picture(
     frames = np.unique(np.linspace(0, len(seq) - 1, min(MOST_FRAMES, len(seq))).round().astype(int))
     # Before the renderer: a folder that is missing should cost no drawing.
     with replacing(path) as temporary, StrandRenderer(tile, tile) as renderer:
-        rows = [
-            np.hstack(
-                [
-                    renderer.render(
-                        seq.strands[f],
-                        seq.body_vertices[f],
-                        seq.body_faces,
-                        view(centre, extent, facing_deg(seq, f)),
-                        hair_colour,
-                    )
-                    for view in VIEWS
-                ]
-            )
-            for f in frames
-        ]
-        Image.fromarray(np.vstack(rows)).save(temporary, format="PNG", compress_level=9)
+        rows = []
+        for f in frames:
+            strands, vertices = drawn_strands(seq, f, interpolation), seq.body_vertices[f]
+            cameras = [view(centre, extent, facing_deg(seq, f)) for view in VIEWS]
+            rows.append([renderer.render(strands, vertices, seq.body_faces, c, hair_colour) for c in cameras])
+        Image.fromarray(np.vstack([np.hstack(row) for row in rows])).save(temporary, format="PNG", compress_level=9)

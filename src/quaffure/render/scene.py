@@ -1,5 +1,6 @@
 """Pictures of hair on a body, drawn off screen with OpenGL (a GPU or Mesa's software rasteriser)."""
 
+import math
 from types import TracebackType
 from typing import Any
 
@@ -11,13 +12,21 @@ from scipy.spatial import cKDTree
 
 from quaffure.errors import InputError
 from quaffure.render import shaders
-from quaffure.render.camera import Camera, look_at
+from quaffure.render.camera import Camera
+from quaffure.render.framing import hair_box
+from quaffure.render.key_light import KeyLight
+from quaffure.render.uniforms import assign
 
 CHESTNUT = (0.15, 0.062, 0.025)
-CLAY = (0.62, 0.50, 0.435)
+CLAY = (0.64, 0.475, 0.385)
 SCALP_REACH = 0.012  # m
-SHADOW_SIZE = 1536
-SAMPLES_PER_SEGMENT = 3
+SHADOW_ROOM = 0.1  # m, round hair and head: so far on the body shadow is cast
+MOST_SAMPLES = 3  # of a segment, where strands curl
+TURN_OF_SAMPLE = math.radians(9.0)
+# Up to this many strands are drawn with this width [m].
+WIDEST_COUNT, WIDEST_STRAND = 2400, 0.8e-3
+HAIR_WIDTH = 0.7e-4  # m
+LEAST_SAMPLES_ACROSS = 0.8
 POINTS_PER_ROW = 2048
 # Directions towards the lights in the camera's frame: right, up, towards the viewer.
 KEY_LIGHT, FILL_LIGHT, RIM_LIGHT = (-0.5, 0.75, 0.6), (0.8, 0.1, 0.6), (0.3, 0.6, -0.7)
@@ -29,8 +38,7 @@ class StrandRenderer:
 
     Args:
         width, height: of the picture [pixels].
-        strand_width: of one drawn ribbon [m]. A real hair is 0.07 mm wide; a few thousand guide strands stand for a
-            hundred thousand hairs and are drawn wider.
+        strand_width: of one drawn ribbon [m]; without it, `width_of` the strands in the picture.
         supersampling: samples along each side of a pixel. Multisampling costs as much in software, and shades ribbons
             thinner than a pixel outside of their edges.
 
@@ -38,16 +46,13 @@ class StrandRenderer:
         InputError: no OpenGL context can be made on this machine.
     """
 
-    def __init__(self, width: int, height: int, strand_width: float = 0.8e-3, supersampling: int = 4) -> None:
+    def __init__(self, width: int, height: int, strand_width: float | None = None, supersampling: int = 4) -> None:
         self.width, self.height = width, height
         self.strand_width, self.supersampling = strand_width, supersampling
         self._gl = _create_context()
         size = (supersampling * width, supersampling * height)
         self._picture = self._gl.framebuffer([self._gl.renderbuffer(size, 4)], self._gl.depth_renderbuffer(size))
-        self._key_depth = self._gl.depth_texture((SHADOW_SIZE, SHADOW_SIZE))
-        self._key_depth.compare_func = ""
-        self._key_depth.repeat_x = self._key_depth.repeat_y = False
-        self._shadow = self._gl.framebuffer(depth_attachment=self._key_depth)
+        self._key = KeyLight(self._gl)
         self._hair = self._gl.program(shaders.HAIR_VERTEX, fragment_shader=shaders.HAIR_FRAGMENT)
         self._hair_depth = self._gl.program(shaders.HAIR_VERTEX, fragment_shader=shaders.DEPTH_FRAGMENT)
         self._body = self._gl.program(shaders.BODY_VERTEX, fragment_shader=shaders.BODY_FRAGMENT)
@@ -86,14 +91,14 @@ class StrandRenderer:
             body_vertices, body_faces: the body's surface [m]; faces counter-clockwise seen from outside.
             hair_colour: albedo in linear RGB.
         """
-        lowest, highest = strands.min(axis=(0, 1)), strands.max(axis=(0, 1))
+        lowest, highest = hair_box(strands, body_vertices)
         reach = np.linalg.norm(np.vstack([body_vertices, lowest, highest]) - np.array(camera.target), axis=1).max()
         with self._gl:  # another renderer's context may be current
             self._upload_strands(strands)
             self._upload_body(body_vertices, body_faces, strands[:, 0])
             for program in (self._hair, self._body):
-                _assign(program, hair_colour=hair_colour, body_colour=CLAY)
-            self._draw_key_depth(camera, lowest.astype(np.float64), highest.astype(np.float64))
+                assign(program, hair_colour=hair_colour, body_colour=CLAY)
+            self._light(camera, lowest.astype(np.float64), highest.astype(np.float64))
             self._draw_picture(camera, 1.1 * float(reach))
             return self._read_pixels()
 
@@ -108,9 +113,10 @@ class StrandRenderer:
             self._points = self._gl.texture((POINTS_PER_ROW, rows), 3, dtype="f4")
             self._points.filter = (moderngl.NEAREST, moderngl.NEAREST)
         self._points.write(packed)
-        self._strands, self._samples = count, (vertices - 1) * SAMPLES_PER_SEGMENT + 1
+        self._strands, self._vertices, self._samples = count, vertices, (vertices - 1) * samples_of(strands) + 1
+        width = self.strand_width or width_of(count)
         for program in (self._hair, self._hair_depth):
-            _assign(program, points=0, strand_vertices=vertices, samples=self._samples, strand_width=self.strand_width)
+            assign(program, points=0, strand_vertices=vertices, samples=self._samples, strand_width=width)
 
     def _upload_body(self, vertices: np.ndarray, faces: np.ndarray, roots: np.ndarray) -> None:
         cover = hair_cover(vertices, roots)[:, None]
@@ -129,27 +135,24 @@ class StrandRenderer:
         held[0].write(packed)
         held[1].write(indices)
 
-    def _draw_key_depth(self, camera: Camera, lowest: np.ndarray, highest: np.ndarray) -> None:
-        """Place the lights with the camera (key at its upper left, fill right, rim behind); map the key's depth."""
+    def _light(self, camera: Camera, lowest: np.ndarray, highest: np.ndarray) -> None:
+        """Place the lights with the camera: key at its upper left, fill right, rim behind."""
         world_from_camera = camera.camera_from_world[:3, :3].T
         key, fill, rim = (world_from_camera @ _unit(light) for light in (KEY_LIGHT, FILL_LIGHT, RIM_LIGHT))
-        # The head counts too: its faces cast shadow on hair, and take it.
-        centre, radius = 0.5 * (lowest + highest), 0.5 * float(np.linalg.norm(highest - lowest)) + 0.15
-        key_eye = centre + 4.0 * radius * key
-        orthographic = np.diag([1.0 / radius, 1.0 / radius, -1.0 / radius, 1.0])
-        orthographic[2, 3] = -4.0
-        key_from_world = orthographic @ look_at(key_eye, centre)
+        self._key.place(key, lowest - SHADOW_ROOM, highest + SHADOW_ROOM)
+        assert self._points is not None
+        self._points.use(0)
+        self._key.draw_maps(self._body_arrays[DEPTH], self._strands, self._vertices)
         for program in (self._hair, self._body):
-            _assign(program, key_depth=1, key_from_world=key_from_world, key_depth_range=2.0 * radius)
-            _assign(program, key_direction=key, fill_direction=fill, rim_direction=rim)
-        self._gl.enable(moderngl.DEPTH_TEST)
-        self._shadow.use()
-        self._shadow.clear()
-        self._draw_surfaces(DEPTH, key_eye, key_from_world)
+            self._key.shine_on(program)
+            assign(program, fill_direction=fill, rim_direction=rim)
 
     def _draw_picture(self, camera: Camera, reach: float) -> None:
         target, eye = self._picture, np.array(camera.eye)
         clip_from_world = camera.clip_from_world(self.width, self.height, reach)
+        angle = 2.0 * math.tan(0.5 * camera.field_of_view) / (self.supersampling * min(self.width, self.height))
+        for program in (self._hair, self._hair_depth):
+            assign(program, sample_angle=LEAST_SAMPLES_ACROSS * angle)
         target.use()
         target.depth_mask, target.color_mask = True, (True, True, True, True)
         target.clear()
@@ -160,14 +163,13 @@ class StrandRenderer:
         target.color_mask = False, False, False, False
         self._draw_surfaces(DEPTH, eye, clip_from_world)
         target.depth_mask, target.color_mask = False, (True, True, True, True)
-        self._key_depth.use(1)
         self._gl.depth_func = "<="
         self._draw_surfaces(COLOUR, eye, clip_from_world)
 
     def _draw_surfaces(self, kind: int, eye: np.ndarray, clip_from_world: np.ndarray) -> None:
         assert self._points is not None
         for program in ((self._hair, self._body), (self._hair_depth, self._body_depth))[kind]:
-            _assign(program, eye=eye, clip_from_world=clip_from_world)
+            assign(program, eye=eye, clip_from_world=clip_from_world)
         self._points.use(0)
         self._body_arrays[kind].render(moderngl.TRIANGLES)
         self._hair_arrays[kind].render(moderngl.TRIANGLE_STRIP, vertices=2 * self._samples, instances=self._strands)
@@ -176,6 +178,20 @@ class StrandRenderer:
         size = (self.supersampling * self.width, self.supersampling * self.height)
         raw = Image.frombytes("RGB", size, self._picture.read(components=3))
         return np.asarray(raw.reduce(self.supersampling).transpose(Image.Transpose.FLIP_TOP_BOTTOM))
+
+
+def samples_of(strands: Float[np.ndarray, "s n 3"]) -> int:
+    """Into how many straight parts a segment is cut for its strand to look round: a tenth of the strands tells."""
+    edges = np.diff(strands[::10], axis=1)
+    edges /= np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-9)
+    turns = np.arccos(np.clip((edges[:, 1:] * edges[:, :-1]).sum(-1), -1.0, 1.0))
+    largest = float(np.quantile(turns, 0.9)) if turns.size else 0.0
+    return int(np.clip(math.ceil(largest / TURN_OF_SAMPLE), 1, MOST_SAMPLES))
+
+
+def width_of(strands: int) -> float:
+    """Width to draw each of so many strands with [m]: few stand for many, and are wider than a hair of 0.07 mm."""
+    return max(min(WIDEST_STRAND, WIDEST_STRAND * math.sqrt(WIDEST_COUNT / strands)), HAIR_WIDTH)
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, "v 3"]:
@@ -213,14 +229,3 @@ def _create_context() -> moderngl.Context:
 
 def _unit(vector: tuple[float, float, float]) -> np.ndarray:
     return np.array(vector) / np.linalg.norm(vector)
-
-
-def _assign(program: moderngl.Program, **uniforms: int | float | tuple[float, ...] | np.ndarray) -> None:
-    for name, value in uniforms.items():
-        if name in program:  # the compiler drops what a shader does not use
-            uniform = program[name]
-            assert isinstance(uniform, moderngl.Uniform)
-            if isinstance(value, np.ndarray):
-                uniform.write(value.T.astype(np.float32).tobytes())  # OpenGL reads columns first
-            else:
-                uniform.value = value

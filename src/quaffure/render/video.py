@@ -9,9 +9,10 @@ import numpy as np
 
 from quaffure.errors import InputError
 from quaffure.groom.drape_sequence import DrapeSequence
+from quaffure.groom.guide_interpolation import GuideInterpolation
 from quaffure.io.atomic import replacing
 from quaffure.render.camera import Camera
-from quaffure.render.framing import facing_deg, frame_hair
+from quaffure.render.framing import drawn_strands, facing_deg, frame_hair
 from quaffure.render.scene import CHESTNUT, StrandRenderer
 
 VIEWS = (Camera.front, Camera.side)
@@ -27,6 +28,7 @@ def write_video(
     hair_colour: tuple[float, float, float] = CHESTNUT,
     tile: int = TILE,
     on_frame: Callable[[int], None] | None = None,
+    interpolation: GuideInterpolation | None = None,
 ) -> None:
     """Write front and side views next to each other (.mp4, H.264).
 
@@ -36,6 +38,7 @@ def write_video(
         hair_colour: albedo in linear RGB.
         tile: width and height of one view, even [pixels].
         on_frame: called with the number of frames written so far.
+        interpolation: of strands between the drape's guides; without it the guides themselves are drawn.
 
     Raises:
         InputError: not an .mp4, not writable, or no OpenGL on this machine.
@@ -55,7 +58,8 @@ def write_video(
             "libx264", rate=Fraction(seq.fps).limit_denominator(1001), options={"crf": str(CONSTANT_RATE_FACTOR)}
         )
         stream.width, stream.height, stream.pix_fmt = tile * len(VIEWS), tile, "yuv420p"
-        for done, (strands, body) in enumerate(zip(seq.strands, seq.body_vertices), start=1):
+        for done, body in enumerate(seq.body_vertices, start=1):
+            strands = drawn_strands(seq, done - 1, interpolation)
             views = [renderer.render(strands, body, seq.body_faces, camera, hair_colour) for camera in cameras]
             container.mux(stream.encode(av.VideoFrame.from_ndarray(np.hstack(views), format="rgb24")))
             if on_frame is not None:

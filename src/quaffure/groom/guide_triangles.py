@@ -1,0 +1,92 @@
+"""Where strands grow between guides: triangles of neighbouring guides, and places spread over them.
+
+The triangulation is Delaunay's, on the scalp's chart. A strand in a triangle of guides is a mean of the three with
+barycentric weights, so that its tip has the place among their tips that its root has among their roots.
+"""
+
+import math
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import Delaunay, QhullError
+
+from quaffure.errors import InputError
+
+WIDEST_TRIANGLE = 4.0
+"""Longest edge of a triangle, in median spacings of the guides: across a wider gap there is no hair."""
+TOGETHER, APART = 0.2, 0.45
+"""Guides go together that are nowhere further apart than the first share of the way from their roots, and have parted
+from the second on [-]."""
+# Before this share of the length there is no telling where a strand goes.
+SHORTEST_WAY = 1 / 6
+# Plastic number of the R2 sequence, two coordinates that cover a square evenly at any count (M. Roberts 2018,
+# "The unreasonable effectiveness of quasirandom sequences").
+PLASTIC = 1.3247179572447460
+
+
+def triangulate(
+    root_uv: Float[np.ndarray, "s 2"], roots: Float[np.ndarray, "s 3"], name: str
+) -> Int[np.ndarray, "t 3"]:
+    """Triangles of guides that are neighbours on the scalp; none across a gap in the hair.
+
+    Args:
+        root_uv: on the scalp's chart.
+        roots: on the body at rest [m].
+        name: of the groom, for messages.
+
+    Raises:
+        InputError: fewer than three guides, or all of them on a line.
+    """
+    try:
+        triangles = Delaunay(root_uv.astype(np.float64)).simplices
+    except (QhullError, ValueError) as error:
+        raise InputError(
+            name, "three guides or more, not on a line, for strands between them", f"{len(roots)}"
+        ) from error
+    edges = np.linalg.norm(roots[triangles] - roots[np.roll(triangles, 1, axis=1)], axis=-1)
+    return triangles[edges.max(axis=1) <= WIDEST_TRIANGLE * np.median(edges)].astype(np.int64)
+
+
+def spread_places(
+    triangles: Int[np.ndarray, "t 3"], roots: Float[np.ndarray, "s 3"], count: int, seed: int
+) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 3"]]:
+    """Places spread evenly, as dense as the guides are: the triangle of each, and the weights of its corners.
+
+    Every triangle gets its share to the nearest whole number (systematic sampling), and fills it without clumps.
+    """
+    generator = np.random.default_rng(seed)
+    corners = roots[triangles].astype(np.float64)
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area_of_guide = np.bincount(triangles.ravel(), np.repeat(area, 3), minlength=len(roots)) / 3
+    expected = area / area_of_guide[triangles].mean(axis=1)
+    total = np.cumsum(expected)
+    stations = (np.arange(count) + generator.random()) / count * total[-1]
+    triangle = np.minimum(np.searchsorted(total, stations, side="right"), len(triangles) - 1)
+    rank = np.arange(count) - np.searchsorted(triangle, triangle)
+    shift = generator.random((len(triangles), 2))[triangle]
+    square = (shift + rank[:, None] / np.array([PLASTIC, PLASTIC**2])) % 1.0
+    square = np.where(square.sum(axis=1, keepdims=True) > 1, 1 - square, square)
+    return triangle, np.concatenate([1 - square.sum(axis=1, keepdims=True), square], axis=1)
+
+
+def togetherness(
+    axes: Float[np.ndarray, "s n 3"], lengths: Float[np.ndarray, " s"], pairs: Int[np.ndarray, "*p 2"]
+) -> Float[np.ndarray, "*p"]:
+    """1 for two guides that go one way, 0 for two that part, as at a parting, round an ear or about a shoulder.
+
+    Args:
+        axes: guides without their curls, seen from their roots [m].
+        lengths: of the guides at rest [m].
+    """
+    first = first_told(axes.shape[1])
+    share = np.linspace(0, 1, axes.shape[1])[first:]
+    gap = np.linalg.norm(np.diff(axes[pairs][..., first:, :], axis=-3)[..., 0, :, :], axis=-1)
+    way = lengths[pairs].mean(axis=-1)[..., None] * share
+    apart = ((gap / way).max(axis=-1) - TOGETHER) / (APART - TOGETHER)
+    apart = np.clip(apart, 0, 1)
+    return 1 - apart * apart * (3 - 2 * apart)
+
+
+def first_told(vertices: int) -> int:
+    """The first vertex at which it can be told where a strand goes."""
+    return math.ceil(SHORTEST_WAY * (vertices - 1))

@@ -1,0 +1,234 @@
+"""`quaffure groom`, `quaffure render` and `--strands`: what they write, and one line for every mistake."""
+
+from dataclasses import fields
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from quaffure.body.body_model import BodyModel, load_body
+from quaffure.cli.main import main
+from quaffure.cli.outputs import writer_for
+from quaffure.cli.style_settings import ABOVE_ZERO, with_settings
+from quaffure.errors import InputError
+from quaffure.groom import hair_style
+from quaffure.groom.hair_style import STYLES, HairStyle
+from quaffure.groom.procedural import make_groom
+from quaffure.io.groom_file import read_groom, write_groom
+from quaffure.io.read_strands import read_strands
+from quaffure.render import before_after, pictures, video
+from tests.test_groom_files import tfx4_bytes
+
+FEW_ROOTS = "root_rows=14"
+
+
+@pytest.fixture(scope="module")
+def body() -> BodyModel:
+    return load_body()
+
+
+@pytest.fixture(scope="module")
+def drape(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short drape of few strands."""
+    folder = tmp_path_factory.mktemp("drape")
+    main(["groom", "new", "--style", "bob", "--set", FEW_ROOTS, "--out", str(folder / "bob.npz")])
+    out = ["--out", str(folder / "drape.npz"), "--out", str(folder / "drape.usd")]
+    main(["drape", str(folder / "bob.npz"), "--draper", "posed", "--frames", "0:2", "--strands", "700", *out])
+    return folder / "drape.npz"
+
+
+@pytest.fixture
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures of 64 pixels: a software rasteriser takes a second for a large one."""
+    for module, name in ((before_after, "write_before_after"), (pictures, "write_picture"), (video, "write_video")):
+        monkeypatch.setattr(module, name, partial(getattr(module, name), tile=64))
+
+
+def refused(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
+    with pytest.raises(SystemExit) as stop:
+        main([str(argument) for argument in arguments])
+    errors = capfd.readouterr().err
+    assert stop.value.code == 2, errors
+    assert errors.startswith("quaffure: ")
+    assert errors.count("\n") == 1
+    return errors
+
+
+# --- new -------------------------------------------------------------------------------------------------------------
+
+
+def test_new_grooms_take_their_controls(tmp_path: Path, body: BodyModel, capfd: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "mine.npz"
+    arguments = ["groom", "new", "--style", "bob", "--out", str(out), "--set", FEW_ROOTS, "length_variation=0"]
+    main([*arguments, "--set", "length=0.1", "--set", "cut_height=none", "clumping=0"])
+    assert "strands of" in capfd.readouterr().out
+    groom = read_groom(out, body)
+    assert groom.name == "mine"
+    assert groom.licence
+    assert 20 < len(groom) < 14**2
+    assert 0.09 < float(groom.strand_lengths.mean()) < 0.105
+    main([*arguments, "--seed", "5"])
+    other = read_groom(out, body)
+    assert other.root_uv.shape != groom.root_uv.shape or (other.root_uv - groom.root_uv).abs().max() > 1e-3
+
+
+def test_settings_reach_every_kind_of_control() -> None:
+    style = HairStyle()
+    assert with_settings(style, ("length=0.25",)).length == 0.25
+    assert with_settings(style, ("parting=none",)).parting is None
+    assert with_settings(style, ("parting=-0.02",)).parting == -0.02
+    assert with_settings(style, ("root_rows=20",)).root_rows == 20
+    assert with_settings(style, ("length_map=1,0.5,0.25,2",)).length_map == (1, 0.5, 0.25, 2)
+    assert with_settings(style, ("cut_around_ears=true",)).cut_around_ears
+    fringed = with_settings(style, ("fringe.sweep=0.5", "fringe.depth=0.04")).fringe
+    assert fringed == hair_style.Fringe(sweep=0.5, depth=0.04)
+    tied = with_settings(STYLES["ponytail"], ("ties.0.radius=0.02",))
+    assert tied.ties[0].radius == 0.02
+    assert with_settings(tied, ("ties=none",)).ties == ()
+    assert with_settings(style, ()) == style
+
+
+def test_controls_that_must_be_positive_exist() -> None:
+    parts = (HairStyle, hair_style.Fringe, hair_style.Clipping, hair_style.Tie)
+    assert set(ABOVE_ZERO) <= {field.name for part in parts for field in fields(part)}
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("length", "expected control=value"),
+        ("lenght=1", "expected one of the controls length, "),
+        ("length=long", "expected a number, found 'long'"),
+        ("length=-1", "expected above 0"),
+        ("length=nan", "expected above 0"),
+        ("frizz=inf", "expected within +-100"),
+        ("clump_spacing=0", "expected above 0"),
+        ("root_rows=65", "expected at most 64"),
+        ("root_rows=2.5", "expected a whole number"),
+        ("length_map=1,1", "expected 4 numbers separated by commas, found 2"),
+        ("length=none", "expected a number"),
+        ("cut_around_ears=1", "expected true or false"),
+        ("length.of=1", "expected a part of this style"),
+        ("fringe=1", "expected fringe.CONTROL=value, or none"),
+        ("fringe.wave=1", "expected one of the controls cut_height, "),
+        ("ties.0.radius=0.01", "expected a part of this style"),
+    ],
+)
+def test_bad_settings_are_named(setting: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        with_settings(HairStyle(), (setting,))
+    assert str(caught.value).startswith(f"--set {setting}: ")
+    assert said in str(caught.value)
+
+
+def test_bad_new_grooms(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    new = ("groom", "new", "--out")
+    assert "mine.hair: expected a name ending in .npz" in refused(capfd, *new, tmp_path / "mine.hair")
+    assert "found no folder" in refused(capfd, *new, tmp_path / "absent" / "mine.npz")
+    line = refused(capfd, *new, tmp_path / "mine.npz", "--style", "beehive")
+    assert "--style: expected one of " in line
+    assert "bob" in line
+    assert "--seed: expected" in refused(capfd, *new, tmp_path / "mine.npz", "--seed=-1")
+    assert "--set lengths=1: " in refused(capfd, *new, tmp_path / "mine.npz", "--set", "lengths=1")
+    assert not list(tmp_path.iterdir())
+
+
+# --- import ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory: pytest.TempPathFactory, body: BodyModel) -> Path:
+    """A bundled groom in centimetres with y up, in two files."""
+    folder = tmp_path_factory.mktemp("foreign")
+    rest = make_groom(with_settings(STYLES["bob"], ("root_rows=24",)), body).rest_strands.numpy()
+    turned = 100 * np.stack([rest[..., 0], rest[..., 2], -rest[..., 1]], -1)[:, ::3]
+    for name, part in (("a", turned[::2]), ("b", turned[1::2])):
+        np.savez(folder / f"{name}.npz", strands=part.astype(np.float32))
+    return folder
+
+
+@pytest.mark.usefixtures("small_pictures")
+def test_import_registers_and_shows(
+    tmp_path: Path, foreign: Path, body: BodyModel, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out, picture = tmp_path / "theirs.npz", tmp_path / "theirs.png"
+    files = [str(foreign / "a.npz"), str(foreign / "b.npz")]
+    main(["groom", "import", *files, "--out", str(out), "--picture", str(picture), "--licence", "CC-BY 4.0"])
+    said = " ".join(capfd.readouterr().out.split())
+    assert "read in cm with +y up" in said
+    assert "mm from the scalp in the median" in said
+    groom = read_groom(out, body)
+    assert (groom.name, groom.licence) == ("theirs", "CC-BY 4.0")
+    assert len(groom) > 300
+    from PIL import Image
+
+    with Image.open(picture) as image:
+        pixels = np.asarray(image).astype(int)
+    assert pixels.shape == (192, 128, 3)
+    brown = pixels[..., 0] - pixels[..., 2] > 25
+    before, after = brown[:, :64].mean(), brown[:, 64:].mean()
+    assert 0.02 < before < after  # no body on the left
+
+
+def test_bad_imports(tmp_path: Path, capfd: pytest.CaptureFixture[str], foreign: Path) -> None:
+    out = ("--out", tmp_path / "out.npz")
+    missing = tmp_path / "missing.hair"
+    assert f"{missing}: expected" in refused(capfd, "groom", "import", missing, *out)
+    cut = tmp_path / "cut.tfx"
+    cut.write_bytes(tfx4_bytes([np.zeros((8, 3))])[:-10])
+    assert f"{cut}: expected" in refused(capfd, "groom", "import", cut, *out)
+    cut.unlink()
+    line = refused(capfd, "groom", "import", foreign / "a.npz", *out, "--picture", tmp_path / "x.jpg")
+    assert "x.jpg: expected a name ending in .png" in line
+    line = refused(capfd, "groom", "import", foreign / "a.npz", *out, "--head", tmp_path / "head.obj")
+    assert "head.obj: expected a head mesh" in line
+    assert "FILE" in refused(capfd, "groom", "import", *out)
+    assert "comb" in refused(capfd, "groom", "comb")
+    assert not list(tmp_path.iterdir())
+
+
+# --- strands ---------------------------------------------------------------------------------------------------------
+
+
+def test_strands_go_to_usd_and_guides_stay_in_the_drape(drape: Path) -> None:
+    with np.load(drape) as file:
+        guides = file["strands"].shape
+    assert guides[1] < 200
+    assert len(read_strands(drape.with_suffix(".usd")).counts) == 700
+
+
+@pytest.mark.usefixtures("small_pictures")
+def test_render_draws_what_was_kept(tmp_path: Path, drape: Path) -> None:
+    outputs = [tmp_path / f"hair{suffix}" for suffix in (".png", ".mp4", ".usdc")]
+    asked = [word for path in outputs for word in ("--out", str(path))]
+    main(["render", str(drape), "--strands", "900", *asked])
+    assert outputs[0].read_bytes().startswith(b"\x89PNG")
+    assert b"ftyp" in outputs[1].read_bytes()[:16]
+    assert len(read_strands(outputs[2]).counts) == 900
+    main(["render", str(drape), "--out", str(tmp_path / "guides.png")])
+    assert (tmp_path / "guides.png").read_bytes() != outputs[0].read_bytes()
+
+
+def test_bad_renders(tmp_path: Path, drape: Path, capfd: pytest.CaptureFixture[str], body: BodyModel) -> None:
+    out = ("--out", tmp_path / "hair.png")
+    assert "expected 1 to 1000000, found 0" in refused(capfd, "render", drape, "--strands", "0", *out)
+    missing = tmp_path / "missing.npz"
+    assert f"{missing}: expected a drape file" in refused(capfd, "render", missing, *out)
+    assert "expected a picture, a video or USD" in refused(capfd, "render", drape, "--out", tmp_path / "hair.npz")
+    assert "--out: expected at least one file" in refused(capfd, "render", drape)
+    write_groom(missing, make_groom(with_settings(STYLES["bob"], (FEW_ROOTS,)), body).select(torch.arange(2)))
+    line = refused(capfd, "drape", missing, "--draper", "posed", "--strands", "50", *out)
+    assert "expected three guides or more" in line
+    missing.unlink()
+    assert not list(tmp_path.iterdir())
+
+
+def test_usd_that_would_not_fit_memory_is_refused(
+    tmp_path: Path, drape: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("quaffure.cli.outputs.MOST_BYTES", 1e6)
+    line = refused(capfd, "render", drape, "--strands", "900", "--out", tmp_path / "hair.usd")
+    assert "--strands: expected at most 868 for 2 frames of USD, found 900" in line
+    assert writer_for(tmp_path / "hair.png")

@@ -1,0 +1,265 @@
+"""Strands between guides: they follow them, part where they part, and keep their lengths, curls and distance."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from quaffure.body.body_model import BodyModel, load_body
+from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.errors import InputError
+from quaffure.geometry.rotation import matrix_from_axis_angle
+from quaffure.geometry.signed_distance import signed_distance
+from quaffure.groom.drape_sequence import DrapeSequence
+from quaffure.groom.groom import Groom
+from quaffure.groom.guide_interpolation import (
+    axis_projection,
+    groom_of_drape,
+    interpolation_of,
+    strands_reference,
+    with_strands,
+)
+from quaffure.groom.guide_triangles import spread_places, togetherness, triangulate
+from quaffure.groom.registration import register_groom
+from quaffure.groom.scalp_texture import select_guides
+from quaffure.io.read_strands import read_strands
+
+ROWS, LENGTH, VERTICES = 24, 0.2, 24
+SHARE = torch.linspace(0, 1, VERTICES)
+
+
+@pytest.fixture(scope="module")
+def body() -> BodyModel:
+    return load_body()
+
+
+def grown(body: BodyModel, offsets: torch.Tensor, uv: torch.Tensor) -> Groom:
+    """Strands `offsets` from their roots at `uv` of the scalp chart."""
+    faces, weights = body.scalp.locate(uv)
+    roots = (weights[..., None] * body.rest_vertices[body.faces[faces]]).sum(-2)
+    return Groom("grown", roots[:, None] + offsets, faces, weights, uv)
+
+
+def even_uv(body: BodyModel) -> torch.Tensor:
+    centre = (torch.arange(ROWS) + 0.5) / ROWS
+    v, u = torch.meshgrid(centre, centre, indexing="ij")
+    uv = torch.stack([u, v], -1).reshape(-1, 2)
+    return uv[body.scalp.locate(uv)[0] >= 0]
+
+
+def straight(direction: torch.Tensor) -> torch.Tensor:
+    return LENGTH * SHARE[:, None] * direction[:, None]
+
+
+@pytest.fixture(scope="module")
+def parted(body: BodyModel) -> Groom:
+    """Straight hair, to the right on the right half of the scalp and to the left on the left half."""
+    uv = even_uv(body)
+    side = torch.where(uv[:, 0] < 0.5, -1.0, 1.0)
+    direction = torch.stack([0.8 * side, torch.zeros_like(side), torch.full_like(side, 0.6)], -1)
+    return grown(body, straight(direction), uv)
+
+
+@pytest.fixture(scope="module")
+def curly(body: BodyModel) -> Groom:
+    """Helices out of step with one another, and lengths that differ a little."""
+    uv = even_uv(body)
+    generator = torch.Generator().manual_seed(0)
+    phase = 6.283 * torch.rand(len(uv), 1, generator=generator) + 6.283 * 3 * SHARE
+    radius = 0.008 * (SHARE * 6).clamp(max=1)
+    wave = torch.stack([radius * phase.cos(), radius * phase.sin(), -LENGTH * SHARE.expand_as(phase)], -1)
+    wave = (wave - wave[:, :1]) * (0.95 + 0.1 * torch.rand(len(uv), 1, 1, generator=generator))
+    return grown(body, wave, uv)
+
+
+def numpy_rest(groom: Groom, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
+    return groom.rest_strands.numpy(), body.rest_vertices.numpy()
+
+
+def lengths(strands: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(np.diff(strands, axis=1), axis=-1).sum(1)
+
+
+def test_no_strand_averages_across_a_parting(body: BodyModel, parted: Groom) -> None:
+    interpolation = interpolation_of(parted, body, 4000)
+    right = parted.root_uv[:, 0].numpy()[interpolation.guides] < 0.5
+    crossing = right.any(axis=1) & ~right.all(axis=1)
+    assert crossing.sum() > 100
+    assert (interpolation.weights[right != right[:, :1]] == 0).all()
+    tips = interpolation.strands(*numpy_rest(parted, body))
+    sideways = np.abs(tips[:, -1, 0] - tips[:, 0, 0])
+    np.testing.assert_allclose(sideways, 0.8 * LENGTH, atol=1e-5)
+    np.testing.assert_allclose(lengths(tips), LENGTH, atol=1e-5)
+
+
+def test_a_split_that_opens_in_the_drape_is_followed_smoothly(body: BodyModel) -> None:
+    """Guides that hang together at rest swing apart: no strand is left half way, and none jumps."""
+    uv = even_uv(body)
+    groom = grown(body, straight(torch.tensor([[0.0, 0.0, -1.0]]).expand(len(uv), -1)), uv)
+    interpolation = interpolation_of(groom, body, 3000)
+    vertices = body.rest_vertices.numpy()
+    side = np.where(uv[:, 0] < 0.5, -1.0, 1.0)
+    frames = []
+    for angle in np.radians(np.linspace(0, 60, 241)):
+        direction = np.stack([side * np.sin(angle), 0 * side, np.full_like(side, -np.cos(angle))], -1)
+        guides = numpy_rest(groom, body)[0][:, :1] + straight(torch.from_numpy(direction)).numpy()
+        frames.append(interpolation.strands(guides.astype(np.float32), vertices))
+    tips = np.stack(frames)[:, :, -1]
+    swing = LENGTH * np.radians(60) / 240
+    assert np.linalg.norm(np.diff(tips, axis=0), axis=-1).max() < 8 * swing
+    apart = np.abs(tips[-1, :, 0] - frames[-1][:, 0, 0])
+    np.testing.assert_allclose(apart, LENGTH * np.sin(np.radians(60)), atol=1e-5)
+
+
+def test_curls_keep_their_radius_and_strands_their_length(body: BodyModel, curly: Groom) -> None:
+    interpolation = interpolation_of(curly, body, 3000)
+    rest, vertices = numpy_rest(curly, body)
+    strands = interpolation.strands(rest, vertices)
+    of_guides = lengths(rest)[interpolation.guides]
+    error = np.maximum(lengths(strands) / of_guides.max(1) - 1, 1 - lengths(strands) / of_guides.min(1))
+    assert np.quantile(error, 0.99) < 0.02
+    averaged = (interpolation.weights[..., None, None] * (rest - rest[:, :1])[interpolation.guides]).sum(1)
+    radius, flattened = curl_radius(strands), curl_radius(averaged)
+    assert abs(radius / curl_radius(rest) - 1) < 0.05
+    assert flattened < 0.8 * radius  # what plain means would do
+
+
+def curl_radius(strands: np.ndarray) -> float:
+    """Mean distance of the outer half of the strands from their axes [m]."""
+    finer = strands - strands[:, :1] - axis_projection(strands.shape[1]) @ (strands - strands[:, :1])
+    return float(np.linalg.norm(finer[:, VERTICES // 2 :], axis=-1).mean())
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.4])
+def test_kernel_and_reference_agree(body: BodyModel, curly: Groom, bend: float) -> None:
+    interpolation = interpolation_of(curly, body, 700, seed=3)
+    rest, vertices = numpy_rest(curly, body)
+    twist = bend * np.random.default_rng(0).standard_normal((len(rest), 1, 3)) * SHARE.numpy()[:, None] * LENGTH
+    guides = (rest + twist).astype(np.float32)
+    out = np.full((700, VERTICES, 3), np.nan, np.float32)
+    found = interpolation.strands(guides, vertices, out)
+    assert found is out
+    expected = strands_reference(interpolation, guides.astype(np.float64), vertices.astype(np.float64))
+    np.testing.assert_allclose(found, expected, atol=2e-6)
+
+
+def test_roots_ride_on_the_body_and_strands_with_them(body: BodyModel, parted: Groom) -> None:
+    interpolation = interpolation_of(parted, body, 500)
+    rest, vertices = numpy_rest(parted, body)
+    turn = matrix_from_axis_angle(torch.tensor([0.3, -0.5, 0.9])).numpy()
+    shift = np.array([0.1, 0.2, -0.3], np.float32)
+    moved = interpolation.strands(rest @ turn.T + shift, vertices @ turn.T + shift)
+    np.testing.assert_allclose(moved, interpolation.strands(rest, vertices) @ turn.T + shift, atol=2e-6)
+    roots = (interpolation.root_weights[..., None] * vertices[interpolation.carriers]).sum(1)
+    np.testing.assert_allclose(interpolation.strands(rest, vertices)[:, 0], roots, atol=1e-6)
+    assert np.isin(np.sort(interpolation.carriers, 1), np.sort(body.faces[body.scalp.faces].numpy(), 1)).all()
+
+
+def test_roots_are_spread_evenly_and_the_same_for_the_same_seed(body: BodyModel, parted: Groom) -> None:
+    interpolation = interpolation_of(parted, body, 5000)
+    again, other = (interpolation_of(parted, body, 5000, seed) for seed in (0, 1))
+    np.testing.assert_array_equal(interpolation.root_weights, again.root_weights)
+    assert (interpolation.root_weights != other.root_weights).any()
+    assert len(interpolation) == 5000
+    np.testing.assert_allclose(interpolation.weights.sum(1), 1, atol=1e-6)
+    assert (interpolation.weights >= 0).all()
+    per_guide = np.bincount(interpolation.guides[:, 0], minlength=len(parted))
+    assert (per_guide > 0.25 * per_guide.mean()).mean() > 0.95
+    assert per_guide.max() < 2.5 * per_guide.mean()
+
+
+def test_places_fill_every_triangle_by_its_share() -> None:
+    roots = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
+    triangle, shares = spread_places(np.array([[0, 1, 2], [0, 2, 3]]), roots, 1000, 0)
+    assert np.bincount(triangle).tolist() == [500, 500]
+    assert (shares >= 0).all()
+    np.testing.assert_allclose(shares.sum(1), 1)
+    first = shares[triangle == 0]
+    np.testing.assert_allclose(first.mean(0), 1 / 3, atol=0.01)
+    points = first @ roots[[0, 1, 2], :2]
+    nearest = np.sort(np.linalg.norm(points[:, None] - points, axis=-1), axis=1)[:, 1]
+    assert nearest.min() > 0.2 * np.sqrt(0.5 / 500)  # random points come far closer
+
+
+def test_gaps_stay_bald() -> None:
+    centre = (np.arange(10) + 0.5) / 40
+    u, v = (grid.ravel() for grid in np.meshgrid(centre, centre))
+    uv = np.concatenate([np.stack([u, v], 1), np.stack([u + 0.7, v], 1)])
+    roots = np.concatenate([uv, np.zeros((len(uv), 1))], axis=1)
+    triangles = triangulate(uv, roots, "two tufts")
+    assert len(triangles) == 2 * 2 * 81
+    assert ((triangles < 100).all(1) | (triangles >= 100).all(1)).all()
+
+
+def test_togetherness_falls_with_the_angle() -> None:
+    angles = np.radians([0, 10, 15, 20, 25, 40])
+    axes = LENGTH * SHARE.numpy()[:, None] * np.stack([np.sin(angles), 0 * angles, -np.cos(angles)], -1)[:, None]
+    pairs = np.stack([np.zeros(6, np.int64), np.arange(6)], -1)
+    together = togetherness(axes, np.full(6, LENGTH), pairs)
+    assert together[:2].tolist() == [1, 1]
+    assert together[-1] == 0
+    assert (np.diff(together[1:]) < 0).all()
+
+
+def drape_of(groom: Groom, body: BodyModel, poses: torch.Tensor) -> DrapeSequence:
+    scene = Scene(groom, BodyBatch(body, poses, torch.zeros(len(poses), 10)))
+    return DrapeSequence(
+        strands=scene.posed.numpy(),
+        posed=scene.posed.numpy(),
+        rest_lengths=groom.rest_lengths.numpy(),
+        body_vertices=scene.bodies.posed.vertices.numpy(),
+        body_faces=body.faces.numpy().astype(np.int32),
+        body_pose=poses.numpy(),
+        body_shape=np.zeros(10, np.float32),
+        fps=30.0,
+        meta={"groom": "grown"},
+    )
+
+
+def test_the_groom_of_a_drape_is_found_again(body: BodyModel, curly: Groom) -> None:
+    poses = 0.2 * torch.randn(2, 81, generator=torch.Generator().manual_seed(0))
+    sequence = drape_of(curly, body, poses)
+    found = groom_of_drape(sequence, body)
+    np.testing.assert_allclose(found.root_uv, curly.root_uv, atol=1e-4)
+    same = found.root_faces == curly.root_faces  # a root on an edge may go to either face
+    assert same.float().mean() > 0.97
+    np.testing.assert_allclose(found.rest_strands[same], curly.rest_strands[same], atol=1e-5)
+    dense = with_strands(sequence, interpolation_of(found, body, 400))
+    assert dense.strands.shape == dense.posed.shape == (2, 400, VERTICES, 3)
+    np.testing.assert_allclose(dense.strands, dense.posed, atol=1e-6)
+    assert dense.rest_lengths.shape == (400, VERTICES - 1)
+    assert dense.meta == {"groom": "grown", "guides": len(curly)}
+
+
+def test_bad_input_is_named(body: BodyModel, parted: Groom) -> None:
+    for count in (0, -3, 10**9):
+        with pytest.raises(InputError, match=f"strands: expected 1 to 1000000, found {count}"):
+            interpolation_of(parted, body, count)
+    for few in (torch.arange(2), torch.arange(4)):  # the first four roots lie in one row
+        with pytest.raises(InputError, match="grown: expected three guides or more, not on a line"):
+            interpolation_of(parted.select(few), body, 10)
+    interpolation = interpolation_of(parted, body, 10)
+    with pytest.raises(InputError, match=r"guides: expected .* found \(9, 24, 3\)"):
+        interpolation.strands(parted.rest_strands.numpy()[:9], body.rest_vertices.numpy())
+    sequence = drape_of(parted, body, torch.zeros(1, 81))
+    with pytest.raises(InputError, match="the body of this package"):
+        groom_of_drape(replace(sequence, body_faces=sequence.body_faces[:-2]), body)
+    with pytest.raises(InputError, match="of the scalp, found"):
+        groom_of_drape(replace(sequence, posed=sequence.posed + np.float32(0.1)), body)
+
+
+@pytest.mark.shared_data
+def test_strands_of_a_real_groom_stay_out_of_the_body(body: BodyModel, shared_data: Path) -> None:
+    path = shared_data / "grooms" / "sintel" / "sintel_hair_16points.tfx"
+    groom = select_guides(register_groom(read_strands(path), body, "sintel")[0])
+    interpolation = interpolation_of(groom, body, 3000)
+    rest, vertices = numpy_rest(groom, body)
+    strands = interpolation.strands(rest, vertices)
+    surface = BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)).surface
+    distance = signed_distance(torch.from_numpy(strands[:, 1:].reshape(1, -1, 3)), surface)
+    assert (distance < 0).float().mean() < 1e-3
+    assert (distance < -2e-3).float().mean() < 1e-4
+    ratio = lengths(strands) / (interpolation.weights * lengths(rest)[interpolation.guides]).sum(1)
+    assert np.abs(ratio - 1).mean() < 0.02

@@ -19,10 +19,12 @@ HEAVY = ("pxr", "moderngl", "av", "anny", "igl", "trimesh", "PIL")
 # Numba compiles no structs of arrays, so a kernel takes its arrays one by one.
 KERNELS_WITH_MANY_PARAMETERS = {
     "drapers/xpbd_kernels.py": {"excess_and_mobility", "find_planes", "pressure_gradient", "sweep_strands"},
-    "energies/fused_density.py": {"_excess", "_gradient"},
-    "energies/fused_strand.py": {"_contact", "_strands"},
+    "energies/density_hessian.py": {"_list", "_multiply"},
+    "energies/fused_strand.py": {"_strands"},
+    "energies/strand_hessian.py": {"_add_contact", "_add_edge", "strand_hessian"},
     "geometry/clear_cells.py": {"_outside"},
     "geometry/surface.py": {"_fill"},
+    "groom/guide_interpolation.py": {"_mix"},
 }
 
 

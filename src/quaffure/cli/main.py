@@ -8,16 +8,22 @@ from typing import Annotated, NoReturn
 
 import tyro
 
+from quaffure.cli.benchmark import BenchmarkCommand
 from quaffure.cli.drape import DrapeCommand
+from quaffure.cli.groom import GroomCommand
 from quaffure.cli.grooms import GroomsCommand
 from quaffure.cli.info import InfoCommand
+from quaffure.cli.render import RenderCommand
 from quaffure.cli.train import TrainCommand
 from quaffure.errors import InputError
 
 Command = (
     Annotated[DrapeCommand, tyro.conf.subcommand("drape")]
     | Annotated[TrainCommand, tyro.conf.subcommand("train")]
+    | Annotated[RenderCommand, tyro.conf.subcommand("render")]
+    | Annotated[BenchmarkCommand, tyro.conf.subcommand("benchmark")]
     | Annotated[GroomsCommand, tyro.conf.subcommand("grooms")]
+    | Annotated[GroomCommand, tyro.conf.subcommand("groom")]
     | Annotated[InfoCommand, tyro.conf.subcommand("info")]
 )
 

@@ -12,6 +12,7 @@ from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.cli.console import console
 from quaffure.cli.inputs import motion_of
+from quaffure.drapers.quaffure_model import load_model
 from quaffure.errors import InputError
 from quaffure.evaluation.evaluation_set import evaluation_motions
 from quaffure.io.load_groom import load_groom
@@ -36,6 +37,8 @@ class TrainCommand:
     """A bundled groom or a file; may be given several times."""
     motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
     """Motion files to train on besides the pose prior; may be given several times. Evaluation clips are refused."""
+    weights: Path | None = None
+    """Weights to start from, of a network of the same configuration; fresh ones without it."""
     config: TrainConfig = field(default_factory=TrainConfig)
 
     def run(self) -> None:
@@ -52,6 +55,8 @@ class TrainCommand:
         training = DecoderTraining(self.config, body, grooms, sampler, self.out)
         if training.resume():
             console.print(f"carrying on from step {training.step}")
+        elif self.weights is not None:
+            training.start_from(load_model(self.weights).draper.network)
         self._train(training, _validation(sampler))
 
     def _allowed_motions(self) -> tuple[Path, ...]:

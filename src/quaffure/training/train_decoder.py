@@ -39,7 +39,9 @@ class TrainConfig:
     steps: int = 20000
     """Optimizer steps in all."""
     runs: int = 4
-    """Runs of consecutive frames in a step, each on a body of its own; every groom is draped on all of them."""
+    """Runs of consecutive frames in a step, each on a body of its own; every groom of the step is draped on them all."""
+    grooms_per_step: int = 4
+    """Grooms in a step, drawn anew each time; all of them where there are no more."""
     frames: int = 2
     """Consecutive frames in a run (N_pose_reg of Eq. 14)."""
     learning_rate: float = 1e-3
@@ -57,7 +59,7 @@ class TrainConfig:
     """Seconds between two checkpoints that the run can be resumed from."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "runs", "frames", "self_collision_every", "validate_every"):
+        for name in ("steps", "runs", "frames", "grooms_per_step", "self_collision_every", "validate_every"):
             if getattr(self, name) < 1:
                 raise InputError(f"--{name.replace('_', '-')}", "1 or more", f"{getattr(self, name)}")
         if not 0 < self.material.collision_margin <= REACH:
@@ -102,7 +104,7 @@ class DecoderTraining:
 
     def steps(self) -> Iterator[dict[str, float]]:
         """Train to the last step, yielding after each one the loss [m g L per vertex] and the rate [samples/s]."""
-        samples = self.config.runs * self.config.frames * len(self.grooms)
+        samples = self.config.runs * self.config.frames * min(self.config.grooms_per_step, len(self.grooms))
         while self.step < self.config.steps:
             start = time.perf_counter()
             loss = self._train_step()
@@ -119,8 +121,9 @@ class DecoderTraining:
         self.optimizer.zero_grad(set_to_none=True)
         bodies = BodyBatch(self.body, body_pose, body_shape)
         mean_loss = 0.0
-        for groom, energy in zip(self.grooms, self.energies):
-            loss = self._loss(Scene(groom, bodies), energy) / len(self.grooms)
+        drawn = self._drawn_grooms()
+        for index in drawn:
+            loss = self._loss(Scene(self.grooms[index], bodies), self.energies[index], len(drawn)) / len(drawn)
             loss.backward()
             mean_loss += float(loss.detach())
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
@@ -128,12 +131,24 @@ class DecoderTraining:
         self.average.update_parameters(self.network)
         return mean_loss
 
-    def _loss(self, scene: Scene, energy: HairEnergy) -> Tensor:
-        """Eq. 1 over the batch, per vertex in units of m g L."""
+    def _drawn_grooms(self) -> list[int]:
+        if len(self.grooms) <= self.config.grooms_per_step:
+            return list(range(len(self.grooms)))
+        order = torch.randperm(len(self.grooms), generator=self.generator)
+        drawn: list[int] = order[: self.config.grooms_per_step].tolist()
+        return drawn
+
+    def _loss(self, scene: Scene, energy: HairEnergy, grooms: int) -> Tensor:
+        """Eq. 1 over the batch of one of several grooms, per vertex in units of m g L plus k_Cosserat.
+
+        For long hair the first is all; in stubble a bend costs a thousand times what its weight does, and short grooms
+        would drown the others.
+        """
         config = self.config
+        unit = energy.per_vertex_unit + energy.rest.mass.numel() * config.material.k_cosserat
         draped = self.draper.deform(scene, energy.rest)
         # The gradient that arrives is that of the mean over samples and grooms.
-        joules = len(draped) * len(self.grooms) * energy.per_vertex_unit
+        joules = len(draped) * grooms * unit
         positions = limit_forces(draped, energy.rest, joules)
         total = energy.along_strands(positions, scene.director, scene.surface)
         if self.step % config.self_collision_every == 0:
@@ -141,7 +156,7 @@ class DecoderTraining:
         head = world_from_head(self.body, scene.bodies.posed.joint_rotations)[:, None]
         deformation = ((positions - scene.posed) @ head).unflatten(0, (config.runs, config.frames))
         smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg)
-        return energy.per_vertex(total).mean() + energy.per_vertex(smoothness).mean() / config.frames
+        return (total.mean() + smoothness.mean() / config.frames) / unit
 
     def validate(self, validation: Validation) -> dict[str, float]:
         """Energy terms of the averaged network [m g L per vertex], mean over grooms; keeps the best weights so far."""
@@ -161,6 +176,18 @@ class DecoderTraining:
                 save_network(path, self.averaged, self.config.material, notes)
         self._log({"step": self.step, "seconds": round(self.seconds, 1), **{k: round(v, 6) for k, v in sums.items()}})
         return sums
+
+    def start_from(self, network: QuaffureNetwork) -> None:
+        """Take over the weights of a network of the same configuration.
+
+        Raises:
+            InputError: its layers are others.
+        """
+        try:
+            self.network.load_state_dict(network.state_dict())
+        except RuntimeError as error:
+            raise InputError("--weights", f"a network of {self.config.network}", "other layers") from error
+        self.average = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(0.998))
 
     def save(self) -> None:
         """Write everything that `resume` needs."""

@@ -19,7 +19,9 @@ from quaffure.geometry.polyline import integrate_directions
 from tests.scenes import bent_inwards, sphere_groom, sphere_surface
 from tests.test_xpbd import scene_of, strands_by_hand
 
-FREE = HairMaterial(k_body_collision=0.0, k_self_collision=0.0)
+SOFT = HairMaterial(k_cosserat=5e-8)
+"""Strands of 10 cm sag a good deal."""
+FREE = replace(SOFT, k_body_collision=0.0, k_self_collision=0.0)
 
 
 def horizontal_strand(length: float = 0.25) -> torch.Tensor:
@@ -54,7 +56,7 @@ def test_free_strands_descend_towards_the_closed_form(
 
 
 def test_lbfgs_on_directions_pushes_the_sag_out_of_the_body_and_keeps_lengths() -> None:
-    material = replace(HairMaterial(), k_self_collision=0.0)
+    material = replace(SOFT, k_self_collision=0.0)
     scene = scene_of(sphere_groom(strands=12))
     energy = HairEnergy(scene.groom, material)
     rest = energy.rest
@@ -131,14 +133,15 @@ def test_solvers_on_directions_and_on_positions_end_at_the_same_measure() -> Non
     ("elastic", "tip"),
     # docs/validation.md, straight, 25 cm; here with edges that keep their lengths.
     [
-        ("modified_cosserat", (140.9, 0, -188.4)),
+        ("modified_cosserat", (226.0, 0, -93.5)),
         ("cosserat", (34.2, 0, -237.2)),
         ("mass_spring", (27.1, 0, -239.7)),
     ],
 )
 def test_a_strand_hangs_as_its_elastic_model_is_documented_to(elastic: str, tip: tuple[float, float, float]) -> None:
     scene = scene_of(strands_by_hand(horizontal_strand() + torch.tensor([0.1, 0.0, 0.5])))
-    draped, report = AdamDraper(FREE, elastic=elastic).solve(scene)
+    free = replace(HairMaterial(), k_body_collision=0.0, k_self_collision=0.0)
+    draped, report = AdamDraper(free, elastic=elastic).solve(scene)
     distance = (1000 * (draped[0, 0, -1] - draped[0, 0, 0]) - torch.tensor(tip)).norm()
     assert distance < 2
     assert report.relative_gradient < 0.02

@@ -22,7 +22,7 @@ class HairMaterial:
 
     linear_density: float = 6.5e-6
     """Mass of a strand per length [kg/m]; a human hair weighs 6.4e-5 N/m."""
-    k_cosserat: float = 5e-8
+    k_cosserat: float = 2e-7
     """Stiffness of the modified stretch-shear energy, Eq. 6 [J]."""
     k_stretch: float = 1.0
     """Stiffness of an edge against stretching, Eq. 7 [N/m]."""

@@ -39,7 +39,7 @@ class TrainConfig:
     steps: int = 20000
     """Optimizer steps in all."""
     runs: int = 4
-    """Runs of consecutive frames in a step, each on a body of its own; every groom of the step is draped on them all."""
+    """Runs of consecutive frames in a step, each on a body of its own; a step's grooms are draped on all of them."""
     grooms_per_step: int = 4
     """Grooms in a step, drawn anew each time; all of them where there are no more."""
     frames: int = 2
@@ -103,7 +103,7 @@ class DecoderTraining:
         return cast(QuaffureNetwork, self.average.module)
 
     def steps(self) -> Iterator[dict[str, float]]:
-        """Train to the last step, yielding after each one the loss [m g L per vertex] and the rate [samples/s]."""
+        """Train to the last step, yielding after each one the loss [`_joules`] and the rate [samples/s]."""
         samples = self.config.runs * self.config.frames * min(self.config.grooms_per_step, len(self.grooms))
         while self.step < self.config.steps:
             start = time.perf_counter()
@@ -139,27 +139,21 @@ class DecoderTraining:
         return drawn
 
     def _loss(self, scene: Scene, energy: HairEnergy, grooms: int) -> Tensor:
-        """Eq. 1 over the batch of one of several grooms, per vertex in units of m g L plus k_Cosserat.
-
-        For long hair the first is all; in stubble a bend costs a thousand times what its weight does, and short grooms
-        would drown the others.
-        """
+        """Eq. 1 over the batch of one of several grooms, in units of `_joules`."""
         config = self.config
-        unit = energy.per_vertex_unit + energy.rest.mass.numel() * config.material.k_cosserat
         draped = self.draper.deform(scene, energy.rest)
         # The gradient that arrives is that of the mean over samples and grooms.
-        joules = len(draped) * grooms * unit
-        positions = limit_forces(draped, energy.rest, joules)
+        positions = limit_forces(draped, energy.rest, len(draped) * grooms * _joules(energy))
         total = energy.along_strands(positions, scene.director, scene.surface)
         if self.step % config.self_collision_every == 0:
             total = total + config.self_collision_every * energy.self_collision(positions)
         head = world_from_head(self.body, scene.bodies.posed.joint_rotations)[:, None]
         deformation = ((positions - scene.posed) @ head).unflatten(0, (config.runs, config.frames))
         smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg)
-        return (total.mean() + smoothness.mean() / config.frames) / unit
+        return (total.mean() + smoothness.mean() / config.frames) / _joules(energy)
 
     def validate(self, validation: Validation) -> dict[str, float]:
-        """Energy terms of the averaged network [m g L per vertex], mean over grooms; keeps the best weights so far."""
+        """Energy terms of the averaged network in `_joules`, mean over grooms; keeps the best weights so far."""
         draper = NeuralDraper(self.averaged, self.config.material)
         sums: dict[str, float] = {}
         bodies = BodyBatch(self.body, validation.body_pose, validation.body_shape)
@@ -167,7 +161,7 @@ class DecoderTraining:
             for groom, energy in zip(self.grooms, self.energies):
                 scene = Scene(groom, bodies)
                 for name, value in energy.terms(draper.drape(scene), scene.director, scene.surface).items():
-                    sums[name] = sums.get(name, 0.0) + float(energy.per_vertex(value).mean()) / len(self.grooms)
+                    sums[name] = sums.get(name, 0.0) + float(value.mean()) / (_joules(energy) * len(self.grooms))
         sums["energy"] = sum(sums.values())
         if sums["energy"] < self.best:
             self.best = sums["energy"]
@@ -259,6 +253,15 @@ def train(training: DecoderTraining, validation: Validation, report: Callable[[i
             training.save()
             saved = time.perf_counter()
     training.save()
+
+
+def _joules(energy: HairEnergy) -> float:
+    """The unit of a groom's loss [J]: m g L plus k_Cosserat, a vertex.
+
+    For long hair the first is all; in stubble a bend costs a thousand times what its weight does, and short grooms
+    would drown the others.
+    """
+    return energy.per_vertex_unit + energy.rest.mass.numel() * energy.material.k_cosserat
 
 
 def _schedule(step: int, warmup: int, steps: int) -> float:

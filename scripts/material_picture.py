@@ -1,0 +1,47 @@
+"""What k_Cosserat does to hair: `python scripts/material_picture.py`.
+
+Four hairstyles as designed, then as XPBD settles them under their own weight on the same upright body.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import torch
+from PIL import Image
+
+from quaffure.body.body_model import load_body
+from quaffure.config import HairMaterial
+from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.drapers.xpbd import XpbdDraper
+from quaffure.groom.procedural import make_groom
+from quaffure.render.contact_sheet import write_contact_sheet
+
+OUT = Path(__file__).parents[1] / "docs" / "figures" / "material.jpg"
+STYLES = ("long_straight", "long_wavy", "long_ringlets", "ponytail")
+STIFFNESS = (5e-8, 2e-7, 6e-7)  # [J]
+WIDTH = 1500
+
+
+def main() -> None:
+    body = load_body()
+    upright = BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10))
+    sheet = []
+    for style in STYLES:
+        designed = make_groom(style, body)
+        sheet.append(designed)
+        for k in STIFFNESS:
+            settled, report = XpbdDraper(HairMaterial(k_cosserat=k)).solve(Scene(designed, upright))
+            stretch = settled[0].diff(dim=1).norm(dim=-1) / designed.rest_lengths - 1
+            rest = f"gradient {report.relative_gradient:.2g}, stretch {100 * float(stretch.mean()):.2g} %"
+            print(f"{style}, {k:g} J: {rest}")
+            sheet.append(replace(designed, name=f"{style}, {k:g} J", rest_strands=settled[0]))
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "sheet.png"
+        write_contact_sheet(path, sheet, body)
+        picture = Image.open(path).convert("RGB")
+    picture.resize((WIDTH, WIDTH * picture.height // picture.width)).save(OUT, quality=80, optimize=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,8 +1,13 @@
 import importlib.util
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 import torch
+
+if TYPE_CHECKING:
+    from quaffure.body.body_model import BodyModel
+    from quaffure.geometry.surface import Surface
 
 if importlib.util.find_spec("beartype") is not None:
     from jaxtyping import install_import_hook
@@ -32,3 +37,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def shared_data() -> Path:
     return SHARED_DATA
+
+
+# Imports wait until after the hook above.
+@pytest.fixture(scope="session")
+def body() -> "BodyModel":
+    from quaffure.body.body_model import load_body
+
+    return load_body()
+
+
+@pytest.fixture(scope="session")
+def surface(body: "BodyModel") -> "Surface":
+    """The body at rest."""
+    from quaffure.groom.clearance import rest_surface
+
+    return rest_surface(body)

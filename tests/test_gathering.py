@@ -3,25 +3,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.body_model import BodyModel
 from quaffure.geometry.surface import Surface
-from quaffure.groom.clearance import rest_surface
 from quaffure.groom.curls import clumped, curled
 from quaffure.groom.gathering import bundle_of, gather, gathered_by
 from quaffure.groom.groom import Groom
 from quaffure.groom.hair_style import STYLES, HairStyle
 from quaffure.groom.procedural import STEPS, make_groom
 from quaffure.groom.scalp_roots import ScalpRoots, spread_roots
-
-
-@pytest.fixture(scope="module")
-def body() -> BodyModel:
-    return load_body()
-
-
-@pytest.fixture(scope="module")
-def surface(body: BodyModel) -> Surface:
-    return rest_surface(body)
 
 
 @pytest.fixture(scope="module")

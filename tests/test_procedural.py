@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.geometry.surface import Surface
 from quaffure.groom.clearance import (
@@ -12,23 +12,12 @@ from quaffure.groom.clearance import (
     distances_and_normals,
     inside_share,
     pushed_out,
-    rest_surface,
 )
 from quaffure.groom.curls import arc_lengths, curl_arc_factor
 from quaffure.groom.groom import Groom
 from quaffure.groom.hair_style import HELD_OUT, STYLES
 from quaffure.groom.pose_transform import root_positions
 from quaffure.groom.procedural import evenly, make_groom
-
-
-@pytest.fixture(scope="module")
-def body() -> BodyModel:
-    return load_body()
-
-
-@pytest.fixture(scope="module")
-def surface(body: BodyModel) -> Surface:
-    return rest_surface(body)
 
 
 @pytest.fixture(scope="module")

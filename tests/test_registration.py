@@ -6,10 +6,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.geometry.surface import Surface
-from quaffure.groom.clearance import inside_share, rest_surface
+from quaffure.groom.clearance import inside_share
 from quaffure.groom.groom import Groom
 from quaffure.groom.hair_style import STYLES
 from quaffure.groom.pose_transform import root_positions
@@ -21,16 +21,6 @@ from quaffure.io.load_groom import read_head
 from quaffure.io.read_strands import read_strands
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from our axes to a file whose y is up and whose face is +z
-
-
-@pytest.fixture(scope="module")
-def body() -> BodyModel:
-    return load_body()
-
-
-@pytest.fixture(scope="module")
-def surface(body: BodyModel) -> Surface:
-    return rest_surface(body)
 
 
 @pytest.fixture(scope="module")

@@ -1,27 +1,16 @@
 from dataclasses import replace
 
-import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.body_model import BodyModel
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.geometry.surface import Surface
-from quaffure.groom.clearance import inside_share, rest_surface
+from quaffure.groom.clearance import inside_share
 from quaffure.groom.curls import curl_arc_factor
 from quaffure.groom.groom import Groom
 from quaffure.groom.hair_style import STYLES, HairStyle
 from quaffure.groom.procedural import make_groom
 from quaffure.groom.style_family import CURL_TYPES, VERTICES_OF_A_TURN, sample_style
-
-
-@pytest.fixture(scope="module")
-def body() -> BodyModel:
-    return load_body()
-
-
-@pytest.fixture(scope="module")
-def surface(body: BodyModel) -> Surface:
-    return rest_surface(body)
 
 
 def drawn(count: int, seed: int = 0) -> list[HairStyle]:

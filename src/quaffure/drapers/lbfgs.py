@@ -4,11 +4,12 @@ The step length is the search's: there is no learning rate to find. The samples 
 """
 
 import math
+from collections.abc import Callable
 
 import torch
 
 from quaffure.config import HairMaterial
-from quaffure.drapers.descent import Descent, Directions, Offsets
+from quaffure.drapers.descent import Descent, Directions, HairVariables, Offsets
 from quaffure.drapers.draper import StoppingReport
 from quaffure.drapers.scene import Scene
 from quaffure.energies.elastic_model import ModifiedCosserat
@@ -25,9 +26,11 @@ class LbfgsDraper:
     Attributes:
         evaluations: of the gradient, at most, but for the end of the last line search.
         elastic: name of the elastic model.
+        variables: what moves the hair.
     """
 
     name = "lbfgs"
+    variables: Callable[[HairEnergy, Scene], HairVariables] = Directions
 
     def __init__(
         self, material: HairMaterial | None = None, evaluations: int = 300, elastic: str = ModifiedCosserat.name
@@ -40,31 +43,19 @@ class LbfgsDraper:
     def solve(self, scene: Scene) -> tuple[Positions, StoppingReport]:
         """Draped vertices [m] and where the solver stopped."""
         energy = HairEnergy(scene.groom, self.material, self.elastic)
-        return _searched(Descent(energy, scene, Directions(energy, scene)), self.evaluations)
+        return _searched(Descent(energy, scene, self.variables(energy, scene)), self.evaluations)
 
 
-class LbfgsPositionsDraper:
-    """Minimizes `HairEnergy` over vertex positions, from the posed groom.
-
-    Attributes:
-        evaluations: of the gradient, at most, but for the end of the last line search.
-        elastic: name of the elastic model.
-    """
+class LbfgsPositionsDraper(LbfgsDraper):
+    """Minimizes `HairEnergy` over vertex positions, from the posed groom. Attributes are those of `LbfgsDraper`."""
 
     name = "lbfgs_positions"
+    variables = Offsets
 
     def __init__(
         self, material: HairMaterial | None = None, evaluations: int = 2000, elastic: str = ModifiedCosserat.name
     ) -> None:
-        self.material, self.evaluations, self.elastic = material or HairMaterial(), evaluations, elastic
-
-    def drape(self, scene: Scene) -> Positions:
-        return self.solve(scene)[0]
-
-    def solve(self, scene: Scene) -> tuple[Positions, StoppingReport]:
-        """Draped vertices [m] and where the solver stopped."""
-        energy = HairEnergy(scene.groom, self.material, self.elastic)
-        return _searched(Descent(energy, scene, Offsets(energy, scene)), self.evaluations)
+        super().__init__(material, evaluations, elastic)
 
 
 def _searched(descent: Descent, evaluations: int) -> tuple[Positions, StoppingReport]:

@@ -1,13 +1,14 @@
 """Newton's method on the vertices: the reference solver, whose minimum defines `excess_energy`.
 
-Each step solves a convex model of the whole energy by conjugate gradients, preconditioned by the block-tridiagonal
-factors of the strands (Nocedal and Wright 2006, section 7.1). Edges turn along arcs, so that a long step does not
+Each step solves a model of the whole energy by conjugate gradients, preconditioned by the block-tridiagonal factors of
+the strands (Nocedal and Wright 2006, section 7.1). The model is convex until the gradient is small; the exact Hessian
+then brings the last digits in a few steps. Edges turn along arcs, so that a long step does not
 stretch them. Where single strands meet what the model did not foresee, a crease of the body or other hair, they alone
 take a shorter step. No step is taken that raises the energy.
 """
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -30,24 +31,35 @@ SUFFICIENT = 0.1
 TOLERABLE = 0.02
 """What one strand may cost more than foreseen, of what the whole step promises."""
 SHORTER = 0.4
+NEAR = 0.03
+"""Relative gradient below which the exact Hessian is tried; less after every vain trial."""
 _TRIALS = 12
 _INNER_ITERATIONS = 150
 
 
 @dataclass(frozen=True)
 class _Trust:
-    """What the model is told beyond derivatives; `quaffure.drapers.newton_system.QuadraticModel` explains both.
+    """What the model is told beyond derivatives; `quaffure.drapers.newton_system.QuadraticModel` explains slack and
+    repulsion.
 
-    Both follow from the last step: hair that came closer resists sooner, a model that proved too stiff is softened.
+    All follows from the last step: hair that came closer resists sooner, a model that proved too stiff is softened, and
+    one that foretold a step near a minimum gives way to the exact Hessian.
+
+    Attributes:
+        exact: try the exact Hessian.
+        near: relative gradient below which to.
     """
 
     slack: PerVertex
     repulsion: float = 0.25
+    exact: bool = False
+    near: float = NEAR
 
-    def after(self, rise: PerVertex, agreement: float, trials: int) -> "_Trust":
+    def after(self, relative: float, rise: PerVertex, agreement: float, trials: int) -> "_Trust":
         """The trust for the next step.
 
         Args:
+            relative: norm of the gradient before the step, over that of gravity's.
             rise: of every density, had the whole step been taken [kg/m^3].
             agreement: change of the energy over the model's for the whole step.
             trials: steps tried.
@@ -55,9 +67,20 @@ class _Trust:
         repulsion = self.repulsion
         if agreement > 1.1 and trials == 1:
             repulsion *= 0.6
-        elif agreement < 0.6 or trials > 2:
+        elif not self.exact and (agreement < 0.6 or trials > 2):
             repulsion *= 1.5
-        return _Trust(np.maximum(0.5 * self.slack, 0.7 * rise.clip(min=0)), min(max(repulsion, 0.05), 1.0))
+        slack = np.maximum(0.5 * self.slack, 0.7 * rise.clip(min=0))
+        foretold = trials == 1 and agreement > 0.25
+        near = 0.3 * self.near if self.exact and not foretold else self.near
+        return _Trust(slack, min(max(repulsion, 0.05), 1.0), foretold and relative < near, near)
+
+    def model(self, system: NewtonSystem, point: Point) -> QuadraticModel:
+        """The model at a point; the convex one where the exact Hessian is of no use."""
+        if self.exact:
+            exact = QuadraticModel(system, point, self.slack, None)
+            if exact.is_definite:
+                return exact
+        return QuadraticModel(system, point, self.slack, self.repulsion)
 
 
 class NewtonDraper:
@@ -74,7 +97,7 @@ class NewtonDraper:
 
     name = "newton"
 
-    def __init__(self, material: HairMaterial | None = None, tolerance: float = 1e-4, steps: int = 30) -> None:
+    def __init__(self, material: HairMaterial | None = None, tolerance: float = 1e-4, steps: int = 40) -> None:
         self.material = material or HairMaterial()
         self.tolerance, self.steps = tolerance, steps
 
@@ -82,26 +105,31 @@ class NewtonDraper:
         return self.solve(scene)[0]
 
     def solve(self, scene: Scene) -> tuple[Positions, StoppingReport]:
-        """Draped vertices [m] and where the solver stopped; its iterations are the evaluations of one sample."""
+        """Draped vertices [m] and where the solver stopped; its iterations are the evaluations of one sample.
+
+        The relative gradient of the report is that of `tolerance`: the whole gradient, in double precision, of the
+        energy with rounded creases. At a crease the exact energy has none that vanishes.
+        """
         start = time.perf_counter()
         energy = HairEnergy(scene.groom, self.material)
         drapers = (XpbdDraper(self.material), XpbdDraper(self.material, PATIENT), AdamDraper(self.material))
         starts = torch.stack([draper.drape(scene) for draper in drapers])
         costs = torch.stack([energy.total(positions, scene.director, scene.surface) for positions in starts])
         positions = starts[costs.argmin(dim=0), torch.arange(len(scene.posed))].detach()
-        evaluations = 0
+        evaluations, worst = 0, 0.0
         for sample in range(len(positions)):
             system = NewtonSystem(energy, scene, sample)
-            settled, _ = self.minimize(system, positions[sample].double().numpy())
+            settled, relative = self.minimize(system, positions[sample].double().numpy())
             positions[sample] = torch.from_numpy(settled)
-            evaluations += system.evaluations
+            evaluations, worst = evaluations + system.evaluations, max(worst, relative)
         seconds = time.perf_counter() - start
-        return positions, stopping_report(energy, scene, positions, evaluations // len(positions), seconds)
+        report = stopping_report(energy, scene, positions, evaluations // len(positions), seconds)
+        return positions, replace(report, relative_gradient=worst)
 
     def minimize(self, system: NewtonSystem, positions: Vertices) -> tuple[Vertices, float]:
         """Vertices [m] at or near a minimum, never higher than `positions`, and the relative norm of the gradient."""
         trust = _Trust(np.full(positions.shape[:2], 0.05))
-        model = QuadraticModel(system, positions, trust.slack, trust.repulsion)
+        model = trust.model(system, system.point(positions))
         for _ in range(self.steps):
             relative = float(np.linalg.norm(model.gradient)) / system.weight
             if relative <= self.tolerance:
@@ -109,11 +137,10 @@ class NewtonDraper:
             step = conjugate_gradients(model, min(0.1, 0.5 * relative**0.5))
             reached, foreseen, trials, rise = _search(system, model, step)
             agreement = (reached.energy - model.point.energy) / min(foreseen, -1e-300)
-            trust = trust.after(rise, agreement, trials)
-            if agreement <= 0 and trust.repulsion == 1.0:
+            if agreement <= 0 and trust.repulsion == 1.0 and not trust.exact:
                 break
-            positions = reached.positions if agreement > 0 else model.point.positions
-            model = QuadraticModel(system, positions, trust.slack, trust.repulsion)
+            trust = trust.after(relative, rise, agreement, trials)
+            model = trust.model(system, reached if agreement > 0 else model.point)
         return model.point.positions, float(np.linalg.norm(model.gradient)) / system.weight
 
 
@@ -147,17 +174,18 @@ def _search(system: NewtonSystem, model: QuadraticModel, step: Vertices) -> tupl
     """
     slope = float((model.gradient * step).sum())
     length: PerStrand = np.ones(len(step))
-    whole: PerVertex = np.empty(0)
-    for trial in range(1, _TRIALS + 1):
-        moved = np.empty_like(step)
-        turn_edges(model.point.positions, length[:, None, None] * step, moved)
-        reached = system.point(moved)
-        rise = reached.excess - model.point.excess
-        whole = rise if trial == 1 else whole
-        promised = slope * float(length.mean())
-        if reached.energy - model.point.energy <= SUFFICIENT * promised:
-            break
-        surprise = model.surprise(step, length, reached)
-        to_blame = surprise > -TOLERABLE * slope * 0.5**trial
+    reached = _moved(system, model, step, length)
+    rise, trial = reached.excess - model.point.excess, 1
+    forecast = model.forecast(step)
+    while trial < _TRIALS and reached.energy - model.point.energy > SUFFICIENT * slope * float(length.mean()):
+        to_blame = forecast.surprise(model.point, length, reached) > -TOLERABLE * slope * 0.5**trial
         length = np.where(to_blame if to_blame.any() and trial < _TRIALS // 2 else True, SHORTER * length, length)
-    return reached, 0.5 * slope, trial, whole
+        reached = _moved(system, model, step, length)
+        trial += 1
+    return reached, 0.5 * slope, trial, rise
+
+
+def _moved(system: NewtonSystem, model: QuadraticModel, step: Vertices, length: PerStrand) -> Point:
+    moved = np.empty_like(step)
+    turn_edges(model.point.positions, length[:, None, None] * step, moved)
+    return system.point(moved)

@@ -1,4 +1,4 @@
-"""One sample's energy in double precision, and a convex quadratic model of it round a point."""
+"""One sample's energy in double precision, and a quadratic model of it round a point."""
 
 from typing import NamedTuple
 
@@ -36,12 +36,14 @@ class Point(NamedTuple):
         strand_energy: Eqs. 6, 7, 9 and 10 of every strand [J].
         excess: rho - rho_rest of every vertex [kg/m^3].
         crowding: Eq. 11 of every vertex [J].
+        crowd: the vertices sorted into cells.
     """
 
     positions: Vertices
     strand_energy: PerStrand
     excess: PerVertex
     crowding: PerVertex
+    crowd: Crowd
 
     @property
     def energy(self) -> float:
@@ -73,52 +75,50 @@ class NewtonSystem:
         self.evaluations += 1
         strands = np.empty(len(positions))
         strand_energies(positions, self.hair, self.body, self.places, strands)
-        return self.with_crowding(positions, strands, self.crowd(positions))
-
-    def with_crowding(self, positions: Vertices, strand_energy: PerStrand, crowd: Crowd) -> Point:
+        crowd = crowd_of(positions.reshape(-1, 3), self.hair.mass.ravel(), self.smoothing_length)
         found = np.empty(self.rest_density.size)
         found[crowd.order] = density(crowd)
         excess = found.reshape(self.rest_density.shape) - self.rest_density
-        return Point(positions, strand_energy, excess, self.crowding(excess))
-
-    def crowding(self, excess: PerVertex) -> PerVertex:
-        """Eq. 11 of every vertex [J]."""
-        return self.k_self_collision * excess.clip(min=0) ** 3
-
-    def crowd(self, positions: Vertices) -> Crowd:
-        return crowd_of(positions.reshape(-1, 3), self.hair.mass.ravel(), self.smoothing_length)
+        return Point(positions, strands, excess, self.k_self_collision * excess.clip(min=0) ** 3, crowd)
 
 
 class QuadraticModel:
-    """A convex quadratic model of the energy round a point.
+    """A quadratic model of the energy round a point.
+
+    Far from a minimum the energy is not convex, and the model is made so; close to it the exact Hessian takes over.
 
     Args:
+        point: with its energy.
         slack: by how much every density may rise before the step ends [kg/m^3]: hair that does not touch yet resists as
             if it did so by that much.
-        repulsion: see `quaffure.energies.density_hessian.pressed`.
+        repulsion: see `quaffure.energies.density_hessian.pressed`; None for the exact Hessian, without slack.
 
     Attributes:
-        point: with its energy.
         gradient: of all terms, exact, zero at the roots [N].
+        is_definite: whether every strand's own part of the Hessian is positive definite, as of a convex model it is;
+            `precondition` needs it.
     """
 
-    def __init__(self, system: NewtonSystem, positions: Vertices, slack: PerVertex, repulsion: float) -> None:
+    def __init__(self, system: NewtonSystem, point: Point, slack: PerVertex, repulsion: float | None) -> None:
         system.evaluations += 1
-        self._k, self._slack = system.k_self_collision, slack
-        self._crowd = system.crowd(positions)
-        strands, self._own = np.empty(len(positions)), np.empty(positions.shape)
-        blocks = (*positions.shape, 3)
+        convex = repulsion is not None
+        self.point, self._k = point, system.k_self_collision
+        self._reserve: PerVertex = (point.excess + slack if convex else point.excess).clip(min=0)
+        self._own = np.empty(point.positions.shape)
+        blocks = (*point.positions.shape, 3)
         self._diagonal, self._coupling = np.empty(blocks), np.empty((blocks[0], blocks[1] - 1, 3, 3))
         linearize_strands(
-            positions, system.hair, system.body, system.places, strands, self._own, self._diagonal, self._coupling
-        )
-        self.point = system.with_crowding(positions, strands, self._crowd)
-        slope = self._sorted(3 * self._k * self.point.excess.clip(min=0) ** 2)
-        stiffness = self._sorted(6 * self._k * (self.point.excess + slack).clip(min=0))
-        self._pairs = pressed(self._crowd, slope, stiffness, repulsion)
+            point.positions, system.hair, system.body, system.places, convex,
+            self._own, self._diagonal, self._coupling,
+        )  # fmt: skip
+        slope = self._sorted(3 * self._k * point.excess.clip(min=0) ** 2)
+        stiffness = self._sorted(6 * self._k * self._reserve)
+        self._pairs = pressed(point.crowd, slope, stiffness, repulsion)
         self.gradient = self._own + self._unsorted(density_force(self._pairs, slope))
-        self._pivots = np.empty(blocks)
-        factor_strands(self._diagonal + self._unsorted(density_blocks(self._pairs)), self._coupling, self._pivots)
+        self._pivots, definite = np.empty(blocks), np.empty(len(point.positions), np.bool_)
+        blocks_of_all = self._diagonal + self._unsorted(density_blocks(self._pairs))
+        factor_strands(blocks_of_all, self._coupling, self._pivots, definite)
+        self.is_definite = bool(definite.all())
 
     def product(self, step: Vertices) -> Vertices:
         """The model's Hessian times a step."""
@@ -132,31 +132,53 @@ class QuadraticModel:
         solve_strands(self._coupling, self._pivots, force, solution)
         return solution
 
-    def surprise(self, step: Vertices, length: PerStrand, reached: Point) -> PerStrand:
-        """By how much every strand costs more than the model says after a share of a step, both parts by itself [J].
-
-        Args:
-            length: share that each strand took.
-        """
+    def forecast(self, step: Vertices) -> "Forecast":
+        """What the model says along a step."""
         product = np.empty_like(step)
         multiply_strands(self._diagonal, self._coupling, step, product)
-        slope, curvature = (self._own * step).sum((1, 2)), (step * product).sum((1, 2))
-        in_strand = reached.strand_energy - self.point.strand_energy - length * slope - 0.5 * length**2 * curvature
-        change = length[:, None] * self._unsorted(density_change(self._pairs, self._sorted(step)))
-        excess = self.point.excess
-        predicted = 3 * self._k * (excess.clip(min=0) ** 2 * change + (excess + self._slack).clip(min=0) * change**2)
-        in_crowd = (reached.crowding - self.point.crowding - predicted).sum(1)
-        return in_strand.clip(min=0) + in_crowd.clip(min=0)
+        change = self._unsorted(density_change(self._pairs, self._sorted(step)))
+        return Forecast(
+            slope=(self._own * step).sum((1, 2)),
+            curvature=(step * product).sum((1, 2)),
+            crowd_slope=3 * self._k * (self.point.excess.clip(min=0) ** 2 * change).sum(1),
+            crowd_curvature=6 * self._k * (self._reserve * change**2).sum(1),
+        )
 
     def _sorted(self, values: np.ndarray) -> np.ndarray:
         """Values of vertices [s, n, ...] in the crowd's order."""
-        return values.reshape(-1, *values.shape[2:])[self._crowd.order]
+        return values.reshape(-1, *values.shape[2:])[self.point.crowd.order]
 
     def _unsorted(self, values: np.ndarray) -> np.ndarray:
         """Back from the crowd's order; vectors and blocks are zero at the roots."""
         back = np.empty_like(values)
-        back[self._crowd.order] = values
+        back[self.point.crowd.order] = values
         back = back.reshape(*self._own.shape[:2], *values.shape[1:])
         if values.ndim > 1:
             back[:, 0] = 0.0
         return back
+
+
+class Forecast(NamedTuple):
+    """What a model says of every strand along a step.
+
+    Attributes:
+        slope, curvature: of the strand's own energy [J].
+        crowd_slope, crowd_curvature: of Eq. 11 of its vertices [J].
+    """
+
+    slope: PerStrand
+    curvature: PerStrand
+    crowd_slope: PerStrand
+    crowd_curvature: PerStrand
+
+    def surprise(self, start: Point, length: PerStrand, reached: Point) -> PerStrand:
+        """By how much every strand costs more than foreseen after a share of the step, both parts by itself [J].
+
+        Args:
+            length: share that each strand took.
+        """
+        own = length * self.slope + 0.5 * length**2 * self.curvature
+        crowd = length * self.crowd_slope + 0.5 * length**2 * self.crowd_curvature
+        in_strand = reached.strand_energy - start.strand_energy - own
+        in_crowd = (reached.crowding - start.crowding).sum(1) - crowd
+        return in_strand.clip(min=0) + in_crowd.clip(min=0)

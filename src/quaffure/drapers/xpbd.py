@@ -35,6 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float as FloatOf
+from numba import get_num_threads
 
 from quaffure.config import HairMaterial
 from quaffure.drapers.draper import StoppingReport
@@ -45,14 +46,13 @@ from quaffure.drapers.xpbd_kernels import (
     LANES,
     excess_and_mobility,
     find_planes,
-    pressure_gradient,
     sweep_strands,
 )
+from quaffure.energies.fused_density import density_gradient, pressing_particles, sort_particles
 from quaffure.energies.gravity import GRAVITY
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.rest_state import RestState
 from quaffure.geometry.clear_cells import REACH
-from quaffure.geometry.neighbors import sort_into_cells
 from quaffure.geometry.surface import Surface
 from quaffure.types import Positions
 
@@ -232,7 +232,7 @@ class BodyContacts:
         tree = surface.topology.tree
         self.mesh = (
             surface.corners[sample], surface.normals[sample], surface.bounds[sample], tree.first, tree.second,
-            surface.clear_origin[sample], surface.clear[sample],
+            surface.map.origin[sample], surface.map.clear[sample],
         )  # fmt: skip
         self.searched = posed.copy()
         self.free = np.zeros(self.margin.shape, np.float32)
@@ -264,16 +264,15 @@ class Crowd:
         """Project all densities at once; the displacement of every vertex by the pressures that follow [m], packed."""
         flat = world.reshape(-1, 3)
         h = self.smoothing_length
-        order, start, shape = sort_into_cells(flat, np.float32(2) * h)
-        x, y, z = np.ascontiguousarray(flat[order].T)
-        mass = self.mass[order]
+        order, shape, particles = sort_particles(flat, self.mass, np.float32(2) * h)
         mobile = (self.inverse_mass * np.float32(time_step**2))[order]
         excess, mobility = np.empty(len(order), np.float32), np.empty(len(order), np.float32)
-        excess_and_mobility(x, y, z, mass, mobile, self.rest_density[order], start, shape, h, excess, mobility)
+        excess_and_mobility(particles, mobile, self.rest_density[order], shape, h, excess, mobility)
         pressure = self._projected(self.pressure[order], excess, mobility.astype(np.float64), relaxation)
         self.pressure[order] = pressure
         gradient = np.empty_like(flat)
-        pressure_gradient(x, y, z, mass, pressure, order, start, shape, h, gradient)
+        pressing = pressing_particles(particles, pressure)
+        density_gradient(particles, pressing, shape, pressure, order, h, get_num_threads(), gradient)
         moved = -gradient * (self.inverse_mass * np.float32(time_step**2))[:, None]
         return packed(moved.reshape(self.strands, self.vertices, 3))
 

@@ -12,6 +12,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit, prange
 
+from quaffure.energies.fused_density import Particles
 from quaffure.geometry.clear_cells import is_clear
 from quaffure.geometry.face_tree import MAX_DEPTH, closest_on_triangle, search
 from quaffure.geometry.neighbors import cell_columns
@@ -170,11 +171,12 @@ def _tangent_plane(point: np.ndarray, cx: float, cy: float, cz: float, normal: n
 @no_type_check
 @njit(cache=True, parallel=True, fastmath=True)
 def excess_and_mobility(
-    x: np.ndarray, y: np.ndarray, z: np.ndarray, mass: np.ndarray, inverse: np.ndarray, rest_density: np.ndarray,
-    start: np.ndarray, shape: tuple[int, int, int], h: np.float32, excess: np.ndarray, mobility: np.ndarray,
+    particles: Particles, inverse: np.ndarray, rest_density: np.ndarray, shape: tuple[int, int, int], h: np.float32,
+    excess: np.ndarray, mobility: np.ndarray,
 ) -> None:  # fmt: skip
     """Density minus that at rest [kg/m^3], and how fast its own pressure lowers it: the sum over the vertices j near i
-    of `inverse`_j times the squared gradient of density i with respect to x_j, for vertices sorted into cells."""
+    of `inverse`_j times the squared gradient of density i with respect to x_j, all in the sorted order."""
+    x, y, z, mass, start = particles
     scale = np.float32(1.0 / (4.0 * math.pi)) / (h * h * h)
     slope = np.float32(3.0) * scale / h
     for cell in prange(len(start) - 1):
@@ -206,41 +208,3 @@ def excess_and_mobility(
                     gz += falls * dz
             excess[place] = total * scale - rest_density[place]
             mobility[place] = slope * slope * (spread + inverse[place] * (gx * gx + gy * gy + gz * gz))
-
-
-@no_type_check
-@njit(cache=True, parallel=True, fastmath=True)
-def pressure_gradient(
-    x: np.ndarray, y: np.ndarray, z: np.ndarray, mass: np.ndarray, pressure: np.ndarray, order: np.ndarray,
-    start: np.ndarray, shape: tuple[int, int, int], h: np.float32, gradient: np.ndarray,
-) -> None:  # fmt: skip
-    """Sum over i of `pressure`_i times the gradient of density i with respect to each vertex, in the unsorted order."""
-    scale = np.float32(3.0 / (4.0 * math.pi)) / (h * h * h * h)
-    for cell in prange(len(start) - 1):
-        if start[cell] == start[cell + 1]:
-            continue
-        ranges = np.empty((9, 2), np.int64)
-        found = cell_columns(cell, shape, start, ranges)
-        for place in range(start[cell], start[cell + 1]):
-            px, py, pz = x[place], y[place], z[place]
-            own_mass, own_pressure = mass[place], pressure[place]
-            gx, gy, gz = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            for column in range(found):
-                near_by = slice(ranges[column, 0], ranges[column, 1])
-                xs, ys, zs, masses, pressures = x[near_by], y[near_by], z[near_by], mass[near_by], pressure[near_by]
-                for other in range(len(xs)):
-                    dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
-                    r = np.sqrt(dx * dx + dy * dy + dz * dz)
-                    q = r / h
-                    far, near = max(np.float32(2.0) - q, np.float32(0.0)), max(np.float32(1.0) - q, np.float32(0.0))
-                    falls = (own_pressure * masses[other] + pressures[other] * own_mass) * (
-                        np.float32(4.0) * near * near - far * far
-                    )
-                    falls /= max(r, np.float32(1e-8))
-                    gx += falls * dx
-                    gy += falls * dy
-                    gz += falls * dz
-            at = order[place]
-            gradient[at, 0] = scale * gx
-            gradient[at, 1] = scale * gy
-            gradient[at, 2] = scale * gz

@@ -53,13 +53,13 @@ class _SelfCollision(torch.autograd.Function):
         mass, rest_density = rest.mass.flatten().numpy(), rest.rest_density.flatten().numpy()
         h = np.float32(material.smoothing_length)
         for sample in range(batch):
-            order, shape, particles = _sorted(flat[sample], mass, np.float32(2) * h)
+            order, shape, particles = sort_particles(flat[sample], mass, np.float32(2) * h)
             excess = np.empty(len(order), np.float32)
             _excess(particles, shape, rest_density, order, h, get_num_threads(), excess)
             energy[sample] = material.k_self_collision * float((excess.astype(np.float64) ** 3).sum())
             slope = np.float32(3 * material.k_self_collision) * excess * excess
-            dense = _dense(particles, slope)
-            _gradient(particles, dense, shape, slope, order, h, get_num_threads(), gradient[sample])
+            pressing = pressing_particles(particles, slope)
+            density_gradient(particles, pressing, shape, slope, order, h, get_num_threads(), gradient[sample])
         ctx.save_for_backward(torch.from_numpy(gradient).reshape(positions.shape))
         return energy
 
@@ -70,7 +70,7 @@ class _SelfCollision(torch.autograd.Function):
 
 
 @njit(cache=True)
-def _sorted(
+def sort_particles(
     points: np.ndarray, mass: np.ndarray, size: np.float32
 ) -> tuple[np.ndarray, tuple[int, int, int], Particles]:
     """The order of the vertices in cells of side `size`, the cells along x, y, z, and the vertices in that order,
@@ -85,8 +85,8 @@ def _sorted(
 
 
 @njit(cache=True)
-def _dense(particles: Particles, slope: np.ndarray) -> Particles:
-    """The vertices with an excess alone, weighted by `slope`."""
+def pressing_particles(particles: Particles, slope: np.ndarray) -> Particles:
+    """The vertices whose `slope` is above 0 alone, weighted by it."""
     count = 0
     for place in range(len(slope)):
         count += slope[place] > 0
@@ -137,11 +137,19 @@ def _excess(
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _gradient(
-    particles: Particles, dense: Particles, shape: tuple[int, int, int], slope: np.ndarray, order: np.ndarray,
+def density_gradient(
+    particles: Particles, pressing: Particles, shape: tuple[int, int, int], slope: np.ndarray, order: np.ndarray,
     h: np.float32, threads: int, gradient: np.ndarray,
 ) -> None:  # fmt: skip
-    """Gradient of the energy: a vertex is pushed by the dense ones near it, and by all near it if it is dense."""
+    """Gradient of an energy whose derivative by every density is `slope`: a vertex is pushed by the pressing ones near
+    it, and by all near it if it presses itself.
+
+    Args:
+        pressing: `pressing_particles` of the same.
+        slope: in the sorted order, not negative [J m^3/kg].
+        threads: that share the work.
+        gradient: filled, in the unsorted order [N].
+    """
     scale = np.float32(3.0 / (4.0 * math.pi)) / (h * h * h * h)
     inverse = np.float32(1.0) / h
     start = particles.start
@@ -154,12 +162,12 @@ def _gradient(
         for cell in range(column * along, (column + 1) * along):
             if start[cell] == start[cell + 1]:
                 continue
-            room, count = _near_by(cell, dense, shape, ranges, room)
+            room, count = _near_by(cell, pressing, shape, ranges, room)
             for place in range(start[cell], start[cell + 1]):
                 gx, gy, gz = _slopes(particles.x[place], particles.y[place], particles.z[place], room, count, inverse)
                 pull, at = scale * particles.weight[place], order[place]
                 gradient[at, 0], gradient[at, 1], gradient[at, 2] = pull * gx, pull * gy, pull * gz
-            if dense.start[cell] == dense.start[cell + 1]:
+            if pressing.start[cell] == pressing.start[cell + 1]:
                 continue
             room, count = _near_by(cell, particles, shape, ranges, room)
             for place in range(start[cell], start[cell + 1]):

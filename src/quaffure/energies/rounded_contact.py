@@ -2,8 +2,10 @@
 
 Where two faces of a hollow are equally near, the distance to the nearest of them has a kink, and contact holds hair in
 just such places: there the energy has a minimum, but no gradient that vanishes. The smooth minimum
--w ln(sum exp(-d / w)) over the feet of a point differs from the nearest distance by a few w at a crease, by nothing
-elsewhere, and never exceeds it, so that Eq. 10 is never below its exact value.
+-w ln(sum exp(-d / w)) over the faces near by has one everywhere outside the body. It never exceeds the nearest
+distance, so that Eq. 10 is never below its exact value; it is w ln 2 less at an edge, where two faces count, w ln 6 at
+a corner of six, and nothing less in the middle of a face. Counting a foot once only, however many faces share it, would
+be closer, but then the distance jumps where a foot passes a corner of a hollow, and line searches end there.
 """
 
 import math
@@ -23,11 +25,10 @@ from quaffure.geometry.face_tree import (
 from quaffure.geometry.surface import Surface
 from quaffure.geometry.wide_tree import WIDE_STACK, WideTree, nearest_face
 
-CREASE_WIDTH = 1e-4
+CREASE_WIDTH = 2e-5
 """w, over which creases are rounded [m]."""
-_REACH = 12 * CREASE_WIDTH  # a foot this much farther weighs 6e-6
-_MAX_FEET = 32
-_SAME = 1e-9  # two feet that are as far to within this are one [m]
+_REACH = 20 * CREASE_WIDTH  # a face this much farther weighs 2e-9
+_MAX_FEET = 256
 _ON_SURFACE = 1e-7  # nearer than this the offset from the body has no direction [m]
 
 
@@ -42,8 +43,6 @@ class Body(NamedTuple):
     bounds: np.ndarray
     first: np.ndarray
     second: np.ndarray
-    faces: np.ndarray
-    opposite: np.ndarray
     blocks: np.ndarray
     boxes: np.ndarray
     levels: np.ndarray
@@ -58,8 +57,8 @@ def body_arrays(surface: Surface, sample: int) -> Body:
     """One sample of a surface, as the kernels read it."""
     topology = surface.topology
     posed = (field[sample].astype(np.float64) for field in (surface.corners, surface.normals, surface.bounds))
-    tree = (topology.tree.first, topology.tree.second, topology.tree_faces, topology.tree_opposite)
     corners, normals, bounds = posed
+    tree = (topology.tree.first, topology.tree.second)
     return Body(corners, normals, bounds, *tree, *surface.wide_tree(sample), *(field[sample] for field in surface.map))
 
 
@@ -104,13 +103,9 @@ def rounded_distance(
     found = _feet(point, nearest + _REACH, body, feet, distances)
     total = 0.0
     for foot in range(found):
-        if _is_own(point, foot, found, feet, distances, body):
-            weight = math.exp((nearest - distances[foot]) / CREASE_WIDTH)
-            total += weight
-            _add_foot(point, feet[foot], 1.0, weight, body, normal, crease, bulge)
-    if total <= 0.0:
-        _add_foot(point, place, 1.0, 1.0, body, normal, crease, bulge)
-        return signed, place
+        weight = math.exp((nearest - distances[foot]) / CREASE_WIDTH)
+        total += weight
+        _add_foot(point, feet[foot], 1.0, weight, body, normal, crease, bulge)
     normal /= total
     for row in range(3):
         for column in range(3):
@@ -158,49 +153,6 @@ def _feet(point: np.ndarray, limit: float, body: Body, feet: np.ndarray, distanc
                 feet[found], distances[found] = place, distance
                 found += 1
     return found
-
-
-@njit(cache=True)
-def _is_own(point: np.ndarray, foot: int, found: int, feet: np.ndarray, distances: np.ndarray, body: Body) -> bool:
-    """Whether a foot counts: one on an edge or a corner belongs to several faces, and may not be nearest on all.
-
-    Across a hollow edge it counts all the same: there two feet part, and both must fade in smoothly.
-    """
-    place = feet[foot]
-    feature = closest_on_triangle(body.corners[place], point[0], point[1], point[2])[3]
-    if feature == 0:
-        return True
-    for other in range(found):
-        shared = feet[other]
-        if other == foot or distances[other] > distances[foot] + _SAME:
-            continue
-        # Of faces that share the foot the first counts, unless it is inside another.
-        tied = distances[other] > distances[foot] - _SAME and shared > place
-        if tied and closest_on_triangle(body.corners[shared], point[0], point[1], point[2])[3] > 0:
-            continue
-        if feature <= 3:
-            if shared == body.opposite[place, feature - 1] and not _hollow(place, feature, shared, body):
-                return False
-            continue
-        for corner in range(3):
-            if body.faces[shared, corner] == body.faces[place, feature - 4]:
-                return False
-    return True
-
-
-@njit(cache=True)
-def _hollow(place: int, feature: int, across: int, body: Body) -> bool:
-    """Whether the body is hollow along an edge: the far corner of the face across lies above this face."""
-    highest = 0.0
-    for corner in range(3):
-        height = 0.0
-        for axis in range(3):
-            height += body.normals[place, 0, axis] * (
-                body.corners[across, corner, axis] - body.corners[place, feature - 1, axis]
-            )
-        if abs(height) > abs(highest):
-            highest = height
-    return highest > 0.0
 
 
 @njit(cache=True)

@@ -20,25 +20,22 @@ def strand_energies(positions: np.ndarray, hair: Hair, body: Body, places: np.nd
 
 @njit(cache=True, parallel=True)
 def linearize_strands(
-    positions: np.ndarray, hair: Hair, body: Body, places: np.ndarray, energies: np.ndarray, gradient: np.ndarray,
+    positions: np.ndarray, hair: Hair, body: Body, places: np.ndarray, convex: bool, gradient: np.ndarray,
     diagonal: np.ndarray, coupling: np.ndarray,
 ) -> None:  # fmt: skip
-    """Fill energy [s], gradient [s, n, 3] and the convex Hessian's blocks (`strand_hessian`) of every strand."""
+    """Fill gradient [s, n, 3] and the Hessian's blocks of every strand; `convex` as in `strand_hessian`."""
     for strand in prange(len(positions)):
-        energies[strand] = strand_hessian(
-            positions[strand], strand, hair, body, places[strand], True,
+        strand_hessian(
+            positions[strand], strand, hair, body, places[strand], convex,
             gradient[strand], diagonal[strand], coupling[strand],
         )  # fmt: skip
 
 
 @njit(cache=True, parallel=True)
-def factor_strands(diagonal: np.ndarray, coupling: np.ndarray, pivot_inverse: np.ndarray) -> int:
-    """`factor_strand` for every strand; return how many are not positive definite."""
-    failed = 0
+def factor_strands(diagonal: np.ndarray, coupling: np.ndarray, pivot_inverse: np.ndarray, definite: np.ndarray) -> None:
+    """`factor_strand` for every strand; fill `definite` with what it returns."""
     for strand in prange(len(diagonal)):
-        if not factor_strand(diagonal[strand], coupling[strand], pivot_inverse[strand]):
-            failed += 1
-    return failed
+        definite[strand] = factor_strand(diagonal[strand], coupling[strand], pivot_inverse[strand])
 
 
 @njit(cache=True, parallel=True)

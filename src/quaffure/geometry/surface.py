@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int
 from numba import njit, prange
 
 from quaffure.geometry.clear_cells import CELLS, MOST_SPLIT, ORIGIN, SpaceMap, find_clear_cells, split_near_cells
@@ -43,10 +43,8 @@ class Surface:
         normals: pseudonormals of each face in the leaves' order: the face, its three edges, its three corners; not
             unit. The sign of a point is that of its offset along the normal of its nearest feature
             (Baerentzen and Aanaes 2005).
-        clear_origin: corner of the grid of clear cells [m]; see `quaffure.geometry.clear_cells`.
-        clear: 1 where a cell is outside and clear of the surface.
         wide: the tree that nearest faces are sought in.
-        map: what is known of each place in space round `clear_origin`.
+        map: what is known of each place in space round the head; see `quaffure.geometry.clear_cells`.
     """
 
     topology: SurfaceTopology
@@ -54,8 +52,6 @@ class Surface:
     corners: Float[np.ndarray, "b k 3 3"]
     bounds: Float[np.ndarray, "b m 6"]
     normals: Float[np.ndarray, "b k 7 3"]
-    clear_origin: Float[np.ndarray, "b 3"]
-    clear: UInt8[np.ndarray, "b x y z"]
     wide: WideTree
     map: SpaceMap
 
@@ -94,20 +90,18 @@ def posed_surface(
     array = np.ascontiguousarray(vertices.detach().cpu().numpy(), dtype=np.float32)
     centre = array.mean(axis=1) if focus is None else focus.detach().cpu().numpy().astype(np.float32)
     batch, places, nodes = len(array), len(topology.tree_faces), len(topology.tree.first)
-    origin, clear = centre + ORIGIN, np.empty((batch, CELLS, CELLS, CELLS), np.uint8)
+    grid = (batch, CELLS, CELLS, CELLS)
     surface = Surface(
         topology=topology,
         vertices=vertices,
         corners=np.empty((batch, places, 3, 3), np.float32),
         bounds=np.empty((batch, nodes, 6), np.float32),
         normals=np.empty((batch, places, 7, 3), np.float32),
-        clear_origin=origin,
-        clear=clear,
         wide=wide_tree_room(topology.tree.levels, batch),
         map=SpaceMap(
-            origin,
-            clear,
-            np.empty(clear.shape, np.int32),
+            centre + ORIGIN,
+            np.empty(grid, np.uint8),
+            np.empty(grid, np.int32),
             np.empty((batch, MOST_SPLIT), np.uint64),
             np.empty((batch, MOST_SPLIT), np.uint64),
         ),

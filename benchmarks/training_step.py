@@ -23,8 +23,10 @@ from quaffure.drapers.neural import NeuralDraper
 from quaffure.drapers.scene import BodyBatch
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.io.load_groom import load_groom
+from quaffure.training.averaged_adam import AveragedAdam
 from quaffure.training.pose_sampler import PoseSampler
-from quaffure.training.train_decoder import DecoderTraining, TrainConfig
+from quaffure.training.train_config import TrainConfig
+from quaffure.training.train_decoder import DecoderTraining
 
 WARM_UP, STEPS = 8, 24
 
@@ -52,7 +54,10 @@ def main() -> None:
     options = parser.parse_args()
     body = load_body()
     grooms = tuple(load_groom(name, body) for name in options.grooms)
-    config = TrainConfig(runs=3, frames=2, bf16=True, self_collision_every=options.self_collision_every)
+    # A step that is logged evaluates the energies once more, for their terms.
+    config = TrainConfig(
+        runs=3, frames=2, bf16=True, self_collision_every=options.self_collision_every, log_every=10_000
+    )
     with TemporaryDirectory() as folder:
         training = DecoderTraining(config, body, grooms, PoseSampler(load_pose_prior()), Path(folder))
         measure(training)
@@ -68,7 +73,7 @@ def measure(training: DecoderTraining) -> None:
         start = time.perf_counter()
         next(steps)
         times.append(time.perf_counter() - start)
-    samples = training.config.runs * training.config.frames * len(training.grooms)
+    samples = training.samples_per_step
     mean = statistics.mean(times)
     print(f"{samples / mean:.1f} samples/s, {1000 * mean / samples:.1f} ms a sample, {samples} samples a step")
     print(f"torch threads: {torch.get_num_threads()}, grooms: {[(g.name, len(g)) for g in training.grooms]}")
@@ -80,7 +85,7 @@ def measure(training: DecoderTraining) -> None:
         (HairEnergy, "self_collision", "Eqs. 11-13, value and gradient"),
         (NeuralDraper, "deform", "posing and network, forward"),
         (torch.Tensor, "backward", "backward"),
-        (type(training.optimizer), "step", "update"),
+        (AveragedAdam, "update", "update of weights and their average"),
     )
     patches = [mock.patch.object(owner, name, watch.around(part, getattr(owner, name))) for owner, name, part in parts]
     for cached, part in (("posed", "body"), ("surface", "contact look-up")):

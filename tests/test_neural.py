@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -6,8 +7,9 @@ import torch
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.body.pose_features import FEATURE_COUNT, pose_features
+from quaffure.body.soft_body import soft_body
 from quaffure.config import HairMaterial
-from quaffure.drapers.neural import NeuralDraper, rest_texture
+from quaffure.drapers.neural import NeuralDraper, layered_margin
 from quaffure.drapers.quaffure_model import load_model
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.closed_form import sagged_vectors
@@ -15,10 +17,12 @@ from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from quaffure.geometry.soft_surface import slide_reference
 from quaffure.groom.groom import Groom
 from quaffure.groom.procedural import make_groom
 from quaffure.networks.checkpoint import load_network, save_network
 from quaffure.networks.quaffure_network import NetworkConfig, build_network
+from quaffure.types import Positions
 
 DIRECTIONS = NetworkConfig(pose_features=FEATURE_COUNT)
 DISPLACEMENT = NetworkConfig(output="displacement")
@@ -50,13 +54,33 @@ def shaken(config: NetworkConfig, strength: float = 0.05) -> NeuralDraper:
     return NeuralDraper(network.eval(), HairMaterial())
 
 
-def test_untrained_directions_are_the_closed_form_sag(scene: Scene) -> None:
-    draper = NeuralDraper(build_network(DIRECTIONS), HairMaterial())
-    rest = rest_state(scene.groom.rest_strands, HairMaterial())
+def sagged_and_slid(scene: Scene) -> tuple[Positions, Positions]:
+    """The closed-form sag, and the same slid along the softened body."""
+    rest, root = rest_state(scene.groom.rest_strands, HairMaterial()), scene.posed[:, :, 0]
     sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, HairMaterial().k_cosserat)
-    expected = integrate_directions(scene.posed[:, :, 0], sag, rest.rest_length)
-    torch.testing.assert_close(draper.drape(scene), expected, atol=1e-5, rtol=0)
-    assert (expected - scene.posed).norm(dim=-1).max() > 0.01
+    surface = soft_body(scene.bodies.body, scene.bodies.posed)
+    edges, _ = slide_reference(root, sag, rest.rest_length, layered_margin(scene.groom, rest), surface)
+    return tuple(integrate_directions(root, vectors, rest.rest_length) for vectors in (sag, edges))  # type: ignore[return-value]
+
+
+def test_untrained_directions_are_the_sag_slid_along_the_body(scene: Scene) -> None:
+    sag, slid = sagged_and_slid(scene)
+    drape = NeuralDraper(build_network(DIRECTIONS), HairMaterial()).drape(scene)
+    torch.testing.assert_close(drape, slid, atol=1e-4, rtol=0)
+    assert (slid - sag).norm(dim=-1).max() > 0.01
+    only_sags = replace(DIRECTIONS, slides=False)
+    drape = NeuralDraper(build_network(only_sags), HairMaterial()).drape(scene)
+    torch.testing.assert_close(drape, sag, atol=1e-5, rtol=0)
+    assert (sag - scene.posed).norm(dim=-1).max() > 0.01
+
+
+def test_strands_of_the_crown_start_above_those_of_the_neck(groom: Groom) -> None:
+    rest = rest_state(groom.rest_strands, HairMaterial())
+    above = layered_margin(groom, rest) - rest.collision_margin
+    heights = groom.rest_strands[:, 0, 2]
+    assert (above[heights.argmax(), 1:] > above[heights.argmin(), 1:]).all()
+    assert above[:, 0].max() == 0
+    assert 0.004 < above[:, -1].max() < 0.015  # a bob is too short for all of it
 
 
 def test_untrained_displacements_are_zero(scene: Scene) -> None:
@@ -111,12 +135,6 @@ def test_pose_features_do_not_change_with_heading_and_do_with_the_head(body: Bod
     torch.testing.assert_close(features[1], features[0], atol=1e-5, rtol=0)
     assert (features[2] - features[0]).abs().max() > 0.1
     torch.testing.assert_close(features[0, :3], torch.tensor([0.0, 0.0, -1.0]))
-
-
-def test_rest_texture_holds_every_strand_once(groom: Groom, body: BodyModel) -> None:
-    texture = rest_texture(groom, body.rest_joints[body.joint_names.index("Head")])
-    assert texture[0, -1].sum() == len(groom)
-    assert texture[0, :, texture[0, -1] == 0].abs().max() == 0
 
 
 def test_checkpoints_round_trip_in_half_precision(tmp_path: Path, scene: Scene) -> None:

@@ -1,23 +1,34 @@
 """`quaffure train`: a network for grooms of one's own, from physics alone."""
 
-from dataclasses import dataclass, field
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from datetime import timedelta
 from pathlib import Path
 
 import torch
 import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from quaffure.body.body_model import load_body
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.cli.console import console
 from quaffure.cli.inputs import motion_of
-from quaffure.drapers.quaffure_model import load_model
 from quaffure.errors import InputError
 from quaffure.evaluation.evaluation_set import evaluation_motions
+from quaffure.groom.clearance import rest_surface
+from quaffure.groom.groom import Groom
+from quaffure.groom.hair_style import HELD_OUT
+from quaffure.groom.procedural import make_groom
+from quaffure.groom.style_family import sample_style
 from quaffure.io.load_groom import load_groom
+from quaffure.networks.checkpoint import load_network
+from quaffure.training.distributed import Device, Worker, joined_workers
 from quaffure.training.pose_sampler import PoseSampler
-from quaffure.training.train_decoder import DecoderTraining, TrainConfig, Validation, train
+from quaffure.training.train_config import TrainConfig
+from quaffure.training.train_decoder import DecoderTraining, train
+from quaffure.training.validation import Validation
 
 VALIDATION_POSES = 16
 VALIDATION_SEED = 20_000
@@ -28,56 +39,104 @@ class TrainCommand:
     """Train a network on grooms over sampled poses and shapes; carries on where an earlier run in the folder stopped.
 
     Poses come from the shipped prior, and from motion files where some are given. The folder then holds
-    `best.safetensors`, the weights to drape with (`quaffure drape --weights`), and `validation.csv`.
+    `best.safetensors`, the weights to drape with (`quaffure drape --weights`), `config.json`, the tables
+    `training.csv` and `validation.csv`, and the checkpoint to carry on from. Several processes share a run when a
+    launcher starts them: `torchrun --nproc-per-node 2 --no-python quaffure train ...`.
     """
 
     out: Path
     """Folder of the run; made where it does not exist."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]]
     """A bundled groom or a file; may be given several times."""
+    family: int = 0
+    """Draws of the continuous family of hairstyles to train on besides."""
     motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
     """Motion files to train on besides the pose prior; may be given several times. Evaluation clips are refused."""
+    body: Path | None = None
+    """A body file (.npz, as `scripts/bake_body.py` writes it) instead of the shipped body."""
     weights: Path | None = None
     """Weights to start from, of a network of the same configuration; fresh ones without it."""
+    device: Device = "auto"
+    """`auto` is CUDA where there is a device, else the CPU."""
     config: TrainConfig = field(default_factory=TrainConfig)
 
     def run(self) -> None:
-        body = load_body()
-        grooms = tuple(load_groom(name, body) for name in self.groom)
-        sampler = PoseSampler(load_pose_prior(), tuple(motion_of(str(path), body) for path in self._allowed_motions()))
         if self.config.network.pose_features not in (0, FEATURE_COUNT):
             expected = f"0 or {FEATURE_COUNT}"
             raise InputError("--pose-features", expected, f"{self.config.network.pose_features}")
-        for clip in sampler.clips:
-            if len(clip) < self.config.frames:
-                raise InputError(f"motion '{clip.name}'", f"at least {self.config.frames} frames", f"{len(clip)}")
-        self.out.mkdir(parents=True, exist_ok=True)
-        training = DecoderTraining(self.config, body, grooms, sampler, self.out)
-        if training.resume():
-            console.print(f"carrying on from step {training.step}")
-        elif self.weights is not None:
-            training.start_from(load_model(self.weights).draper.network)
-        self._train(training, _validation(sampler))
+        with joined_workers(self.device) as worker:
+            body = self._body()
+            grooms = tuple(load_groom(name, body) for name in self._allowed_grooms()) + _family(self.family, body)
+            sampler = self._sampler(body)
+            training = DecoderTraining(self.config, body, grooms, sampler, self.out, worker)
+            self._start(training)
+            with Progress(*_columns(), console=console, disable=not worker.is_first) as progress:
+                train(training, _validation(sampler), _report(training, progress))
 
-    def _allowed_motions(self) -> tuple[Path, ...]:
+    def _body(self) -> BodyModel:
+        body, shipped = load_body(self.body), load_body()
+        if body.joint_names != shipped.joint_names:
+            # The pose prior, the clips and the pose features go by them.
+            raise InputError(f"{self.body}", f"the joints {list(shipped.joint_names)}", f"{list(body.joint_names)}")
+        return body
+
+    def _allowed_grooms(self) -> tuple[str, ...]:
+        for name in self.groom:
+            if name in HELD_OUT:
+                raise InputError(f"--groom {name}", "a groom that is not held out for evaluation", name)
+        return self.groom
+
+    def _sampler(self, body: BodyModel) -> PoseSampler:
         for path in self.motion:
             if path.stem in evaluation_motions():
                 raise InputError(path, "a clip that is not in the evaluation set", path.stem)
-        return self.motion
+        clips = tuple(motion_of(str(path), body) for path in self.motion)
+        for clip in clips:
+            if len(clip) < self.config.frames:
+                raise InputError(f"motion '{clip.name}'", f"at least {self.config.frames} frames", f"{len(clip)}")
+        return PoseSampler(load_pose_prior(), clips)
 
-    def _train(self, training: DecoderTraining, validation: Validation) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=console) as progress:
-            task = progress.add_task("training", total=training.config.steps, completed=training.step)
+    def _start(self, training: DecoderTraining) -> None:
+        if training.resume():
+            _say(training.worker, f"carrying on from step {training.step}")
+        elif self.weights is not None:
+            training.start_from(load_network(self.weights)[0])
 
-            def report(step: int, figures: dict[str, float]) -> None:
-                rate = figures["samples_per_second"]
-                progress.update(task, completed=step, description=f"loss {figures['loss']:.3f}, {rate:.0f} samples/s")
-                if "energy" in figures:
-                    terms = ", ".join(f"{name} {value:.4f}" for name, value in figures.items() if name != "loss")
-                    progress.console.print(f"step {step}: {terms}")
 
-            train(training, validation, report)
+def _family(count: int, body: BodyModel) -> tuple[Groom, ...]:
+    """The first draws of the family, each by a generator of its own."""
+    surface = rest_surface(body)
+    styles = (sample_style(torch.Generator().manual_seed(index)) for index in range(count))
+    grown = (make_groom(style, body, index, surface) for index, style in enumerate(styles))
+    return tuple(replace(groom, name=f"family_{index}") for index, groom in enumerate(grown))
+
+
+def _say(worker: Worker, text: str) -> None:
+    if worker.is_first:
+        console.print(text)
+
+
+def _columns() -> tuple[TextColumn | BarColumn | MofNCompleteColumn | TimeRemainingColumn, ...]:
+    return TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+
+
+def _report(training: DecoderTraining, progress: Progress) -> Callable[[int, dict[str, float]], None]:
+    """Moves the bar on at every step; a line with the time left at every validation, for logs without a terminal."""
+    first, last, start = training.step, training.config.steps, time.monotonic()
+    task = progress.add_task("training", total=last, completed=first)
+
+    def report(step: int, figures: dict[str, float]) -> None:
+        rate = figures["samples_per_second"]
+        progress.update(task, completed=step, description=f"loss {figures['loss']:.3f}, {rate:.0f} samples/s")
+        if "energy" in figures:
+            left = timedelta(seconds=round((time.monotonic() - start) / (step - first) * (last - step)))
+            inside, turned = figures["body_intersection_percent"], figures["orientation_error_deg"]
+            progress.console.print(
+                f"step {step} of {last}: energy {figures['energy']:.4f}, {inside:.2f} % inside the body, "
+                f"{turned:.1f} deg from the posed groom; {left} left"
+            )
+
+    return report
 
 
 def _validation(sampler: PoseSampler) -> Validation:

@@ -1,20 +1,26 @@
 """The network's drape: one pass, no iterations."""
 
+from weakref import WeakKeyDictionary
+
 import torch
 
+from quaffure.body.body_model import BodyModel
 from quaffure.body.motion import without_heading
 from quaffure.body.pose_features import HEAD, pose_features, world_from_head
+from quaffure.body.soft_body import soft_body
 from quaffure.config import HairMaterial
 from quaffure.drapers.scene import Scene
 from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.geometry.polyline import integrate_directions
+from quaffure.geometry.soft_surface import slide
 from quaffure.groom.groom import Groom
-from quaffure.groom.scalp_texture import encode
+from quaffure.networks.groom_texture import groom_texture
 from quaffure.networks.quaffure_network import NetworkInputs, QuaffureNetwork
 from quaffure.types import Float, Positions, Tensor
 
-_METRES = 0.1  # what one unit of the rest texture means
+THICKNESS, THICK_FROM = 0.015, 0.2
+"""How far above the lowest hair the uppermost starts, and after which length of strand all of it [m]."""
 
 
 class NeuralDraper:
@@ -30,6 +36,7 @@ class NeuralDraper:
 
     def __init__(self, network: QuaffureNetwork, material: HairMaterial, bf16: bool = False) -> None:
         self.network, self.material, self.bf16 = network, material, bf16
+        self._codes: WeakKeyDictionary[Groom, Tensor] = WeakKeyDictionary()
 
     def drape(self, scene: Scene) -> Positions:
         with torch.no_grad():
@@ -37,39 +44,50 @@ class NeuralDraper:
 
     def deform(self, scene: Scene, rest: RestState) -> Positions:
         """Draped vertices [m], differentiable in the network's weights."""
-        head = world_from_head(scene.bodies.body, scene.bodies.posed.joint_rotations)[:, None]
+        bodies, root, directions = scene.bodies, scene.posed[:, :, 0], self.network.config.output == "directions"
+        head = world_from_head(bodies.body, bodies.posed.joint_rotations)[:, None]
         sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, self.material.k_cosserat)
-        inputs = self._inputs(scene, integrate_directions(scene.posed[:, :, 0], sag, rest.rest_length))
+        surface = soft_body(bodies.body, bodies.posed)
+        edges, views = slide(root, sag, rest.rest_length, layered_margin(scene.groom, rest), surface)
+        if not self.network.config.slides:
+            edges = torch.nn.functional.normalize(sag, dim=-1)
+        inputs = self._inputs(scene, integrate_directions(root, edges, rest.rest_length), views)
         with torch.autocast(sag.device.type, torch.bfloat16, enabled=self.bf16):
             answer = self.network(inputs)
         answer = answer @ head.mT
-        if self.network.config.output == "directions":
-            vectors = torch.nn.functional.normalize(sag, dim=-1) + answer
-            return integrate_directions(scene.posed[:, :, 0], vectors, rest.rest_length)
+        if directions:
+            return integrate_directions(root, edges + answer, rest.rest_length)
         answer = torch.cat([torch.zeros_like(answer[:, :, :1]), answer[:, :, 1:]], dim=2)  # roots do not move
         return scene.posed + answer
 
-    def _inputs(self, scene: Scene, sagged: Positions) -> NetworkInputs:
+    def _inputs(self, scene: Scene, undeformed: Positions, views: Float[Tensor, "b s e 5"]) -> NetworkInputs:
         bodies = scene.bodies
         body, posed_body = bodies.body, bodies.posed
         head = body.joint_names.index(HEAD)
-        offset = sagged[:, :, 1:] - posed_body.joint_positions[:, None, None, head]
+        offset = undeformed[:, :, 1:] - posed_body.joint_positions[:, None, None, head]
+        to_head = posed_body.joint_rotations[:, None, head]
         return NetworkInputs(
-            rest_texture=rest_texture(scene.groom, body.rest_joints[head]),
+            groom_code=self._code(scene.groom, body),
             texels=scene.groom.texels(),
             body_pose=without_heading(bodies.body_pose),
             body_shape=bodies.body_shape,
             pose_features=pose_features(body, posed_body.joint_rotations, posed_body.joint_positions),
-            undeformed=offset @ posed_body.joint_rotations[:, None, head],
+            undeformed=offset @ to_head,
+            views=torch.cat([views[..., :1], views[..., 1:4] @ to_head, views[..., 4:]], dim=-1),
         )
 
+    def _code(self, groom: Groom, body: BodyModel) -> Float[Tensor, "16"]:
+        if groom not in self._codes:
+            with torch.no_grad():
+                self._codes[groom] = self.network.encoder(groom_texture(groom, body))[0]
+        return self._codes[groom]
 
-def rest_texture(groom: Groom, rest_head: Float[Tensor, "3"]) -> Float[Tensor, "1 channels 64 64"]:
-    """Rest vertices relative to the head joint on the scalp's texture, and the mask of texels that hold a strand.
 
-    Raises:
-        ValueError: two strands share a texel.
+def layered_margin(groom: Groom, rest: RestState) -> Float[Tensor, "s n"]:
+    """Distance from the body at which strands start: hair that roots higher lies on top [m].
+
+    Without it all hair would start in one layer, pressed to many times its density.
     """
-    own = ((groom.rest_strands - rest_head) / _METRES).flatten(1)
-    texture, mask = encode(groom, own)
-    return torch.cat([texture, mask[..., None].to(texture)], dim=-1).permute(2, 0, 1)[None]
+    height = groom.rest_strands[:, 0, 2].argsort().argsort() / len(groom)
+    arc = torch.nn.functional.pad(rest.rest_length.cumsum(dim=1), (1, 0))
+    return rest.collision_margin + THICKNESS * height[:, None] * (arc / THICK_FROM).clamp(max=1)

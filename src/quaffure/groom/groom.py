@@ -8,7 +8,7 @@ from quaffure.config import TEXTURE_SIZE
 from quaffure.types import Float, Int, Tensor
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Groom:
     """Guide strands registered to the body, resampled to a common number of vertices.
 

@@ -1,19 +1,20 @@
-"""A groom's rest geometry on the scalp texture to its code, Sec. 3.2; trained with the decoder, not frozen."""
+"""A groom's rest geometry on the scalp texture to its code, Sec. 3.2."""
 
 from itertools import pairwise
 
-import torch
 from torch import nn
 
 from quaffure.types import Float, Tensor
 
 CODE_SIZE = 16
+"""Length of the groom code, R^16 of the paper."""
 
 
 class GroomEncoder(nn.Module):
-    """Strided convolutions from the 64 x 64 rest texture to R^16.
+    """Strided convolutions from the 64 x 64 texture down to 4 x 4, then a code. The order of the strands plays no part.
 
-    The last channel of the input says which texels hold a strand; the others are zero elsewhere.
+    The last channel of the input says which texels hold a strand; the others are zero elsewhere. The code has no bound:
+    while the autoencoder learns the mean groom, a bounded one runs into its flat ends, where no gradient is left.
     """
 
     def __init__(self, channels: int) -> None:
@@ -29,4 +30,5 @@ class GroomEncoder(nn.Module):
         self.to_code = nn.Linear(widths[-1] * 16, CODE_SIZE)
 
     def forward(self, rest_texture: Float[Tensor, "b channels 64 64"]) -> Float[Tensor, "b 16"]:
-        return torch.tanh(self.to_code(self.down(rest_texture).flatten(1)))
+        code: Tensor = self.to_code(self.down(rest_texture).flatten(1))
+        return code

@@ -12,14 +12,15 @@ import torch
 from torch import nn
 
 from quaffure.config import VERTICES_PER_STRAND
+from quaffure.geometry.soft_surface import VIEW_CHANNELS
 from quaffure.networks.deformation_decoder import DeformationDecoder
 from quaffure.networks.groom_encoder import CODE_SIZE, GroomEncoder
+from quaffure.networks.groom_texture import TEXTURE_CHANNELS
 from quaffure.types import BodyPose, BodyShape, Float, Int, Tensor
 
 EDGES = VERTICES_PER_STRAND - 1
 POSE_SIZE, SHAPE_SIZE = 81, 10
 MAX_WIDTH = 4096
-REST_CHANNELS = 3 * VERTICES_PER_STRAND + 1
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,12 @@ class NetworkConfig:
     """Channels of the decoder's texture that the strand layers read (`directions` only)."""
     strand_width: int = 128
     """Width of the layers common to all strands (`directions` only)."""
+    strand_layers: int = 2
+    """How many of them there are between the first and the last (`directions` only)."""
+    views: bool = True
+    """Whether the strand layers see the skin near the undeformed strand (`directions` only)."""
+    slides: bool = True
+    """Whether the undeformed strand slides along the softened body or only sags (`directions` only)."""
 
     def __post_init__(self) -> None:
         if self.output not in ("directions", "displacement"):
@@ -49,20 +56,22 @@ class NetworkInputs:
     """A batch of drapes of one groom.
 
     Attributes:
-        rest_texture: rest strands in the head's frame on the scalp texture, and the mask of texels that hold one.
+        groom_code: of the groom, from the frozen encoder.
         texels: flat index of every strand's texel.
         body_pose, body_shape: theta [rad] and beta.
         pose_features: see `quaffure.body.pose_features`.
         undeformed: positions of all vertices but the root where the drape would be without contact, relative to the
             head and in its frame [m].
+        views: what their vertices see of the skin (`quaffure.geometry.soft_surface`), in the head's frame.
     """
 
-    rest_texture: Float[Tensor, "1 channels 64 64"]
+    groom_code: Float[Tensor, "16"]
     texels: Int[Tensor, " s"]
     body_pose: BodyPose
     body_shape: BodyShape
     pose_features: Float[Tensor, "b features"]
     undeformed: Float[Tensor, "b s e 3"]
+    views: Float[Tensor, "b s e 5"]
 
 
 class DisplacementNetwork(nn.Module):
@@ -73,13 +82,13 @@ class DisplacementNetwork(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        self.encoder = GroomEncoder(REST_CHANNELS)
+        self.encoder = GroomEncoder(TEXTURE_CHANNELS).requires_grad_(False)
         inputs = CODE_SIZE + SHAPE_SIZE + POSE_SIZE + config.pose_features
         self.decoder = DeformationDecoder(inputs, 3 * VERTICES_PER_STRAND)
         _start_at_zero(self.decoder.to_texels[0])
 
     def forward(self, inputs: NetworkInputs) -> Float[Tensor, "b s n 3"]:
-        texture = self.decoder(_code(self.encoder, self.config, inputs))
+        texture = self.decoder(_code(self.config, inputs))
         strands = texture.index_select(2, inputs.texels).mT.float()
         return self._METRES * strands.unflatten(-1, (VERTICES_PER_STRAND, 3))
 
@@ -92,19 +101,24 @@ class DirectionNetwork(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        self.encoder = GroomEncoder(REST_CHANNELS)
+        self.encoder = GroomEncoder(TEXTURE_CHANNELS).requires_grad_(False)
         inputs = CODE_SIZE + SHAPE_SIZE + POSE_SIZE + config.pose_features
         self.decoder = DeformationDecoder(inputs, config.texel_channels)
         width = config.strand_width
         self.from_texel = nn.Linear(config.texel_channels, width)
-        self.from_strand = nn.Linear(3 * EDGES, width, bias=False)
-        self.strand = nn.Sequential(nn.SiLU(), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, 3 * EDGES))
+        seen = VIEW_CHANNELS * EDGES if config.views else 0
+        self.from_strand = nn.Linear(3 * EDGES + seen, width, bias=False)
+        between = [layer for _ in range(config.strand_layers - 1) for layer in (nn.Linear(width, width), nn.SiLU())]
+        self.strand = nn.Sequential(nn.SiLU(), *between, nn.Linear(width, 3 * EDGES))
         _start_at_zero(self.strand[-1])
 
     def forward(self, inputs: NetworkInputs) -> Float[Tensor, "b s e 3"]:
-        texture = self.decoder(_code(self.encoder, self.config, inputs))
+        texture = self.decoder(_code(self.config, inputs))
         texels = texture.index_select(2, inputs.texels).mT
-        own = self.from_strand(inputs.undeformed.flatten(2) / self._METRES)
+        own = inputs.undeformed.flatten(2) / self._METRES
+        if self.config.views:
+            own = torch.cat([own, inputs.views.flatten(2)], dim=2)
+        own = self.from_strand(own)
         return self.strand(self.from_texel(texels) + own).float().unflatten(-1, (EDGES, 3))
 
 
@@ -115,12 +129,11 @@ def build_network(config: NetworkConfig) -> QuaffureNetwork:
     return DirectionNetwork(config) if config.output == "directions" else DisplacementNetwork(config)
 
 
-def _code(encoder: GroomEncoder, config: NetworkConfig, inputs: NetworkInputs) -> Float[Tensor, "b inputs"]:
+def _code(config: NetworkConfig, inputs: NetworkInputs) -> Float[Tensor, "b inputs"]:
     """The paper's R^107, groom code, beta and theta, followed by the pose features where they are used."""
-    groom_code = encoder(inputs.rest_texture).expand(len(inputs.body_pose), -1)
-    parts = [groom_code, inputs.body_shape.to(groom_code), inputs.body_pose.to(groom_code)]
+    parts = [inputs.groom_code.expand(len(inputs.body_pose), -1), inputs.body_shape, inputs.body_pose]
     if config.pose_features:
-        parts.append(inputs.pose_features.to(groom_code))
+        parts.append(inputs.pose_features)
     return torch.cat(parts, dim=1)
 
 

@@ -1,175 +1,172 @@
 """Self-supervised training of the deformation decoder, Sec. 3.5: fresh poses in, energy down."""
 
-import csv
-import json
-import pickle
+import hashlib
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
-from typing import cast
+from typing import Any
 
+import numpy as np
 import torch
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from quaffure.body.body_model import BodyModel
-from quaffure.body.pose_features import FEATURE_COUNT, world_from_head
-from quaffure.config import HairMaterial
+from quaffure.body.pose_features import world_from_head
 from quaffure.drapers.neural import NeuralDraper
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.force_limit import limit_forces
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.pose_regularization import energy_pose_regularization
 from quaffure.errors import InputError
-from quaffure.geometry.clear_cells import REACH
 from quaffure.groom.groom import Groom
 from quaffure.io.atomic import replacing
 from quaffure.networks.checkpoint import save_network
-from quaffure.networks.quaffure_network import NetworkConfig, QuaffureNetwork, build_network
+from quaffure.networks.groom_code import load_groom_encoder
+from quaffure.networks.quaffure_network import QuaffureNetwork, build_network
+from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
+from quaffure.training.distributed import ALONE, Worker
 from quaffure.training.pose_sampler import PoseSampler
-from quaffure.types import BodyPose, BodyShape, Tensor
+from quaffure.training.run_folder import RunFolder, code_version
+from quaffure.training.train_config import TrainConfig
+from quaffure.training.validation import Validation, loss_unit, validation_figures
+from quaffure.types import Tensor
+
+MEMORY = 0.998
+"""Of the exponential average of the weights: over the last thousand steps or so."""
 
 
-@dataclass(frozen=True)
-class TrainConfig:
-    """One training run; saved in its folder."""
-
-    network: NetworkConfig = field(default_factory=lambda: NetworkConfig(pose_features=FEATURE_COUNT))
-    material: HairMaterial = field(default_factory=HairMaterial)
-    steps: int = 20000
-    """Optimizer steps in all."""
-    runs: int = 4
-    """Runs of consecutive frames in a step, each on a body of its own; a step's grooms are draped on all of them."""
-    grooms_per_step: int = 4
-    """Grooms in a step, drawn anew each time; all of them where there are no more."""
-    frames: int = 2
-    """Consecutive frames in a run (N_pose_reg of Eq. 14)."""
-    learning_rate: float = 1e-3
-    """Of Adam, at the start; falls to a hundredth along a cosine."""
-    warmup: int = 200
-    """Steps over which the learning rate rises from zero."""
-    self_collision_every: int = 1
-    """Evaluate Eq. 11 on every k-th step, k times as strong."""
-    bf16: bool = False
-    """Run the network's layers in bfloat16."""
-    seed: int = 0
-    validate_every: int = 250
-    """Steps between two validations; the best weights so far are kept."""
-    save_every_seconds: float = 120.0
-    """Seconds between two checkpoints that the run can be resumed from."""
-
-    def __post_init__(self) -> None:
-        for name in ("steps", "runs", "frames", "grooms_per_step", "self_collision_every", "validate_every"):
-            if getattr(self, name) < 1:
-                raise InputError(f"--{name.replace('_', '-')}", "1 or more", f"{getattr(self, name)}")
-        if not 0 < self.material.collision_margin <= REACH:
-            raise InputError("--collision-margin", f"up to {REACH} m", f"{self.material.collision_margin}")
-
-
-@dataclass(frozen=True)
-class Validation:
-    """Poses that no step trains on; the same at every validation."""
-
-    body_pose: BodyPose
-    body_shape: BodyShape
+VALIDATED_GROOMS = 16
+"""Of many grooms about as many, evenly spread over their list, stand for all in a validation."""
 
 
 class DecoderTraining:
-    """State of a run: network, optimizer, random numbers and step, which `save` and `resume` keep."""
+    """State of a run: network, optimizer and step, which `save` and `resume` keep.
+
+    Random numbers are no part of it: those of a step follow from seed, rank and step alone, so a run that was killed
+    and resumed ends with the same bits as one that was not.
+    """
 
     def __init__(
-        self, config: TrainConfig, body: BodyModel, grooms: tuple[Groom, ...], sampler: PoseSampler, folder: Path
+        self,
+        config: TrainConfig,
+        body: BodyModel,
+        grooms: tuple[Groom, ...],
+        sampler: PoseSampler,
+        folder: Path,
+        worker: Worker = ALONE,
     ) -> None:
         """
         Args:
             grooms: registered to `body`, at most one strand a texel.
-            folder: an existing folder for checkpoints, logs and weights.
+            folder: for checkpoints, logs and weights; made where it does not exist.
+            worker: which one this is of the processes that share the run; only the first one writes.
+
+        Raises:
+            InputError: the folder cannot be made.
         """
         torch.manual_seed(config.seed)
-        self.config, self.body, self.grooms, self.sampler, self.folder = config, body, grooms, sampler, folder
-        self.network = build_network(config.network)
-        self.draper = NeuralDraper(self.network, config.material, config.bf16)
-        self.average = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(0.998))
-        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate, betas=(0.9, 0.99))
-        self.generator = torch.Generator().manual_seed(config.seed)
-        self.energies = [HairEnergy(groom, config.material) for groom in grooms]
+        self.config, self.sampler, self.worker = config, sampler, worker
+        self.body, self.grooms = body.to(worker.device), tuple(groom.to(worker.device) for groom in grooms)
+        self.folder = RunFolder(folder)
+        network: QuaffureNetwork = build_network(config.network).to(worker.device)
+        network.encoder.load_state_dict(load_groom_encoder().state_dict())
+        self.optimizer = AveragedAdam(network, config.learning_rate, MEMORY)
+        self.draper = NeuralDraper(network, config.material, config.bf16)
+        self.energies = [HairEnergy(groom, config.material) for groom in self.grooms]
         self.step = 0
         self.best = float("inf")
         self.seconds = 0.0
 
     @property
-    def averaged(self) -> QuaffureNetwork:
-        """The exponential average of the weights over the last thousand steps or so: what is validated and kept."""
-        return cast(QuaffureNetwork, self.average.module)
+    def samples_per_step(self) -> int:
+        """Drapes in a step, of all workers."""
+        of_each = self.config.runs * self.config.frames * min(self.config.grooms_per_step, len(self.grooms))
+        return of_each * self.worker.world_size
 
     def steps(self) -> Iterator[dict[str, float]]:
-        """Train to the last step, yielding after each one the loss [`_joules`] and the rate [samples/s]."""
-        samples = self.config.runs * self.config.frames * min(self.config.grooms_per_step, len(self.grooms))
+        """Train to the last step. After each one: loss [`loss_unit`], learning rate, the gradient's norm and rate
+        [samples/s]; every `log_every` steps also every term of the loss. Of this worker's samples, but for the norm.
+        """
         while self.step < self.config.steps:
             start = time.perf_counter()
-            loss = self._train_step()
+            figures = self._train_step()
             elapsed = time.perf_counter() - start
             self.step += 1
             self.seconds += elapsed
-            yield {"loss": loss, "samples_per_second": samples / elapsed}
+            yield figures | {"samples_per_second": self.samples_per_step / elapsed}
 
-    def _train_step(self) -> float:
+    def logs(self, step: int) -> bool:
+        """Whether the loss is told term by term after so many steps."""
+        return step % self.config.log_every == 0
+
+    def _train_step(self) -> dict[str, float]:
         config = self.config
-        for group in self.optimizer.param_groups:
-            group["lr"] = config.learning_rate * _schedule(self.step, config.warmup, config.steps)
-        body_pose, body_shape = self.sampler.sample(config.runs, config.frames, self.generator)
-        self.optimizer.zero_grad(set_to_none=True)
-        bodies = BodyBatch(self.body, body_pose, body_shape)
-        mean_loss = 0.0
-        drawn = self._drawn_grooms()
+        generator = torch.Generator().manual_seed(_step_seed(config.seed, self.worker.rank, self.step))
+        body_pose, body_shape = self.sampler.sample(config.runs, config.frames, generator)
+        bodies = BodyBatch(self.body, body_pose.to(self.worker.device), body_shape.to(self.worker.device))
+        drawn = self._drawn_grooms(generator)
+        figures: dict[str, float] = {}
         for index in drawn:
-            loss = self._loss(Scene(self.grooms[index], bodies), self.energies[index], len(drawn)) / len(drawn)
-            loss.backward()
-            mean_loss += float(loss.detach())
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
-        self.optimizer.step()
-        self.average.update_parameters(self.network)
-        return mean_loss
+            scene = Scene(self.grooms[index], bodies)
+            loss, terms = self._loss(scene, self.energies[index], len(drawn))
+            (loss / len(drawn)).backward()
+            for name, value in ({"loss": float(loss.detach())} | terms).items():
+                figures[name] = figures.get(name, 0.0) + value / len(drawn)
+        self.worker.average_gradients(self.draper.network)
+        share = warm_cosine(self.step, config.warmup, config.steps)
+        norm = self.optimizer.update(share)
+        return figures | {"learning_rate": config.learning_rate * share, "gradient_norm": norm}
 
-    def _drawn_grooms(self) -> list[int]:
+    def _drawn_grooms(self, generator: torch.Generator) -> list[int]:
         if len(self.grooms) <= self.config.grooms_per_step:
             return list(range(len(self.grooms)))
-        order = torch.randperm(len(self.grooms), generator=self.generator)
+        order = torch.randperm(len(self.grooms), generator=generator)
         drawn: list[int] = order[: self.config.grooms_per_step].tolist()
         return drawn
 
-    def _loss(self, scene: Scene, energy: HairEnergy, grooms: int) -> Tensor:
-        """Eq. 1 over the batch of one of several grooms, in units of `_joules`."""
-        config = self.config
+    def _loss(self, scene: Scene, energy: HairEnergy, grooms: int) -> tuple[Tensor, dict[str, float]]:
+        """Eq. 1 over the batch of one of several grooms, in `loss_unit`, and its terms where this step logs them."""
+        config, unit = self.config, loss_unit(energy)
         draped = self.draper.deform(scene, energy.rest)
         # The gradient that arrives is that of the mean over samples and grooms.
-        positions = limit_forces(draped, energy.rest, len(draped) * grooms * _joules(energy))
+        positions = limit_forces(draped, energy.rest, len(draped) * grooms * unit)
         total = energy.along_strands(positions, scene.director, scene.surface)
         if self.step % config.self_collision_every == 0:
             total = total + config.self_collision_every * energy.self_collision(positions)
         head = world_from_head(self.body, scene.bodies.posed.joint_rotations)[:, None]
         deformation = ((positions - scene.posed) @ head).unflatten(0, (config.runs, config.frames))
-        smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg)
-        return (total.mean() + smoothness.mean() / config.frames) / _joules(energy)
+        smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg).mean() / config.frames
+        terms: dict[str, float] = {}
+        if self.worker.is_first and self.logs(self.step + 1):
+            named = energy.terms(draped.detach(), scene.director, scene.surface)
+            terms = {name: float(term.mean()) / unit for name, term in named.items()}
+            terms["pose_regularization"] = float(smoothness.detach()) / unit
+        return (total.mean() + smoothness) / unit, terms
 
     def validate(self, validation: Validation) -> dict[str, float]:
-        """Energy terms of the averaged network in `_joules`, mean over grooms; keeps the best weights so far."""
-        draper = NeuralDraper(self.averaged, self.config.material)
-        sums: dict[str, float] = {}
-        bodies = BodyBatch(self.body, validation.body_pose, validation.body_shape)
-        with torch.no_grad():
-            for groom, energy in zip(self.grooms, self.energies):
-                scene = Scene(groom, bodies)
-                for name, value in energy.terms(draper.drape(scene), scene.director, scene.surface).items():
-                    sums[name] = sums.get(name, 0.0) + float(value.mean()) / (_joules(energy) * len(self.grooms))
-        sums["energy"] = sum(sums.values())
-        if sums["energy"] < self.best:
-            self.best = sums["energy"]
-            notes = {"step": str(self.step), "grooms": ",".join(groom.name for groom in self.grooms)}
-            with replacing(self.folder / "best.safetensors") as path:
-                save_network(path, self.averaged, self.config.material, notes)
-        self._log({"step": self.step, "seconds": round(self.seconds, 1), **{k: round(v, 6) for k, v in sums.items()}})
-        return sums
+        """Figures of the averaged network; logs them, and keeps the weights of the lowest energy so far."""
+        draper = NeuralDraper(self.optimizer.averaged, self.config.material)
+        device = self.worker.device
+        bodies = BodyBatch(self.body, validation.body_pose.to(device), validation.body_shape.to(device))
+        every = -(-len(self.grooms) // VALIDATED_GROOMS)
+        scenes = (Scene(groom, bodies) for groom in self.grooms[::every])
+        figures = validation_figures(draper, zip(scenes, self.energies[::every]))
+        if figures["energy"] < self.best:
+            self.best = figures["energy"]
+            names = ",".join(groom.name for groom in self.grooms)
+            notes = {"step": str(self.step), "grooms": names, "version": code_version()}
+            with replacing(self.folder.path / "best.safetensors") as path:
+                save_network(path, self.optimizer.averaged, self.config.material, notes)
+        self.folder.log("validation", self._row(figures))
+        return figures
+
+    def log(self, figures: dict[str, float]) -> None:
+        """Append a row to training.csv."""
+        self.folder.log("training", self._row(figures))
+
+    def _row(self, figures: dict[str, float]) -> dict[str, object]:
+        rounded = {name: float(f"{value:.6g}") for name, value in figures.items()}
+        return {"step": self.step, "seconds": round(self.seconds, 1), **rounded}
 
     def start_from(self, network: QuaffureNetwork) -> None:
         """Take over the weights of a network of the same configuration.
@@ -178,48 +175,52 @@ class DecoderTraining:
             InputError: its layers are others.
         """
         try:
-            self.network.load_state_dict(network.state_dict())
+            self.optimizer.start_from(network.state_dict())
         except RuntimeError as error:
             raise InputError("--weights", f"a network of {self.config.network}", "other layers") from error
-        self.average = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(0.998))
+
+    def describe(self) -> None:
+        """Write what the run was asked for into its folder."""
+        self.folder.describe(
+            {
+                "config": asdict(self.config),
+                "grooms": [{"name": groom.name, "strands": len(groom)} for groom in self.grooms],
+                "motions": [clip.name for clip in self.sampler.clips],
+                "geometry": self._geometry(),
+                "processes": self.worker.world_size,
+                "device": str(self.worker.device),
+            }
+        )
 
     def save(self) -> None:
         """Write everything that `resume` needs."""
         state = {
-            "network": self.network.state_dict(),
-            "average": self.average.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-            "generator": self.generator.get_state(),
             "counters": torch.tensor([self.step, self.best, self.seconds], dtype=torch.float64),
             "identity": self._identity(),
+            "geometry": self._geometry(),
         }
-        with replacing(self.folder / "checkpoint.pt") as path:
-            torch.save(state, path)
-        with replacing(self.folder / "config.json") as path:
-            path.write_text(json.dumps(asdict(self.config), indent=1))
+        self.folder.save(self.optimizer.state() | state)
 
     def resume(self) -> bool:
-        """Carry on from the folder's checkpoint; False where there is none.
+        """Carry on from the folder's checkpoint, which the first worker reads for all; False where there is none.
+
+        The number of processes may be another than before.
 
         Raises:
             InputError: it is of another run, or damaged.
         """
-        path = self.folder / "checkpoint.pt"
-        if not path.is_file():
+        state: dict[str, Any] | None = self.worker.of_first(lambda: self.folder.load(self._identity()))
+        if state is None:
             return False
-        try:
-            state = torch.load(path, weights_only=True)
-            identity = state["identity"]
-        except (RuntimeError, KeyError, EOFError, pickle.UnpicklingError) as error:
-            raise InputError(path, "a checkpoint of a training run", str(error).splitlines()[0]) from error
-        if identity != self._identity():
-            raise InputError(self.folder, f"a run of {self._identity()}", identity)
-        self.network.load_state_dict(state["network"])
-        self.average.load_state_dict(state["average"])
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.generator.set_state(state["generator"])
-        step, self.best, self.seconds = state["counters"].tolist()
+        with self.folder.reading():
+            # Checkpoints made before the geometry was kept have none.
+            if state.get("geometry", self._geometry()) != self._geometry():
+                raise InputError(self.folder.path, f"a run on {self._geometry()}", state["geometry"])
+            self.optimizer.restore(state)
+            step, self.best, self.seconds = state["counters"].tolist()
         self.step = int(step)
+        if self.worker.is_first:
+            self.folder.rewind_logs(self.step)
         return True
 
     def _identity(self) -> str:
@@ -227,44 +228,39 @@ class DecoderTraining:
         config = self.config
         return f"{[groom.name for groom in self.grooms]}, {config.network}, {config.material}, seed {config.seed}"
 
-    def _log(self, row: dict[str, float]) -> None:
-        path = self.folder / "validation.csv"
-        new = not path.exists()
-        with path.open("a", newline="") as file:
-            writer = csv.DictWriter(file, fieldnames=list(row))
-            if new:
-                writer.writeheader()
-            writer.writerow(row)
+    def _geometry(self) -> str:
+        """The body, whose file is the same everywhere, and the sizes of the grooms, which are grown or registered anew
+        by every process, so that their last bits depend on the machine.
+        """
+        digest = hashlib.sha256(self.body.rest_vertices.cpu().numpy().tobytes()).hexdigest()[:8]
+        return f"body {digest}, strands {[len(groom) for groom in self.grooms]}"
 
 
 def train(training: DecoderTraining, validation: Validation, report: Callable[[int, dict[str, float]], None]) -> None:
-    """Carry a run on to its end, validating and saving on the way.
+    """Carry a run on to its end, logging, validating and saving on the way.
 
     Args:
-        report: called after every step with the step and what is known: loss and rate, after validations also terms.
+        report: called after every step of the first worker with the step and what is known of it (`steps`), after
+            validations also their figures.
     """
-    config = training.config
+    if not training.worker.is_first:
+        for _ in training.steps():
+            pass
+        return
+    training.describe()
     saved = time.perf_counter()
     for figures in training.steps():
-        if training.step % config.validate_every == 0 or training.step == config.steps:
+        if training.logs(training.step):
+            training.log(figures)
+        if training.step % training.config.validate_every == 0 or training.step == training.config.steps:
             figures |= training.validate(validation)
         report(training.step, figures)
-        if time.perf_counter() - saved > config.save_every_seconds:
+        if time.perf_counter() - saved > training.config.save_every_seconds:
             training.save()
             saved = time.perf_counter()
     training.save()
 
 
-def _joules(energy: HairEnergy) -> float:
-    """The unit of a groom's loss [J]: m g L plus k_Cosserat, a vertex.
-
-    For long hair the first is all; in stubble a bend costs a thousand times what its weight does, and short grooms
-    would drown the others.
-    """
-    return energy.per_vertex_unit + energy.rest.mass.numel() * energy.material.k_cosserat
-
-
-def _schedule(step: int, warmup: int, steps: int) -> float:
-    """Linear rise, then a cosine down to a hundredth."""
-    rise = min(1.0, (step + 1) / max(1, warmup))
-    return rise * (0.01 + 0.99 * 0.5 * (1 + float(torch.cos(torch.tensor(torch.pi * step / steps)))))
+def _step_seed(seed: int, rank: int, step: int) -> int:
+    """A seed of one step of one worker; any two of them are as good as independent."""
+    return int(np.random.SeedSequence((seed, rank, step)).generate_state(1, np.uint64)[0])

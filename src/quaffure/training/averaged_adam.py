@@ -1,0 +1,91 @@
+"""How both networks are trained: Adam with clipped gradients, and an average of the weights on the way."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, TypeVar, cast
+
+import torch
+from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
+
+from quaffure.errors import InputError
+
+Network = TypeVar("Network", bound=nn.Module)
+LARGEST_GRADIENT = 1.0
+"""Norm that gradients are clipped to."""
+
+
+class AveragedAdam(Generic[Network]):
+    """Adam on a network, and the exponential average of its weights, which is steadier than they are."""
+
+    def __init__(self, network: Network, learning_rate: float, memory: float) -> None:
+        """
+        Args:
+            learning_rate: at the start.
+            memory: share of the average that is kept in a step; less of it at first, when it would still hold the
+                weights that the network began with.
+        """
+        self.network, self.learning_rate = network, learning_rate
+        trained = [parameter for parameter in network.parameters() if parameter.requires_grad]
+        self.adam = torch.optim.Adam(trained, lr=learning_rate, betas=(0.9, 0.99))
+        self._average = AveragedModel(network, avg_fn=_moving_average(memory))
+
+    @property
+    def averaged(self) -> Network:
+        """The network with averaged weights: what is validated and kept."""
+        return cast(Network, self._average.module)
+
+    def start_from(self, weights: Mapping[str, Tensor]) -> None:
+        """Take over weights before the first step.
+
+        Raises:
+            RuntimeError: they are of other layers.
+        """
+        self.network.load_state_dict(weights)
+        self.averaged.load_state_dict(weights)
+
+    def update(self, share: float) -> float:
+        """One step along the gradients that are there, by a share of the learning rate; the gradients' norm.
+
+        Raises:
+            InputError: a gradient is not finite; the weights stay as they were.
+        """
+        norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT))
+        if not math.isfinite(norm):
+            raise InputError("training", "finite gradients (a lower --learning-rate may help)", f"{norm}")
+        for group in self.adam.param_groups:
+            group["lr"] = self.learning_rate * share
+        self.adam.step()
+        self.adam.zero_grad(set_to_none=True)
+        self._average.update_parameters(self.network)
+        return norm
+
+    def state(self) -> dict[str, Any]:
+        """Everything that `restore` needs, by name."""
+        return {
+            "network": self.network.state_dict(),
+            "average": self._average.state_dict(),
+            "optimizer": self.adam.state_dict(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Carry on from what `state` gave.
+
+        Raises:
+            KeyError, RuntimeError, ValueError: it is of another network.
+        """
+        self.network.load_state_dict(state["network"])
+        self._average.load_state_dict(state["average"])
+        self.adam.load_state_dict(state["optimizer"])
+
+
+def warm_cosine(step: int, warmup: int, steps: int) -> float:
+    """Share of the learning rate: a linear rise, then a cosine down to a hundredth."""
+    return min(1.0, (step + 1) / max(1, warmup)) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / steps)))
+
+
+def _moving_average(memory: float) -> Callable[[Tensor, Tensor, Tensor | int], Tensor]:
+    def average(kept: Tensor, new: Tensor, count: Tensor | int) -> Tensor:
+        return kept.lerp(new, max(1 - memory, 9 / (10 + float(count))))
+
+    return average

@@ -1,0 +1,138 @@
+"""The folder of a training run: what it was asked for, its logs, and the checkpoint that it carries on from."""
+
+import csv
+import json
+import subprocess
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import quaffure
+from quaffure.errors import InputError
+from quaffure.io.atomic import replacing
+
+CHECKPOINT = "checkpoint.pt"
+
+
+class RunFolder:
+    """Files of one run. A process killed at any moment leaves them whole.
+
+    Attributes:
+        path: the folder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """
+        Args:
+            path: made where it does not exist.
+
+        Raises:
+            InputError: it cannot be made.
+        """
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(path, "a folder for the run", error.strerror or str(error)) from error
+        self.path = path
+
+    def describe(self, description: Mapping[str, object]) -> None:
+        """Write `config.json`: the version of the code, and what the run was asked for."""
+        with replacing(self.path / "config.json") as path:
+            path.write_text(json.dumps({"version": code_version(), **description}, indent=1) + "\n")
+
+    def save(self, state: Mapping[str, Any]) -> None:
+        """Replace the checkpoint. `state` holds tensors, numbers and texts, and under `identity` what `load` asks for.
+
+        Nothing is unpickled but these when it is read back.
+        """
+        with replacing(self.path / CHECKPOINT) as path:
+            torch.save(dict(state), path)
+
+    def load(self, identity: str) -> dict[str, Any] | None:
+        """The state that `save` kept, on the CPU; None where there is none.
+
+        Raises:
+            InputError: it is of another run, or damaged.
+        """
+        path = self.path / CHECKPOINT
+        # What a process that was killed while it saved had written so far.
+        for unfinished in self.path.glob(f".{path.stem}-*{path.suffix}"):
+            unfinished.unlink(missing_ok=True)
+        if not path.is_file():
+            return None
+        with self.reading():
+            state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+            found = state["identity"]
+        if found != identity:
+            raise InputError(self.path, f"a run of {identity}", f"{found}")
+        return state
+
+    @contextmanager
+    def reading(self) -> Iterator[None]:
+        """What goes wrong while the checkpoint's contents are taken over is the checkpoint's fault.
+
+        Raises:
+            InputError: it is damaged, or made by another version of the code.
+        """
+        try:
+            yield
+        except InputError:
+            raise
+        # On damaged bytes torch's unpickler raises many unrelated types.
+        except Exception as error:
+            reason = (str(error) or type(error).__name__).splitlines()[0]
+            raise InputError(self.path / CHECKPOINT, "a checkpoint of this training", reason) from error
+
+    def log(self, name: str, row: Mapping[str, object]) -> None:
+        """Append a row to a table, `<name>.csv`; columns that it does not have yet are added to it, empty so far."""
+        path = self.path / f"{name}.csv"
+        columns, rows = _read_table(path)
+        new = [column for column in row if column not in columns]
+        if new:
+            columns += new
+            _write_table(path, columns, rows)
+        with path.open("a", newline="", encoding="utf-8") as file:
+            csv.DictWriter(file, columns, restval="").writerow(row)
+
+    def rewind_logs(self, step: int) -> None:
+        """Drop rows of later steps, which the run will do again, and a row that was cut short by a kill."""
+        for path in sorted(self.path.glob("*.csv")):
+            columns, rows = _read_table(path)
+            whole = [row for row in rows if None not in row.values() and row.get("step", "").isdigit()]
+            kept = [row for row in whole if int(row["step"]) <= step]
+            if len(kept) < len(rows):
+                _write_table(path, columns, kept)
+
+
+def code_version() -> str:
+    """Version of the package, and in a git checkout of its source also the commit."""
+    released = version("quaffure")
+    root = Path(quaffure.__file__).parents[2]
+    if not (root / ".git").exists():
+        return released
+    try:
+        command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--tags"]
+        described = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return released
+    return f"{released} ({described})"
+
+
+def _read_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
+    if not path.is_file():
+        return [], []
+    with path.open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        rows = list(reader)
+        return list(reader.fieldnames or []), rows
+
+
+def _write_table(path: Path, columns: list[str], rows: list[dict[str, str]]) -> None:
+    with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns, restval="")
+        writer.writeheader()
+        writer.writerows(rows)

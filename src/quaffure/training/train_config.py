@@ -1,0 +1,49 @@
+"""What a training run of the deformation decoder is asked for."""
+
+from dataclasses import dataclass, field
+
+from quaffure.body.pose_features import FEATURE_COUNT
+from quaffure.config import HairMaterial
+from quaffure.errors import InputError
+from quaffure.geometry.clear_cells import REACH
+from quaffure.networks.quaffure_network import NetworkConfig
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One training run; saved in its folder."""
+
+    network: NetworkConfig = field(default_factory=lambda: NetworkConfig(pose_features=FEATURE_COUNT))
+    material: HairMaterial = field(default_factory=HairMaterial)
+    steps: int = 20000
+    """Optimizer steps in all."""
+    runs: int = 4
+    """Runs of consecutive frames in a step, each on a body of its own; a step's grooms are draped on all of them.
+    Of each process where there are several."""
+    grooms_per_step: int = 4
+    """Grooms in a step, drawn anew each time; all of them where there are no more."""
+    frames: int = 2
+    """Consecutive frames in a run (N_pose_reg of Eq. 14)."""
+    learning_rate: float = 1e-3
+    """Of Adam, at the start; falls to a hundredth along a cosine."""
+    warmup: int = 200
+    """Steps over which the learning rate rises from zero."""
+    self_collision_every: int = 1
+    """Evaluate Eq. 11 on every k-th step, k times as strong."""
+    bf16: bool = False
+    """Run the network's layers in bfloat16."""
+    seed: int = 0
+    log_every: int = 50
+    """Steps between two rows of training.csv; each evaluates the energies once more, for their terms."""
+    validate_every: int = 250
+    """Steps between two validations; the best weights so far are kept."""
+    save_every_seconds: float = 120.0
+    """Seconds between two checkpoints that the run can be resumed from."""
+
+    def __post_init__(self) -> None:
+        counts = ("steps", "runs", "frames", "grooms_per_step", "self_collision_every", "log_every", "validate_every")
+        for name in counts:
+            if getattr(self, name) < 1:
+                raise InputError(f"--{name.replace('_', '-')}", "1 or more", f"{getattr(self, name)}")
+        if not 0 < self.material.collision_margin <= REACH:
+            raise InputError("--collision-margin", f"up to {REACH} m", f"{self.material.collision_margin}")

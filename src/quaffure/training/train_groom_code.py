@@ -1,0 +1,214 @@
+"""Training of the groom autoencoder, Sec. 3.2: strands left out of what is shown, all of them asked for."""
+
+import hashlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+
+from quaffure.errors import InputError
+from quaffure.io.atomic import replacing
+from quaffure.networks.groom_autoencoder import GroomAutoencoder, Widths, relative_distance
+from quaffure.networks.groom_code import save_autoencoder, save_encoder
+from quaffure.networks.groom_texture import SHAPE_CHANNELS, GroomSample
+from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
+from quaffure.training.groom_batches import GroomBatch, batch_of, mean_strands, mirrored, part_of, patch_of, scaled
+from quaffure.training.run_folder import RunFolder
+from quaffure.types import Float, Tensor
+
+
+@dataclass(frozen=True)
+class GroomCodeConfig:
+    """One training run of the groom autoencoder; saved in its folder."""
+
+    steps: int = 5500
+    """Optimizer steps in all."""
+    batch: int = 16
+    """Grooms in a step."""
+    learning_rate: float = 1.5e-3
+    """Of Adam, at the start; falls to a hundredth along a cosine."""
+    warmup: int = 50
+    """Steps over which the learning rate rises from zero."""
+    library_seeds: int = 6
+    """Growings of every named style that is not held out."""
+    family: int = 1500
+    """Draws from the continuous family."""
+    library_share: float = 0.4
+    """How many grooms of a step come from the library, and from the user's grooms."""
+    widths: Widths = (256, 192, 128, 96)
+    """Channels of the decoder at 4, 8, 16 and 32 texels a side."""
+    code_noise: float = 0.03
+    """Added to the codes, so that grooms nearby in code are alike [-]."""
+    code_penalty: float = 1e-3
+    """Weight of the mean square of the codes, which keeps them from growing away from that noise."""
+    bf16: bool = False
+    """Run the network's layers in bfloat16."""
+    seed: int = 0
+    save_every_seconds: float = 60.0
+    """Seconds between two checkpoints that the run can be resumed from."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch", "library_seeds"):
+            if getattr(self, name) < 1:
+                raise InputError(f"--{name.replace('_', '-')}", "1 or more", f"{getattr(self, name)}")
+        if self.family < 0:
+            raise InputError("--family", "0 or more", f"{self.family}")
+        if not 0 <= self.library_share <= 1:
+            raise InputError("--library-share", "0 to 1", f"{self.library_share}")
+
+
+# What the encoder sees of a groom, at least [share of its strands].
+LEAST_SHOWN = 0.3
+# Of the strands of a groom that its code is asked for in one step; all of them teach little more and cost twice.
+ASKED = 0.5
+# How often only a patch of the scalp is shown and asked for: real grooms may be a crest, or one part of a hairdo.
+PATCHES = 0.15
+LEAST_PATCH = 50
+# Grooms are made longer or shorter by up to this factor [natural logarithm].
+LENGTHENING = 0.2
+MEMORY = 0.99
+"""Of the exponential average of the weights, which is what is kept."""
+
+
+class GroomCodeTraining:
+    """State of a run: network, optimizer, random numbers and step, which `save` and `resume` keep."""
+
+    def __init__(
+        self, config: GroomCodeConfig, library: list[GroomSample], family: list[GroomSample], folder: Path
+    ) -> None:
+        """
+        Args:
+            library: grooms; two of one style are growings of it, of which one is encoded and the other asked for.
+            family: grooms of one growing each; may be empty.
+            folder: for checkpoints and weights; made where it does not exist.
+        """
+        torch.manual_seed(config.seed)
+        self.config, self.library, self.family, self.folder = config, library, family, RunFolder(folder)
+        self.styles: dict[str, list[GroomSample]] = {}
+        for groom in library:
+            self.styles.setdefault(groom.style, []).append(groom)
+        self.network = GroomAutoencoder(config.widths)
+        self.network.decoder.mean.data = mean_strands(library + family)
+        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.optimizer = AveragedAdam(self.network, config.learning_rate, MEMORY)
+        self.generator = torch.Generator().manual_seed(config.seed)
+        self.step = 0
+
+    def train_step(self) -> float:
+        """One step of Adam; the loss [strand lengths]."""
+        config = self.config
+        batch = self._draw()
+        with torch.autocast("cpu", torch.bfloat16, enabled=config.bf16):
+            code = self.network.encoder(batch.textures)
+            noise = torch.randn(code.shape, generator=self.generator)
+            decoded = self.network.decoder(code + config.code_noise * noise, batch.samples, batch.texels)
+        loss = _loss(decoded, batch)
+        (loss + config.code_penalty * code.float().square().mean()).backward()
+        self.optimizer.update(warm_cosine(self.step, config.warmup, config.steps))
+        self.step += 1
+        return loss.item()
+
+    def _draw(self) -> GroomBatch:
+        """Pairs of grooms of one style, mirrored and lengthened alike; some strands of the first are shown."""
+        shown, asked = [], []
+        for pair in (self._pair() for _ in range(self.config.batch)):
+            flip, stretch, share = torch.rand(3, generator=self.generator).tolist()
+            factor = math.exp(LENGTHENING * (2 * stretch - 1))
+            parts = zip(pair, (LEAST_SHOWN + (1 - LEAST_SHOWN) * share, ASKED))
+            first, second = (scaled(part_of(groom, kept, self.generator), factor) for groom, kept in parts)
+            shown.append(mirrored(first) if flip < 0.5 else first)
+            asked.append(mirrored(second) if flip < 0.5 else second)
+        return batch_of(shown, asked)
+
+    def _pair(self) -> tuple[GroomSample, GroomSample]:
+        of_library = float(torch.rand((), generator=self.generator)) < self.config.library_share
+        if of_library or not self.family:
+            growings = list(self.styles.values())[self._index(len(self.styles))]
+            first, second = (growings[self._index(len(growings))] for _ in range(2))
+        else:
+            first = second = self.family[self._index(len(self.family))]
+        if float(torch.rand((), generator=self.generator)) < PATCHES:
+            centre, half = torch.rand(2, 2, generator=self.generator)
+            patches = [
+                patch_of(groom, centre - 0.1 - 0.4 * half, centre + 0.1 + 0.4 * half) for groom in (first, second)
+            ]
+            if min(len(patch.texels) for patch in patches) >= LEAST_PATCH:
+                return patches[0], patches[1]
+        return first, second
+
+    def _index(self, count: int) -> int:
+        return int(torch.randint(count, (), generator=self.generator))
+
+    def finish(self) -> GroomAutoencoder:
+        """The averaged network, its codes standardised over the grooms; written to the folder."""
+        network = self.optimizer.averaged.eval()
+        with torch.no_grad():
+            codes = [network.encoder(batch_of([groom], [groom]).textures) for groom in self.library + self.family]
+        network.standardise(torch.cat(codes))
+        notes = {"step": str(self.step), "grooms": f"{', '.join(self.styles)}; {len(self.family)} of the family"}
+        with replacing(self.folder.path / "groom_autoencoder.safetensors") as path:
+            save_autoencoder(path, network, notes)
+        with replacing(self.folder.path / "groom_code.safetensors") as path:
+            save_encoder(path, network, notes)
+        return network
+
+    def save(self) -> None:
+        """Write everything that `resume` needs."""
+        state = {"generator": self.generator.get_state(), "step": self.step, "identity": self._identity()}
+        self.folder.save(self.optimizer.state() | state)
+
+    def resume(self) -> bool:
+        """Carry on from the folder's checkpoint; False where there is none.
+
+        Raises:
+            InputError: it is of another run, or damaged.
+        """
+        state = self.folder.load(self._identity())
+        if state is None:
+            return False
+        with self.folder.reading():
+            self.optimizer.restore(state)
+            self.generator.set_state(state["generator"])
+            self.step = int(state["step"])
+        return True
+
+    def _identity(self) -> str:
+        """What may not change in a run: grooms, network, seed."""
+        held = hashlib.sha256()
+        for groom in self.library + self.family:
+            held.update(groom.style.encode() + groom.texels.numpy().tobytes() + groom.features[:, 3].numpy().tobytes())
+        count = len(self.library) + len(self.family)
+        return f"{count} grooms {held.hexdigest()[:8]}, decoder {self.config.widths}, seed {self.config.seed}"
+
+
+def train(training: GroomCodeTraining, report: Callable[[int, float], None]) -> GroomAutoencoder:
+    """Carry a run on to its end, saving on the way; the finished network.
+
+    Args:
+        report: called after every step with the step and its loss [strand lengths].
+    """
+    training.folder.describe({"config": asdict(training.config)})
+    saved = time.perf_counter()
+    while training.step < training.config.steps:
+        loss = training.train_step()
+        report(training.step, loss)
+        if time.perf_counter() - saved > training.config.save_every_seconds:
+            training.save()
+            saved = time.perf_counter()
+    training.save()
+    return training.finish()
+
+
+def _loss(decoded: Float[Tensor, "s decoded"], batch: GroomBatch) -> Tensor:
+    """Mean distance in strand lengths: half of it every strand alike, half every strand by its length.
+
+    Every strand alike is fair to a groom of short hair, but in a groom of long and clipped hair it is the stubble's.
+    """
+    lengths = batch.features[:, SHAPE_CHANNELS].exp()
+    counts = batch.samples.bincount().clamp(min=1)
+    means = torch.zeros(len(counts)).index_add(0, batch.samples, lengths) / counts
+    weights = 0.5 + 0.5 * lengths / means[batch.samples]
+    return (weights * relative_distance(decoded, batch.features).mean(1)).mean()

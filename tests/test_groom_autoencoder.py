@@ -1,0 +1,381 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from quaffure.body.body_model import BodyModel, load_body
+from quaffure.cli import train_code
+from quaffure.cli.main import main
+from quaffure.errors import InputError
+from quaffure.evaluation.groom_code_figures import (
+    betweenness,
+    code_figures,
+    codes_of,
+    growing_scatter,
+    half_of,
+    half_way_figures,
+    reconstruction,
+    scatter_of_styles,
+)
+from quaffure.geometry.surface import Surface
+from quaffure.groom.clearance import rest_surface
+from quaffure.groom.groom import Groom
+from quaffure.groom.hair_style import HELD_OUT, STYLES
+from quaffure.groom.procedural import make_groom
+from quaffure.groom.scalp_texture import select_guides
+from quaffure.io.groom_file import write_groom
+from quaffure.io.load_groom import load_groom
+from quaffure.networks.groom_autoencoder import GroomAutoencoder, decoded_channels, relative_distance
+from quaffure.networks.groom_code import (
+    WEIGHTS,
+    groom_code,
+    load_groom_autoencoder,
+    load_groom_encoder,
+    save_autoencoder,
+    save_encoder,
+)
+from quaffure.networks.groom_texture import (
+    SHAPE_CHANNELS,
+    GroomSample,
+    groom_texture,
+    root_frames,
+    sample_of,
+    strand_features,
+    strands_of,
+)
+from quaffure.training.groom_batches import batch_of, mean_strands, mirrored, part_of, patch_of, scaled
+from quaffure.training.groom_samples import Growing, family_growings, grow_samples, library_growings
+from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeTraining, train
+
+NARROW = (16, 16, 16, 16)
+TINY = GroomCodeConfig(steps=6, batch=4, warmup=1, widths=NARROW, save_every_seconds=0)
+STYLES_HERE = ("long_straight", "bob", "afro", HELD_OUT[0])
+
+
+@pytest.fixture(scope="module")
+def body() -> BodyModel:
+    return load_body()
+
+
+@pytest.fixture(scope="module")
+def surface(body: BodyModel) -> Surface:
+    return rest_surface(body)
+
+
+@pytest.fixture(scope="module")
+def grooms(body: BodyModel, surface: Surface) -> dict[str, Groom]:
+    return {name: make_groom(name, body, surface=surface) for name in STYLES_HERE}
+
+
+@pytest.fixture(scope="module")
+def anew(body: BodyModel, surface: Surface) -> dict[str, Groom]:
+    return {name: make_groom(name, body, seed=77, surface=surface) for name in STYLES_HERE}
+
+
+@pytest.fixture(scope="module")
+def samples(body: BodyModel, grooms: dict[str, Groom]) -> list[GroomSample]:
+    return [sample_of(groom, body, name) for name, groom in grooms.items()]
+
+
+def test_root_frames_are_rotations_and_follow_the_chart(body: BodyModel, grooms: dict[str, Groom]) -> None:
+    frames = root_frames(grooms["bob"], body)
+    assert torch.allclose(frames.mT @ frames, torch.eye(3).expand_as(frames), atol=1e-5)
+    assert torch.allclose(torch.linalg.det(frames), torch.ones(len(frames)), atol=1e-5)
+    # u runs from the body's right to its left, v from forehead to nape; the body faces -y.
+    roots, head = grooms["bob"].rest_strands[:, 0], body.rest_joints[body.joint_names.index("Head")]
+    crown = (roots[:, 2] > head[2] + 0.14) & (roots[:, 0].abs() < 0.03)
+    assert crown.sum() > 20
+    assert frames[crown].diagonal(dim1=1, dim2=2).min() > 0.6
+    outwards = ((roots - roots.mean(0)) * frames[..., 2]).sum(-1)
+    assert (outwards > 0).float().mean() > 0.95
+
+
+def test_neighbours_that_grow_alike_look_alike(body: BodyModel, grooms: dict[str, Groom]) -> None:
+    afro = grooms["afro"]
+    directions = torch.nn.functional.normalize(strand_features(afro, body)[:, 3 * 12 : 3 * 13], dim=-1)
+    near = torch.cdist(afro.root_uv, afro.root_uv).fill_diagonal_(9).argmin(1)
+    # In frames that turned by any angle from triangle to triangle, tangential parts would have no common direction.
+    tangential = directions[:, :2]
+    assert (tangential * tangential[near]).sum() / tangential.square().sum() > 0.5
+
+
+def test_features_come_back_as_strands(body: BodyModel, grooms: dict[str, Groom]) -> None:
+    for groom in grooms.values():
+        features = strand_features(groom, body)
+        assert torch.allclose(strands_of(features, groom, body), groom.rest_strands, atol=1e-5)
+        assert torch.allclose(0.1 * features[:, SHAPE_CHANNELS].exp(), groom.strand_lengths, rtol=1e-4)
+        assert (features[:, -1] == 1).all()
+
+
+def test_a_groom_and_its_mirror_image(body: BodyModel, grooms: dict[str, Groom]) -> None:
+    """Hair mirrored in the world is the mirrored texture, up to the asymmetry of the mean body."""
+    texture = groom_texture(grooms["long_straight"], body)[0]
+    image = mirrored(sample_of(grooms["long_straight"], body, ""))
+    other = batch_of([image], [image]).textures[0]
+    both = (texture[-1] > 0) & (other[-1] > 0)
+    assert both.sum() > 1000
+    assert torch.equal(other[-1], texture[-1].flip(1))
+    gap = (texture - other)[:SHAPE_CHANNELS, both].abs().mean()
+    unflipped = texture.flip(2)
+    assert gap < 0.6 * (texture - unflipped)[:SHAPE_CHANNELS, both & (unflipped[-1] > 0)].abs().mean()
+    assert torch.equal(mirrored(image).texels, sample_of(grooms["long_straight"], body, "").texels)
+
+
+def test_a_perfect_answer_has_no_distance_and_a_short_one_its_share(samples: list[GroomSample]) -> None:
+    features = samples[0].features.float()
+    network = GroomAutoencoder(NARROW)
+    with torch.no_grad():
+        torch.nn.init.zeros_(network.decoder.texture.to_texels[0].weight)
+        network.decoder.mean[samples[0].texels] = decoded_channels(features)
+        decoded = network.decoder(torch.zeros(1, 16), torch.zeros_like(samples[0].texels), samples[0].texels)
+    assert relative_distance(decoded, features).max() < 1e-3
+    decoded[:, SHAPE_CHANNELS] += np.log(0.9)
+    shape = features[:, 3:SHAPE_CHANNELS].unflatten(1, (-1, 3)).norm(dim=-1)
+    assert torch.allclose(relative_distance(decoded, features), 0.1 * shape, atol=1e-3)
+
+
+def test_figures_are_in_millimetres_and_percent(samples: list[GroomSample]) -> None:
+    """Strands straight out of the skin, decoded as if 10 % shorter."""
+    texels = samples[0].texels
+    features = torch.zeros(len(texels), samples[0].features.shape[1])
+    features[:, 2:SHAPE_CHANNELS:3] = torch.arange(24) / 23
+    features[:, SHAPE_CHANNELS], features[:, -1] = np.log(0.2 / 0.1), 1
+    network = GroomAutoencoder(NARROW)
+    with torch.no_grad():
+        torch.nn.init.zeros_(network.decoder.texture.to_texels[0].weight)
+        network.decoder.mean[:] = decoded_channels(features)[0]
+        network.decoder.mean[:, 0] += np.log(0.9)
+    row = reconstruction(network, GroomSample("spikes", features.half(), texels))
+    share = 0.1 * np.mean(np.arange(1, 24) / 23)
+    assert row.length_mm == pytest.approx(200, rel=1e-3)
+    assert row.mean_mm == pytest.approx(200 * share, rel=1e-2)
+    assert row.length_percent == pytest.approx(100 * share, rel=1e-2)
+    assert row.strand_percent == pytest.approx(100 * share, rel=1e-2)
+    assert row.p95_mm == pytest.approx(20, rel=0.05)
+
+
+def test_standardised_codes_decode_the_same(samples: list[GroomSample]) -> None:
+    network = GroomAutoencoder(NARROW)
+    batch = batch_of(samples, samples)
+    with torch.no_grad():
+        before = network.decoder(network.encoder(batch.textures), batch.samples, batch.texels)
+        network.standardise(network.encoder(batch.textures))
+        codes = network.encoder(batch.textures)
+        after = network.decoder(codes, batch.samples, batch.texels)
+    assert torch.allclose(after, before, atol=1e-3)
+    assert torch.allclose(codes.std(0), torch.ones(16), atol=1e-2)
+    assert codes.mean(0).abs().max() < 1e-2
+
+
+def test_the_mean_of_one_groom_is_that_groom(samples: list[GroomSample]) -> None:
+    mean = mean_strands(samples[:1])
+    own = decoded_channels(samples[0].features.float())
+    assert torch.allclose(mean[samples[0].texels], own, atol=1e-5)
+    assert (mean.norm(dim=1) > 0).all()
+
+
+def test_parts_and_lengths_of_samples(samples: list[GroomSample]) -> None:
+    generator = torch.Generator().manual_seed(0)
+    part = part_of(samples[0], 0.3, generator)
+    assert 0.2 < len(part.texels) / len(samples[0].texels) < 0.4
+    assert len(part_of(samples[0], 0.0, generator).texels) == 1
+    patch = patch_of(samples[0], torch.tensor([0.25, 0.5]), torch.tensor([0.5, 0.75]))
+    assert len(patch.texels) > 100
+    assert ((patch.texels % 64 >= 16) & (patch.texels % 64 < 32)).all()
+    assert ((patch.texels // 64 >= 32) & (patch.texels // 64 < 48)).all()
+    longer = scaled(samples[0], 2.0).features - samples[0].features
+    assert torch.allclose(longer[:, SHAPE_CHANNELS].float(), torch.tensor(2.0).log(), atol=2e-3)
+    assert (longer[:, :SHAPE_CHANNELS] == 0).all()
+
+
+def test_grown_samples_are_kept_and_damaged_files_refused(body: BodyModel, surface: Surface, tmp_path: Path) -> None:
+    growings = [*library_growings(["bob"], [3]), *family_growings([5])]
+    done: list[int] = []
+    grown = grow_samples(growings, body, surface, tmp_path, done.append)
+    assert done == [1, 2]
+    times = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    again = grow_samples(growings, body, surface, tmp_path, done.append)
+    assert times == {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    assert all(torch.equal(a.features, b.features) for a, b in zip(grown, again))
+    edited = Growing("bob", replace(STYLES["bob"], length=0.2), 3)
+    assert edited.file != growings[0].file
+    path = tmp_path / growings[0].file
+    np.savez(path, features=np.zeros((5, 3), np.float16), texels=np.zeros(5, np.int16))
+    with pytest.raises(InputError, match="grown anew"):
+        grow_samples(growings, body, surface, tmp_path, done.append)
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(InputError, match="undamaged"):
+        grow_samples(growings, body, surface, tmp_path, done.append)
+
+
+def test_training_lowers_the_loss(samples: list[GroomSample], tmp_path: Path) -> None:
+    training = GroomCodeTraining(replace(TINY, steps=40, learning_rate=3e-3), samples[::2], [], tmp_path)
+    losses = [training.train_step() for _ in range(40)]
+    assert np.mean(losses[-8:]) < 0.8 * np.mean(losses[:8])
+
+
+def test_a_stopped_run_ends_like_an_unbroken_one(samples: list[GroomSample], tmp_path: Path) -> None:
+    library, family = samples[:3], samples[3:]
+    (tmp_path / "broken").mkdir()
+    steps: list[int] = []
+    whole = train(GroomCodeTraining(TINY, library, family, tmp_path), lambda step, loss: steps.append(step))
+    assert steps == [*range(1, 7)]
+    first = GroomCodeTraining(TINY, library, family, tmp_path / "broken")
+    assert not first.resume()
+    for _ in range(3):
+        first.train_step()
+    first.save()
+    second = GroomCodeTraining(TINY, library, family, tmp_path / "broken")
+    assert second.resume()
+    assert second.step == 3
+    resumed = train(second, lambda step, loss: None)
+    for name, value in whole.state_dict().items():
+        assert torch.allclose(value, resumed.state_dict()[name], atol=1e-6), name
+
+
+def test_a_run_leaves_the_encoder_with_and_without_its_decoder(samples: list[GroomSample], tmp_path: Path) -> None:
+    network = GroomCodeTraining(TINY, samples, [], tmp_path).finish()
+    codes = codes_of(network.encoder, samples)
+    assert torch.allclose(codes.std(0), torch.ones(16), atol=1e-2)
+    read = load_groom_autoencoder(tmp_path / "groom_autoencoder.safetensors")
+    kept = load_groom_encoder(tmp_path / "groom_code.safetensors")
+    assert torch.equal(codes_of(read.encoder, samples), codes_of(kept, samples))
+    assert torch.allclose(codes_of(kept, samples), codes, atol=2e-2)
+
+
+def test_the_command_grows_trains_and_measures(
+    grooms: dict[str, Groom], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    trained = ["bob", "afro"]
+    few = {name: STYLES[name] for name in (*trained, HELD_OUT[0])}
+    for name, value in {"STYLES": few, "TRAINED": trained, "ANEW": range(50, 51), "UNSEEN_DRAWS": range(1)}.items():
+        monkeypatch.setattr(train_code, name, value)
+    write_groom(tmp_path / "own.npz", replace(grooms["afro"], name="own"))
+    own, run = str(tmp_path / "own.npz"), str(tmp_path / "run")
+    sizes = {"steps": 2, "batch": 2, "library-seeds": 1, "family": 1}
+    options = [f"--{name}={value}" for name, value in sizes.items()] + ["--widths", *["16"] * 4, "--json"]
+    main(["train-code", "--out", run, "--groom", own, "--unseen", own, *options])
+    figures = json.loads(capsys.readouterr().out)
+    assert figures == json.loads((tmp_path / "run" / "figures.json").read_text())
+    grown = {name: len(rows) for name, rows in figures["grooms"].items()}
+    assert grown["library, as trained"] == 2
+    assert grown["own grooms, as trained"] == grown["other grooms, unseen"] == 1
+    assert grown["held-out styles"] == 2
+    assert figures["codes"]["grown anew"]["growings"] == 3
+    assert groom_code(grooms["bob"], encoder=load_groom_encoder(tmp_path / "run" / "groom_code.safetensors")).shape == (
+        16,
+    )
+
+
+def test_scatter_is_what_growings_differ_by(
+    samples: list[GroomSample], anew: dict[str, Groom], body: BodyModel
+) -> None:
+    straight, again = samples[0], sample_of(anew["long_straight"], body, "long_straight")
+    assert 1 < growing_scatter(straight, [again]) < 5
+    longer = growing_scatter(straight, [scaled(again, 1.5)])
+    # Half a length too long: in the mean over the vertices a quarter of a length off.
+    assert 18 < longer < 30
+    assert list(scatter_of_styles([straight, again, samples[1]])) == ["long_straight"]
+
+
+def test_a_folder_of_other_grooms_is_refused(samples: list[GroomSample], tmp_path: Path) -> None:
+    GroomCodeTraining(TINY, samples[:2], [], tmp_path).save()
+    with pytest.raises(InputError, match="2 grooms"):
+        GroomCodeTraining(TINY, samples[:3], [], tmp_path).resume()
+    (tmp_path / "checkpoint.pt").write_bytes(b"nothing")
+    with pytest.raises(InputError, match="checkpoint"):
+        GroomCodeTraining(TINY, samples[:2], [], tmp_path).resume()
+
+
+def test_impossible_settings_are_refused() -> None:
+    for wrong in ({"steps": 0}, {"library_seeds": 0}, {"family": -1}, {"library_share": 1.5}):
+        with pytest.raises(InputError, match=next(iter(wrong)).replace("_", "-")):
+            GroomCodeConfig(**wrong)
+
+
+def test_broken_weights_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.safetensors"
+    with pytest.raises(InputError, match="no such file"):
+        load_groom_encoder(path)
+    path.write_bytes(b"0123456789")
+    with pytest.raises(InputError, match="groom encoder"):
+        load_groom_encoder(path)
+    save_encoder(path, GroomAutoencoder(NARROW), {})
+    assert not any(parameter.requires_grad for parameter in load_groom_encoder(path).parameters())
+    with pytest.raises(InputError, match="widths"):
+        load_groom_autoencoder(path)
+    network = GroomAutoencoder(NARROW)
+    save_autoencoder(path, network, {})
+    with pytest.raises(InputError, match="GroomEncoder"):
+        load_groom_encoder(path)
+    network.decoder.mean.data[0, 0] = torch.nan
+    save_autoencoder(path, network, {})
+    with pytest.raises(InputError, match="NaN"):
+        load_groom_autoencoder(path)
+
+
+def test_grooms_of_another_layout_are_refused(body: BodyModel, grooms: dict[str, Groom]) -> None:
+    bob = grooms["bob"]
+    with pytest.raises(InputError, match="24 vertices"):
+        groom_code(replace(bob, rest_strands=bob.rest_strands[:, :20]), body)
+    with pytest.raises(InputError, match="one strand a texel"):
+        groom_code(bob.select(torch.tensor([0, 1, 1])), body)
+    off = replace(bob, root_faces=torch.zeros_like(bob.root_faces))
+    with pytest.raises(InputError, match="on the scalp"):
+        groom_code(off, body)
+
+
+def test_half_way_between_codes_of_a_linear_decoder(samples: list[GroomSample]) -> None:
+    """Where the decoded vertices are linear in the code, half-way is the middle and there is no detour."""
+    network = GroomAutoencoder(NARROW)
+    for module in network.decoder.texture.modules():
+        for name, child in module.named_children():
+            if isinstance(child, torch.nn.SiLU):
+                setattr(module, name, torch.nn.Identity())
+    to_texels = network.decoder.texture.to_texels[0]
+    with torch.no_grad():
+        to_texels.weight[:4] = 0  # the log lengths, before the pixel shuffle
+    row = betweenness(network, samples[0], samples[2])
+    assert row["share"] == pytest.approx(0.5, abs=1e-3)
+    assert row["detour"] == pytest.approx(0, abs=1e-3)
+    figures = half_way_figures(network, samples[:3])
+    assert figures["share"]["pairs"] == 3
+
+
+# ---- the shipped encoder ----
+
+
+def test_the_shipped_weights_are_small() -> None:
+    assert WEIGHTS.stat().st_size <= 2_000_000
+    assert sum(parameter.numel() for parameter in load_groom_encoder().parameters()) <= 1_000_000
+
+
+def test_the_code_does_not_depend_on_the_order_of_strands(body: BodyModel, grooms: dict[str, Groom]) -> None:
+    groom = grooms["afro"]
+    shuffled = groom.select(torch.randperm(len(groom), generator=torch.Generator().manual_seed(1)))
+    code = groom_code(groom, body)
+    assert code.shape == (16,)
+    assert torch.equal(groom_code(shuffled, body), code)
+
+
+def test_codes_tell_styles_apart_grown_anew_and_thinned(
+    body: BodyModel, samples: list[GroomSample], anew: dict[str, Groom]
+) -> None:
+    encoder = load_groom_encoder()
+    figures = code_figures(encoder, samples, [sample_of(groom, body, name) for name, groom in anew.items()])
+    # One of the four is a style that no training has seen.
+    for row in figures.values():
+        assert row["style_accuracy_percent"] == 100
+        assert row["shift_largest"] < 0.5
+    assert not torch.equal(codes_of(encoder, samples[:1]), codes_of(encoder, [half_of(samples[0], 0)]))
+
+
+@pytest.mark.shared_data
+def test_real_grooms_have_codes_of_ordinary_size(body: BodyModel, shared_data: Path) -> None:
+    groom = load_groom(shared_data / "grooms" / "mohawk" / "Ratboy_mohawk.tfx", body)
+    code = groom_code(select_guides(groom), body)
+    assert code.isfinite().all()
+    assert code.abs().max() < 8

@@ -146,6 +146,15 @@ def test_neural_drapes_with_weights_of_ones_own(tmp_path: Path, inputs: Path) ->
     np.testing.assert_allclose(segments, drape.rest_lengths, rtol=1e-3, atol=1e-6)
 
 
+def test_refining_lowers_the_energy(tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    energies = []
+    for steps in ("0", "5"):
+        out = str(tmp_path / f"{steps}.npz")
+        main(["drape", str(inputs / "tiny.npz"), "--frames", "40:41", "--refine", steps, "--json", "--out", out])
+        energies += json.loads(capfd.readouterr().out)["per_frame"]["neural"]["energy"]
+    assert energies[1] < energies[0]
+
+
 def test_grooms_keep_their_contract(capfd: pytest.CaptureFixture[str]) -> None:
     main(["grooms", "--json"])
     rows = json.loads(capfd.readouterr().out)
@@ -435,6 +444,7 @@ def test_missing_weights(refusal: Refusal) -> None:
     ("arguments", "said"),
     [
         (["drape", "bob", "--draper", "magic"], "--draper: expected one of neural, adam"),
+        (["drape", "bob", "--draper", "adam", "--refine", "3"], "--refine: expected the draper neural, found 'adam'"),
         (["drape", "bob", "--colour", "red"], "--colour"),
         (["drape"], "GROOM"),
         (["drape", "bob", "--motion"], "--motion"),

@@ -14,15 +14,16 @@ SOURCE = Path(__file__).parents[1] / "src" / "quaffure"
 MODULES = sorted(SOURCE.rglob("*.py"))
 MOST_LINES_OF_A_FILE, MOST_LINES_OF_A_FUNCTION, MOST_PARAMETERS = 400, 60, 8
 MOST_ASSET_BYTES = 12_000_000
-HEAVY = ("pxr", "moderngl", "av", "anny", "igl", "trimesh", "PIL")
+HEAVY = ("pxr", "moderngl", "av", "anny", "igl", "trimesh", "PIL", "viser")
 
 # Numba compiles no structs of arrays, so a kernel takes its arrays one by one.
 KERNELS_WITH_MANY_PARAMETERS = {
-    "drapers/xpbd_kernels.py": {"excess_and_mobility", "find_planes", "pressure_gradient", "sweep_strands"},
+    "drapers/xpbd_kernels.py": {"find_planes", "sweep_strands"},
     "energies/density_hessian.py": {"_list", "_multiply"},
     "energies/fused_strand.py": {"_strands"},
     "energies/strand_hessian.py": {"_add_contact", "_add_edge", "strand_hessian"},
     "geometry/clear_cells.py": {"_outside"},
+    "geometry/soft_surface.py": {"_slide"},
     "geometry/surface.py": {"_fill"},
     "groom/guide_interpolation.py": {"_mix"},
 }

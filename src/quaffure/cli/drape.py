@@ -14,6 +14,7 @@ from quaffure.cli.outputs import writer_for
 from quaffure.drapers.drape_motion import drape_motion
 from quaffure.drapers.draper import Draper
 from quaffure.drapers.quaffure_model import load_model
+from quaffure.drapers.refined import RefinedDraper
 from quaffure.drapers.solvers import SOLVERS, solver
 from quaffure.energies.elastic_model import ELASTIC_MODELS, ModifiedCosserat
 from quaffure.errors import InputError
@@ -44,6 +45,8 @@ class DrapeCommand:
     """The head mesh (.obj) that a groom file was made on; helps to register it."""
     draper: Annotated[str, tyro.conf.arg(metavar=f"{{{NEURAL},{','.join(SOLVERS)}}}")] = NEURAL
     """How to settle the hair: the network, or one of the solvers (docs/solvers.md)."""
+    refine: int = 0
+    """Steps of Adam from the network's answer; 0 is the network alone."""
     elastic: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = ModifiedCosserat.name
     """The elastic model, for adam and lbfgs in all their forms. Figures of merit are those of the default one."""
     weights: Path | None = None
@@ -99,10 +102,14 @@ class DrapeCommand:
         if self.draper != NEURAL:
             if self.draper not in SOLVERS:
                 raise InputError("--draper", f"one of {', '.join((NEURAL, *SOLVERS))}", f"'{self.draper}'")
+            if self.refine:
+                raise InputError("--refine", f"the draper {NEURAL}", f"'{self.draper}'")
             return solver(self.draper, model.draper.material, self.elastic)
+        if self.refine < 0:
+            raise InputError("--refine", "0 or more", f"{self.refine}")
         if self.elastic != ModifiedCosserat.name:
             raise InputError("--elastic", f"{ModifiedCosserat.name} with the draper {NEURAL}", f"'{self.elastic}'")
-        return model.draper
+        return RefinedDraper(model.draper, self.refine) if self.refine else model.draper
 
     def _report(self, sequence: DrapeSequence, draped: PerFrame, posed: PerFrame) -> None:
         named = {"posed": posed, self.draper: draped}

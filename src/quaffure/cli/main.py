@@ -10,17 +10,25 @@ import tyro
 
 from quaffure.cli.benchmark import BenchmarkCommand
 from quaffure.cli.drape import DrapeCommand
+from quaffure.cli.evaluate import EvaluateCommand
 from quaffure.cli.groom import GroomCommand
 from quaffure.cli.grooms import GroomsCommand
 from quaffure.cli.info import InfoCommand
 from quaffure.cli.render import RenderCommand
+from quaffure.cli.score import ScoreCommand
 from quaffure.cli.train import TrainCommand
+from quaffure.cli.train_code import TrainCodeCommand
+from quaffure.cli.view import ViewCommand
 from quaffure.errors import InputError
 
 Command = (
     Annotated[DrapeCommand, tyro.conf.subcommand("drape")]
     | Annotated[TrainCommand, tyro.conf.subcommand("train")]
+    | Annotated[TrainCodeCommand, tyro.conf.subcommand("train-code")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
+    | Annotated[ViewCommand, tyro.conf.subcommand("view")]
+    | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
+    | Annotated[ScoreCommand, tyro.conf.subcommand("score")]
     | Annotated[BenchmarkCommand, tyro.conf.subcommand("benchmark")]
     | Annotated[GroomsCommand, tyro.conf.subcommand("grooms")]
     | Annotated[GroomCommand, tyro.conf.subcommand("groom")]

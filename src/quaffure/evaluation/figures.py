@@ -1,6 +1,6 @@
 """Figures of merit of drapes.
 
-Intersections come from the exact signed distance whose sign is that of the angle-weighted pseudonormal.
+Intersections are those of `quaffure.evaluation.intersection`, which no loss and no solver uses.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from quaffure.energies.elastic import length_errors, orientation_errors
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.self_collision import densities, density_excesses
 from quaffure.errors import InputError
-from quaffure.geometry.signed_distance import signed_distance
+from quaffure.evaluation.intersection import winding_numbers
 from quaffure.groom.drape_sequence import DrapeSequence
 from quaffure.groom.groom import Groom
 from quaffure.types import Energy, Float, Positions, Tensor
@@ -87,9 +87,11 @@ def figures_of_merit(
 
 
 def intersection_percent(draped: Positions, scene: Scene) -> Float[Tensor, " b"]:
-    """Share of vertices, roots left out, strictly inside the body [%]."""
-    inside = signed_distance(draped[:, :, 1:].flatten(1, 2), scene.surface) < 0
-    return 100 * inside.float().mean(dim=1)
+    """Share of vertices, roots left out, that the body winds round [%]."""
+    points = draped[:, :, 1:].flatten(1, 2).detach().cpu().numpy()
+    vertices, faces = scene.surface.vertices.detach().cpu().numpy(), scene.surface.topology.faces.cpu().numpy()
+    inside = [winding_numbers(*sample, faces) > 0 for sample in zip(points, vertices)]
+    return 100 * torch.from_numpy(np.mean(inside, axis=1)).to(draped)
 
 
 def total_energy(draped: Positions, scene: Scene, energy: HairEnergy) -> Energy:
@@ -100,10 +102,15 @@ def total_energy(draped: Positions, scene: Scene, energy: HairEnergy) -> Energy:
 def acceleration(sequence: DrapeSequence, body: BodyModel) -> Float[Tensor, ""]:
     """Mean second difference over frames of the draped vertices seen from the head [m per frame^2]."""
     body_shape = torch.from_numpy(sequence.body_shape).expand(len(sequence), -1)
-    rotations, positions = body.posed_joints(torch.from_numpy(sequence.body_pose), body_shape)
-    head_position = positions[:, body.joint_names.index(HEAD)]
-    offsets = torch.from_numpy(sequence.strands) - head_position[:, None, None]
-    return (offsets @ world_from_head(body, rotations)[:, None]).diff(n=2, dim=0).norm(dim=-1).mean()
+    bodies = BodyBatch(body, torch.from_numpy(sequence.body_pose), body_shape)
+    return acceleration_from_head(torch.from_numpy(sequence.strands), bodies)
+
+
+def acceleration_from_head(draped: Positions, bodies: BodyBatch) -> Float[Tensor, ""]:
+    """The same of draped vertices [m, world] on the bodies of frames in a row."""
+    posed, body = bodies.posed, bodies.body
+    offsets = draped - posed.joint_positions[:, body.joint_names.index(HEAD), None, None]
+    return (offsets @ world_from_head(body, posed.joint_rotations)[:, None]).diff(n=2, dim=0).norm(dim=-1).mean()
 
 
 def _joined(parts: list[PerFrame]) -> PerFrame:

@@ -1,0 +1,69 @@
+"""Who is compared: one row a draper, all on the same hair."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from quaffure.drapers.draper import Draper
+from quaffure.drapers.posed import PosedDraper
+from quaffure.drapers.quaffure_model import load_model
+from quaffure.drapers.refined import RefinedDraper
+from quaffure.drapers.solvers import solver
+from quaffure.errors import InputError
+
+POSED, NETWORK, REFINED = "posed", "quaffure", "quaffure_refined"
+SOLVER_ROWS = ("adam", "lbfgs", "xpbd", "newton")
+"""Whose lowest drape of a frame is the reference of all rows."""
+ROWS = (POSED, *SOLVER_ROWS, NETWORK, REFINED)
+QUICK_ROWS = tuple(name for name in ROWS if name != "newton")
+
+
+@dataclass(frozen=True, eq=False)
+class Competitor:
+    """A row of the comparison.
+
+    Attributes:
+        is_solver: whether its drapes may be the reference.
+        notes: how its weights were made.
+    """
+
+    name: str
+    draper: Draper
+    is_solver: bool = False
+    notes: dict[str, str] = field(default_factory=dict)
+
+
+def competitors(names: Sequence[str], weights: Mapping[str, Path]) -> list[Competitor]:
+    """The rows asked for, in that order.
+
+    All rows drape the hair of the row `quaffure`: the shipped weights, or those that take their place.
+
+    Args:
+        names: of `ROWS` or of `weights`.
+        weights: checkpoints by the name of their row; `quaffure` replaces the shipped ones.
+
+    Raises:
+        InputError: a name that is no row, a file that is no checkpoint, or one that was trained for other hair.
+    """
+    shipped = load_model(weights.get(NETWORK))
+    material = shipped.draper.material
+    rows = {
+        POSED: Competitor(POSED, PosedDraper(material)),
+        NETWORK: Competitor(NETWORK, shipped.draper, notes=shipped.notes),
+        REFINED: Competitor(REFINED, RefinedDraper(shipped.draper), notes=shipped.notes),
+    }
+    rows |= {name: Competitor(name, solver(name, material), is_solver=True) for name in SOLVER_ROWS}
+    for name, path in weights.items():
+        if name == NETWORK:
+            continue
+        if name in rows or not re.fullmatch(r"\w[\w.-]*", name):
+            raise InputError(f"weights '{name}={path}'", f"another name than {', '.join(rows)}", f"'{name}'")
+        model = load_model(path)
+        if model.draper.material != material:
+            raise InputError(path, f"weights for hair of {material}, as all rows", f"{model.draper.material}")
+        rows[name] = Competitor(name, model.draper, notes=model.notes)
+    for name in names:
+        if name not in rows:
+            raise InputError("draper", f"one of {', '.join(rows)}", f"'{name}'")
+    return [rows[name] for name in names]

@@ -1,0 +1,56 @@
+"""The clock that plays a clip."""
+
+import threading
+import time
+from collections.abc import Callable
+
+from quaffure.body.clips import CLIP_FPS
+
+
+class Playback:
+    """Says which frame is due, `CLIP_FPS` times a second while it plays. Frames count on beyond the clip's end.
+
+    Args:
+        on_frame: told of the frame.
+
+    Attributes:
+        speed: 1 is as fast as life.
+    """
+
+    def __init__(self, on_frame: Callable[[int], None]) -> None:
+        self.speed = 1.0
+        self._on_frame = on_frame
+        self._position = 0.0
+        self._playing = threading.Event()
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="quaffure-playback", daemon=True)
+        self._thread.start()
+
+    @property
+    def playing(self) -> bool:
+        return self._playing.is_set()
+
+    def play(self) -> None:
+        self._playing.set()
+
+    def pause(self) -> None:
+        self._playing.clear()
+
+    def seek(self, frame: int) -> None:
+        """Go on from this frame."""
+        self._position = float(frame)
+
+    def stop(self) -> None:
+        """For good."""
+        self._stopped.set()
+        self._playing.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stopped.is_set():
+            self._playing.wait()
+            before = time.perf_counter()
+            if self._stopped.wait(1 / CLIP_FPS) or not self.playing:
+                continue
+            self._position += (time.perf_counter() - before) * CLIP_FPS * self.speed
+            self._on_frame(int(self._position))

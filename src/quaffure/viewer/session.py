@@ -1,0 +1,176 @@
+"""What happens on the live page: changes to its stage, drapes, measurements, files. All of it on one thread."""
+
+import re
+import sys
+import traceback
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+from jaxtyping import Float
+
+from quaffure.errors import InputError
+from quaffure.groom.drape_sequence import DrapeSequence
+from quaffure.groom.guide_interpolation import GuideInterpolation
+from quaffure.io.drape_file import write_drape
+from quaffure.viewer.catalogue import LIVE, NEURAL, Catalogue
+from quaffure.viewer.hair_colours import hair_colours
+from quaffure.viewer.panel import Panel
+from quaffure.viewer.scene_nodes import SceneNodes
+from quaffure.viewer.stage import Drape, Stage
+from quaffure.viewer.worker import Worker
+
+PictureWriter = Callable[[Path, DrapeSequence, GuideInterpolation | None], None]
+Notify = Callable[[str, str, bool], None]
+RECENT = 15  # drapes, of whose times the median is shown
+
+
+class Session:
+    """One stage and its drape. Every method that starts with `ask_` returns at once and leaves the work to the worker.
+
+    Args:
+        stage: to start with.
+        panel: where figures are written.
+        nodes: where the drape is drawn.
+        notify: shows a title and a text, as an error or not, in every browser.
+        save: the folder for files, and the writer of a picture of a drape with the strands between its guides.
+
+    Attributes:
+        stage: what is shown, or about to be; of the worker's thread.
+        shown: the drape on the page; None before the first.
+    """
+
+    def __init__(
+        self,
+        stage: Stage,
+        catalogue: Catalogue,
+        panel: Panel,
+        nodes: SceneNodes,
+        notify: Notify,
+        save: tuple[Path, PictureWriter],
+    ) -> None:
+        self.stage = stage
+        self.shown: Drape | None = None
+        self._catalogue, self._panel, self._nodes, self._notify = catalogue, panel, nodes, notify
+        self._folder, self._write_picture = save
+        self._strand_count, self._mark_inside = 0, False
+        self._times: deque[tuple[float, float | None]] = deque(maxlen=RECENT)
+        self.worker = Worker(self.report)
+
+    def ask_edit(self, kind: str, change: Callable[[Stage], Stage]) -> None:
+        """Change the stage and drape it; a newer change of the same kind replaces one that waits."""
+        self.worker.request(kind, lambda: self._edit(change))
+        self.worker.request("drape", self._drape)
+
+    def ask_drape(self) -> None:
+        self.worker.request("drape", self._drape)
+
+    def ask_settle(self) -> None:
+        """Run the stage's draper however long it takes."""
+        self.worker.request("settle", self._settle)
+
+    def ask_measure(self) -> None:
+        """Write figures of merit of the drape that is shown to the panel."""
+        self.worker.request("measure", self._measure)
+
+    def ask_save(self) -> None:
+        """Write the drape that is shown, and a picture of it."""
+        self.worker.request("save", self._save)
+
+    def ask_look(self, strand_count: int, mark_inside: bool) -> None:
+        """Draw so many strands, or with 0 the guides; mark what is inside the body."""
+        self.worker.request("look", lambda: self._look(strand_count, mark_inside))
+
+    def _edit(self, change: Callable[[Stage], Stage]) -> None:
+        self.stage = change(self.stage)
+
+    def _drape(self) -> None:
+        """What follows every change: solvers are too slow for that, so the network stands in."""
+        live = self.stage.draper.name in LIVE
+        self._panel.offer_settling(None if live else self.stage.draper.name)
+        stage = self.stage if live else replace(self.stage, draper=self._catalogue.draper(NEURAL))
+        if self.shown is None:
+            stage.drape()  # compiles kernels: not a time to show
+        self._show(stage.drape())
+
+    def _settle(self) -> None:
+        name = self.stage.draper.name
+        self._panel.status.content = f"Settling with **{name}**: seconds to minutes. Changes wait until it is done."
+        self._show(self.stage.drape())
+
+    def _show(self, drape: Drape) -> None:
+        before, self.shown = self.shown, drape
+        if before is None or before.stage.groom is not drape.stage.groom:
+            self._nodes.dress(drape.stage.groom)
+            self._times.clear()
+        elif before.stage.draper.name != drape.stage.draper.name:
+            self._times.clear()
+        self._times.append((drape.milliseconds, drape.network_milliseconds))
+        self._redraw(drape)
+        self._panel.figures.content = ""
+        self._panel.status.content = self._status(drape)
+
+    def _redraw(self, drape: Drape) -> None:
+        strands = self._drawn(drape)
+        inside = drape.inside(strands) if self._mark_inside else None
+        self._nodes.show(drape.body_vertices, strands, hair_colours(strands, inside))
+
+    def _drawn(self, drape: Drape) -> Float[np.ndarray, "m n 3"]:
+        between = self._between(drape)
+        return drape.strands if between is None else between.strands(drape.strands, drape.body_vertices)
+
+    def _between(self, drape: Drape) -> GuideInterpolation | None:
+        count = self._strand_count
+        return self._catalogue.interpolation(drape.stage.groom, count) if count else None
+
+    def _look(self, strand_count: int, mark_inside: bool) -> None:
+        self._strand_count, self._mark_inside = strand_count, mark_inside
+        self._nodes.show_through(mark_inside)
+        if self.shown is not None:
+            self._redraw(self.shown)
+
+    def _status(self, drape: Drape) -> str:
+        totals, networks = zip(*self._times)
+        spent = f"{median(totals):.1f} ms a drape"
+        known = [time for time in networks if time is not None]
+        if known:
+            spent += f", network {median(known):.1f} ms"
+        return f"**{drape.stage.draper.name}**, {len(drape.stage.groom):,} guides\n\n{spent}"
+
+    def _measure(self) -> None:
+        if self.shown is None:
+            return
+        draped, posed = self.shown.figures()
+        rows = [f"| {name} | {figure:.3g} | {posed[name]:.3g} |" for name, figure in draped.items()]
+        header = [f"| | {self.shown.stage.draper.name} | posed |", "|---|---|---|"]
+        self._panel.figures.content = "\n".join(header + rows)
+
+    def _save(self) -> None:
+        if self.shown is None:
+            return
+        path = free_path(self._folder, self.shown)
+        write_drape(path, self.shown.sequence)
+        self._write_picture(path.with_suffix(".png"), self.shown.sequence, self._between(self.shown))
+        self._notify("Saved", f"{path} and {path.with_suffix('.png').name}", False)
+
+    def report(self, error: Exception) -> None:
+        """What a job could not do, told in the browser. The page goes on with the last stage that was good."""
+        if not isinstance(error, InputError):
+            traceback.print_exception(error, file=sys.stderr)
+        title = "That did not work" if isinstance(error, InputError) else type(error).__name__
+        self._notify(title, str(error), True)
+
+
+def free_path(folder: Path, drape: Drape) -> Path:
+    """A name for the drape's .npz that nothing in the folder has."""
+    stage = drape.stage
+    words = f"{stage.groom.name}_{stage.motion.name}_{stage.frame:04d}_{stage.draper.name}"
+    stem = re.sub(r"[^\w.-]+", "_", words)
+    names = (f"{stem}{suffix}" for suffix in ("", *(f"_{number}" for number in range(2, 10_000))))
+    for name in names:
+        if not any((folder / f"{name}{suffix}").exists() for suffix in (".npz", ".png")):
+            return folder / f"{name}.npz"
+    raise InputError(folder, "room for another drape", f"ten thousand called {stem}")

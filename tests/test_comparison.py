@@ -1,0 +1,307 @@
+"""The evaluation set, drapes that are kept, and the figures that are made of them."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.clips import CLIP_NAMES, bundled_clip
+from quaffure.body.motion import Motion
+from quaffure.config import HairMaterial
+from quaffure.drapers.adam import AdamDraper
+from quaffure.drapers.neural import NeuralDraper
+from quaffure.drapers.posed import PosedDraper
+from quaffure.drapers.refined import RefinedDraper
+from quaffure.drapers.scene import Scene
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.errors import InputError
+from quaffure.evaluation import draping
+from quaffure.evaluation.comparison import compare, summarize
+from quaffure.evaluation.competitors import Competitor
+from quaffure.evaluation.drape_cache import MANIFEST, DrapeCache, TimedDrape
+from quaffure.evaluation.draping import CaseDraper
+from quaffure.evaluation.evaluation_set import (
+    CaseEntry,
+    DataFolders,
+    EvaluationCase,
+    load_cases,
+    load_evaluation_set,
+)
+from quaffure.evaluation.figures import figures_of_merit, total_energy
+from quaffure.evaluation.fingerprint import fingerprint
+from quaffure.groom.groom import Groom
+from quaffure.groom.hair_style import HELD_OUT, STYLES
+from quaffure.groom.procedural import make_groom
+from quaffure.networks.quaffure_network import NetworkConfig, build_network
+from quaffure.types import Positions
+
+STRANDS = 40
+
+
+def tiny_groom(body: BodyModel) -> Groom:
+    whole = make_groom("bob", body)
+    return replace(whole.select(torch.linspace(0, len(whole) - 1, STRANDS).long()), name="tiny")
+
+
+@pytest.fixture(scope="module")
+def groom(body: BodyModel) -> Groom:
+    return tiny_groom(body)
+
+
+@pytest.fixture(scope="module")
+def case(groom: Groom, body: BodyModel) -> EvaluationCase:
+    return case_of(groom, bundled_clip("bow", body), (40, 41, 42))
+
+
+def case_of(groom: Groom, clip: Motion, frames: tuple[int, ...], group: str = "seen") -> EvaluationCase:
+    motion = replace(clip, body_pose=clip.body_pose[list(frames)])
+    return EvaluationCase(f"{groom.name}-{clip.name}", group, "mean", groom, motion, frames, torch.zeros(10))
+
+
+# ---- the set
+
+
+def test_the_set_is_sound(body: BodyModel) -> None:
+    of = load_evaluation_set()
+    assert of.version == 1
+    names = [entry.name for entry in of.cases]
+    assert len(set(names)) == len(names) == 41
+    assert set(of.quick) <= set(names)
+    assert {entry.clip for entry in of.cases} <= {*of.motions, *CLIP_NAMES}
+    assert {entry.groom for entry in of.cases} == set(of.grooms)
+    assert {entry.shape for entry in of.cases} == set(of.shapes)
+    assert len({shape for shape in of.shapes.values() if len(shape) == 10}) == 5
+    bundled = {name: source for name, source in of.grooms.items() if not source.file}
+    assert {name for name, source in bundled.items() if source.group == "unseen"} == set(HELD_OUT)
+    assert set(bundled) <= set(STYLES)
+    for entry in of.cases:
+        assert entry.clip not in CLIP_NAMES or max(entry.frames) < len(bundled_clip(entry.clip, body))
+
+
+def test_the_quick_cases_need_nothing_but_the_package_and_hold_a_run(body: BodyModel) -> None:
+    of = load_evaluation_set()
+    nowhere = DataFolders(Path("nowhere"), Path("nowhere"))
+    quick = [entry for entry in of.cases if entry.name in of.quick]
+    assert all(nowhere.missing(entry, of) is None for entry in quick)
+    assert {of.grooms[entry.groom].group for entry in quick} == {"seen", "unseen"}
+    (case,) = (case for case in load_cases(quick[-1:], of, nowhere, body))
+    assert case.is_run
+    assert len(case.bodies(body).body_pose) == len(case.frames)
+    assert torch.equal(case.body_shape, torch.tensor(of.shapes[quick[-1].shape]))
+
+
+@pytest.mark.shared_data
+def test_the_frames_of_the_set_lie_within_its_motion_files(body: BodyModel, shared_data: Path) -> None:
+    of = load_evaluation_set()
+    folders = DataFolders(shared_data / "motion", shared_data / "grooms")
+    assert all(folders.missing(entry, of) is None for entry in of.cases)
+    last = {entry.clip: max(entry.frames) for entry in sorted(of.cases, key=lambda entry: max(entry.frames))}
+    entries = [CaseEntry("bob_fringe", clip, "a", (last[clip],)) for clip in of.motions]
+    assert [case.motion.fps for case in load_cases(entries, of, folders, body)] == [30, 30, 30]
+    with pytest.raises(InputError, match="more than 76 frames"):
+        list(load_cases([replace(entries[1], frames=(76,))], of, folders, body))
+
+
+# ---- drapes, kept
+
+
+class Counting:
+    """The posed groom, draped as often as it is asked."""
+
+    name, material = "counting", HairMaterial()
+
+    def __init__(self, shift: float = 0.0) -> None:
+        self.shift = shift
+        self._seen: list[Scene] = []
+
+    def drape(self, scene: Scene) -> Positions:
+        CALLS.append(len(scene.groom))
+        self._seen.append(scene)
+        return scene.posed + self.shift
+
+
+CALLS: list[int] = []
+
+
+def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path, case: EvaluationCase, body: BodyModel) -> None:
+    CALLS.clear()
+    row = Competitor("counting", Counting())
+    first = CaseDraper(body, DrapeCache(tmp_path))
+    made = first.drape(row, case, 0)
+    # One drape of a few strands to warm up, the drape itself, and its repetitions for the clock.
+    assert [8, *[STRANDS] * (1 + draping.REPEATS)] == CALLS
+    with (
+        mock.patch.object(Counting, "drape", side_effect=KeyboardInterrupt),
+        pytest.raises(KeyboardInterrupt),
+    ):
+        first.drape(row, case, 1)
+    again = CaseDraper(body, DrapeCache(tmp_path))
+    CALLS.clear()
+    fetched = again.drape(row, case, 0)
+    assert CALLS == []
+    torch.testing.assert_close(fetched.strands, made.strands, rtol=0, atol=0)
+    assert (fetched.milliseconds, fetched.machine) == (made.milliseconds, draping.machine())
+    assert again.known(row, case, 1) is None
+    again.drape(row, case, 1)
+    assert (again.made, again.fetched, len(again.cache)) == (1, 1, 2)
+    entries = json.loads((tmp_path / MANIFEST).read_text())
+    assert [(entry["case"], entry["frame"], entry["draper"]) for entry in entries.values()] == [
+        ("tiny-bow", 40, "counting"),
+        ("tiny-bow", 41, "counting"),
+    ]
+
+
+def test_slow_drapes_are_timed_by_the_run_that_makes_them(
+    tmp_path: Path, case: EvaluationCase, body: BodyModel
+) -> None:
+    CALLS.clear()
+    with mock.patch.object(draping, "PATIENCE", 0.0):
+        CaseDraper(body, DrapeCache(tmp_path)).drape(Competitor("counting", Counting()), case, 0)
+    assert CALLS == [8, STRANDS]
+
+
+def test_whatever_decides_a_drape_is_in_its_fingerprint(tmp_path: Path, case: EvaluationCase, body: BodyModel) -> None:
+    draper = CaseDraper(body, DrapeCache(tmp_path))
+    draper.drape(Competitor("counting", Counting()), case, 0)
+
+    def known(row: Competitor = Competitor("counting", Counting()), of: EvaluationCase = case) -> bool:  # noqa: B008
+        return CaseDraper(body, draper.cache).known(row, of, 0) is not None
+
+    moved = replace(case.groom, rest_strands=case.groom.rest_strands + 1e-6)
+    assert known()
+    assert known(of=replace(case, name="another", frames=(7, 8, 9)))
+    assert not known(Competitor("counting", Counting(shift=1e-6)))
+    assert not known(of=replace(case, groom=moved))
+    assert not known(of=replace(case, body_shape=case.body_shape + 1e-6))
+    assert not known(of=replace(case, motion=replace(case.motion, body_pose=case.motion.body_pose + 1e-6)))
+
+
+def test_fingerprints_see_weights_settings_and_material() -> None:
+    torch.manual_seed(0)
+    network = build_network(NetworkConfig(texel_channels=4, strand_width=8))
+    before = fingerprint(network)
+    assert fingerprint(network) == before
+    with torch.no_grad():
+        next(network.parameters())[0] += 1e-3
+    assert fingerprint(network) != before
+    prints = {
+        fingerprint(AdamDraper()),
+        fingerprint(AdamDraper(steps=301)),
+        fingerprint(AdamDraper(HairMaterial(k_cosserat=1e-7))),
+        fingerprint(PosedDraper()),
+    }
+    assert len(prints) == 4
+
+
+def test_a_damaged_drape_is_made_again_and_a_damaged_manifest_refused(
+    tmp_path: Path, case: EvaluationCase, body: BodyModel
+) -> None:
+    row = Competitor("counting", Counting())
+    CaseDraper(body, DrapeCache(tmp_path)).drape(row, case, 0)
+    (file,) = tmp_path.glob("*.npz")
+    file.write_bytes(file.read_bytes()[:1000])
+    again = CaseDraper(body, DrapeCache(tmp_path))
+    again.drape(row, case, 0)
+    assert (again.made, again.fetched) == (1, 0)
+    (tmp_path / MANIFEST).write_text("[1]")
+    with pytest.raises(InputError, match=r"manifest\.json"):
+        DrapeCache(tmp_path)
+
+
+def test_a_drape_of_nan_is_refused(tmp_path: Path, case: EvaluationCase, body: BodyModel) -> None:
+    with pytest.raises(InputError, match="counting: expected finite vertices in tiny-bow"):
+        CaseDraper(body, DrapeCache(tmp_path)).drape(Competitor("counting", Counting(float("nan"))), case, 0)
+    assert not list(tmp_path.glob("*.npz"))
+
+
+# ---- figures
+
+
+def lifted(
+    body: BodyModel, heights: dict[int, float], wave: float = 0.0
+) -> Callable[[EvaluationCase, int], TimedDrape]:
+    """The posed groom with its loose vertices lifted by so much [m] in each frame of a case."""
+
+    def drape(case: EvaluationCase, frame: int) -> TimedDrape:
+        hair = Scene(case.groom, case.bodies(body, frame)).posed[0].clone()
+        hair[:, 1:, 2] += heights[frame]
+        hair[:, 1:, 0] += wave * (-1) ** frame
+        return TimedDrape(hair, 10.0 * (frame + 1), "a machine")
+
+    return drape
+
+
+def test_the_reference_is_the_lowest_solver_of_each_frame(case: EvaluationCase, body: BodyModel) -> None:
+    still = replace(case, motion=replace(case.motion, body_pose=case.motion.body_pose[:1].expand(3, -1)))
+    rows = {
+        "first": lifted(body, {0: 0.0, 1: 0.004, 2: 0.0}),
+        "second": lifted(body, {0: 0.002, 1: 0.002, 2: 0.002}, wave=1e-4),
+        "network": lifted(body, {0: 0.0, 1: 0.001, 2: 0.001}, wave=3e-4),
+    }
+    # So soft and so thin that a lift costs its weight and little else.
+    material = HairMaterial(k_cosserat=1e-12, k_stretch=1e-6, k_body_collision=0.0, k_self_collision=0.0)
+    (result,) = compare([still], rows, ("first", "second"), body, material)
+    assert result.reference == ("first", "second", "first")
+    figures = result.figures
+    assert figures["first"]["excess_energy"][0] == 0
+    assert figures["first"]["excess_energy"][1] > 0
+    assert figures["network"]["excess_energy"][1] < 0  # a row that is no solver may be lower than all of them
+    free = 23 / 24
+    assert figures["first"]["distance_mm"][1] == pytest.approx(free * 1e3 * np.hypot(2e-3, 1e-4), rel=1e-3)
+    # `first` moves by 4 mm up and down, `second` by 0.2 mm to and fro: second differences over those of the lowest.
+    best = "first" if np.mean(figures["first"]["energy"]) < np.mean(figures["second"]["energy"]) else "second"
+    assert figures[best]["jitter"] == [1]
+    assert figures["first"]["jitter"][0] / figures["second"]["jitter"][0] == pytest.approx(8e-3 / 4e-4, rel=1e-3)
+    energy = HairEnergy(still.groom, material)
+    scene = Scene(still.groom, still.bodies(body, 0))
+    expected = figures_of_merit(rows["network"](still, 0).strands[None], scene, energy)
+    assert {key: figures["network"][key][0] for key in expected} == pytest.approx(
+        {key: float(value) for key, value in expected.items()}, rel=1e-5, abs=1e-6
+    )
+
+
+def test_without_solvers_there_is_no_reference_and_isolated_frames_do_not_tremble(
+    case: EvaluationCase, body: BodyModel
+) -> None:
+    flat = dict.fromkeys(range(3), 0.0)
+    (alone,) = compare([case], {"network": lifted(body, flat)}, (), body, HairMaterial())
+    assert alone.reference == ()
+    assert not {"excess_energy", "distance_mm", "jitter"} & set(alone.figures["network"])
+    apart = replace(case, frames=(10, 20, 30))
+    (isolated,) = compare([apart], {"xpbd": lifted(body, flat)}, ("xpbd",), body, HairMaterial())
+    assert isolated.reference == ("xpbd",) * 3
+    assert "jitter" not in isolated.figures["xpbd"]
+    (without,) = compare([case], {"none": lambda case, frame: None}, (), body, HairMaterial())
+    assert without.figures == {}
+
+
+def test_a_run_weighs_no_more_than_a_frame(case: EvaluationCase, body: BodyModel) -> None:
+    single = replace(case, name="single", group="unseen", frames=(40,))
+    rows = {"posed": lifted(body, dict.fromkeys(range(3), 0.0))}
+    results = compare([case, single], rows, (), body, HairMaterial())
+    summary = summarize(results)
+    assert list(summary) == ["all", "seen", "unseen", "clip bow"]
+    energies = [result.figures["posed"]["energy"] for result in results]
+    assert summary["all"]["posed"]["energy"]["mean"] == pytest.approx(np.mean([np.mean(e) for e in energies]))
+    assert summary["all"]["posed"]["energy"]["worst"] == max(energies[0] + energies[1])
+    assert summary["unseen"]["posed"]["energy"] == {"mean": energies[1][0], "worst": energies[1][0]}
+    assert summary["all"]["posed"]["milliseconds"] == {"median": 15.0, "worst": 30.0}
+    assert summarize([results[0], replace(results[1], figures={})])["all"] == {}
+
+
+def test_refinement_lowers_the_energy_and_keeps_lengths(case: EvaluationCase, body: BodyModel) -> None:
+    torch.manual_seed(0)
+    network = NeuralDraper(build_network(NetworkConfig(texel_channels=4, strand_width=8)), HairMaterial())
+    scene = Scene(case.groom, case.bodies(body, 0))
+    energy = HairEnergy(case.groom, network.material)
+    draped, refined = network.drape(scene), RefinedDraper(network).drape(scene)
+    assert float(total_energy(refined, scene, energy)) < float(total_energy(draped, scene, energy)) - 1e-4
+    lengths = refined.diff(dim=2).norm(dim=-1)
+    torch.testing.assert_close(lengths[0], case.groom.rest_lengths, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(refined[:, :, 0], scene.posed[:, :, 0])

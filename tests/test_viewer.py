@@ -1,0 +1,476 @@
+"""The live page: its state without a browser, then the page itself in Chromium where there is one."""
+
+import io
+import queue
+import shutil
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from quaffure.body.clips import CLIP_NAMES, bundled_clip
+from quaffure.body.motion import joint_matrices
+from quaffure.body.pose_features import HEAD
+from quaffure.cli.main import main
+from quaffure.drapers.posed import PosedDraper
+from quaffure.drapers.quaffure_model import Quaffure, load_model
+from quaffure.drapers.solvers import SOLVERS
+from quaffure.errors import InputError
+from quaffure.groom.drape_sequence import DrapeSequence
+from quaffure.groom.groom import Groom
+from quaffure.groom.guide_interpolation import GuideInterpolation
+from quaffure.groom.hair_style import STYLES
+from quaffure.groom.procedural import make_groom
+from quaffure.io.drape_file import read_drape
+from quaffure.viewer.catalogue import LIVE, REST, Catalogue
+from quaffure.viewer.hair_colours import INSIDE, hair_colours, segments
+from quaffure.viewer.page import Address, Page
+from quaffure.viewer.playback import Playback
+from quaffure.viewer.session import free_path
+from quaffure.viewer.stage import Stage
+from quaffure.viewer.worker import Worker
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page as Tab
+
+SECONDS = 60.0  # no test takes that long; one that hangs ends
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+FLAGS = [
+    *("--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking"),
+    *("--disable-component-update", "--disable-sync", "--use-angle=gl-egl", "--ignore-gpu-blocklist"),
+]
+WIDTH, HEIGHT, PANEL_WIDTH = 640, 360, 330
+
+
+@pytest.fixture(scope="module")
+def model() -> Quaffure:
+    return load_model()
+
+
+def thinned(style: str, model: Quaffure) -> Groom:
+    """Every eighth strand: enough to colour a picture, and few enough for a browser without a GPU."""
+    whole = make_groom(style, model.body)
+    return whole.select(torch.arange(0, len(whole), 8))
+
+
+@pytest.fixture(scope="module")
+def groom(model: Quaffure) -> Groom:
+    return replace(thinned("long_straight", model), name="thinned")
+
+
+@pytest.fixture(scope="module")
+def catalogue(model: Quaffure, groom: Groom) -> Catalogue:
+    made = Catalogue(model, groom)
+    made._grooms["crew_cut"] = thinned("crew_cut", model)
+    return made
+
+
+@pytest.fixture(scope="module")
+def stage(catalogue: Catalogue) -> Stage:
+    return Stage(catalogue.body, catalogue.groom("thinned"), catalogue.motion("nod"), catalogue.draper("neural"))
+
+
+def facing(stage: Stage) -> torch.Tensor:
+    """Where the nose points."""
+    shape = torch.tensor(stage.body_shape)[None]
+    rotations, _ = stage.body.posed_joints(stage.body_pose(), shape)
+    return rotations[0, stage.body.joint_names.index(HEAD)] @ torch.tensor([0.0, -1.0, 0.0])
+
+
+def test_without_turns_the_pose_is_the_clips(stage: Stage) -> None:
+    assert torch.equal(stage.at(7).body_pose()[0], stage.motion.body_pose[7])
+
+
+@pytest.mark.parametrize(
+    ("degrees", "nose"),
+    [((0.0, 0.0, 90.0), (1.0, 0.0, 0.0)), ((90.0, 0.0, 0.0), (0.0, 0.0, -1.0)), ((0.0, 45.0, 0.0), (0.0, -1.0, 0.0))],
+)
+def test_turns_go_the_way_the_sliders_say(
+    stage: Stage, catalogue: Catalogue, degrees: tuple[float, float, float], nose: tuple[float, float, float]
+) -> None:
+    turned = stage.playing(catalogue.motion(REST)).turned(HEAD, degrees)
+    torch.testing.assert_close(facing(turned), torch.tensor(nose), atol=1e-5, rtol=0)
+
+
+def test_turns_come_on_top_of_the_clip(stage: Stage, catalogue: Catalogue) -> None:
+    """The neck turns left in the clip; the head turns back by hand, and the other joints stay."""
+    looking_left = stage.playing(catalogue.motion("neck_turn")).at(60)
+    back = looking_left.turned(HEAD, (0.0, 0.0, -70.0))
+    assert facing(looking_left)[0] > 0.9
+    torch.testing.assert_close(facing(back), torch.tensor([0.0, -1.0, 0.0]), atol=1e-4, rtol=0)
+    changed = (back.body_pose() != looking_left.body_pose()).unflatten(1, (27, 3)).any(-1)[0]
+    assert changed.nonzero().flatten().tolist() == [stage.body.joint_names.index(HEAD)]
+    assert torch.equal(back.turned(HEAD, (0.0, 0.0, 0.0)).body_pose(), looking_left.body_pose())
+
+
+def test_a_turn_by_hand_carries_the_clips_own_turn_round(stage: Stage) -> None:
+    """A head that nods down and is turned left looks down to the left: the clip turns first."""
+    nodding = stage.at(25)
+    head = stage.body.joint_names.index(HEAD)
+    local = [joint_matrices(s.body_pose())[0, head] for s in (nodding, nodding.turned(HEAD, (0.0, 0.0, 90.0)))]
+    before, after = (rotation @ torch.tensor([0.0, -1.0, 0.0], dtype=rotation.dtype) for rotation in local)
+    assert before[2] < -0.1
+    torch.testing.assert_close(after, torch.stack([-before[1], before[0], before[2]]), atol=1e-5, rtol=0)
+
+
+def test_frames_go_round_and_clips_start_again(stage: Stage, catalogue: Catalogue) -> None:
+    frames = len(stage.motion)
+    assert stage.at(frames + 3).frame == 3
+    assert stage.at(5).playing(catalogue.motion(REST)).frame == 0
+
+
+def test_a_stage_that_cannot_be_is_refused(stage: Stage) -> None:
+    with pytest.raises(InputError, match="found 90"):
+        replace(stage, frame=len(stage.motion))
+    with pytest.raises(InputError, match="'Tail'"):
+        stage.turned("Tail", (1.0, 0.0, 0.0))
+    with pytest.raises(InputError, match="found 3"):
+        replace(stage, body_shape=(0.0,) * 3)
+
+
+def test_a_stage_drapes_as_the_model_does(stage: Stage, model: Quaffure) -> None:
+    shaped = stage.at(20).shaped(0, 1.5).turned("Neck", (10.0, 0.0, 0.0))
+    drape = shaped.drape()
+    shape = torch.tensor([[1.5, *[0.0] * 9]])
+    expected = model.drape(stage.groom, shaped.body_pose(), shape)[0].numpy()
+    np.testing.assert_allclose(drape.strands, expected, atol=1e-6)
+    np.testing.assert_allclose(drape.body_vertices, model.body.pose(shaped.body_pose(), shape).vertices[0], atol=1e-6)
+    assert drape.network_milliseconds is not None
+    assert 0 < drape.network_milliseconds < drape.milliseconds
+    assert not model.draper.network._forward_hooks
+    assert drape.sequence.meta["frame"] == 20
+
+
+def test_posed_hair_has_no_network_and_its_own_figures(stage: Stage, catalogue: Catalogue) -> None:
+    drape = replace(stage, draper=catalogue.draper("posed")).drape()
+    assert drape.network_milliseconds is None
+    draped, posed = drape.figures()
+    assert draped == posed
+    assert draped["length_error_percent"] < 1e-2
+
+
+def test_inside_agrees_with_the_figures_of_merit(stage: Stage, catalogue: Catalogue) -> None:
+    """Long hair posed on a head that looks far up goes through the back."""
+    drape = replace(stage, draper=PosedDraper()).turned("Neck", (-45.0, 0.0, 0.0)).drape()
+    inside = drape.inside(drape.strands)
+    assert not inside[:, 0].any()
+    percent = drape.figures()[0]["body_intersection_percent"]
+    assert percent > 1
+    assert 100 * inside[:, 1:].mean() == pytest.approx(percent, abs=1e-3)
+
+
+def test_the_catalogue_offers_everything_bundled_and_the_users_own(model: Quaffure, groom: Groom) -> None:
+    clip = replace(bundled_clip("bow", model.body), name="nod")
+    catalogue = Catalogue(model, replace(groom, name="bob"), clip)
+    assert catalogue.groom_names == ("bob (file)", *STYLES)
+    assert catalogue.motion_names == ("nod (file)", REST, *CLIP_NAMES)
+    assert set(catalogue.draper_names) == {"neural", *SOLVERS}
+    assert catalogue.draper_names[: len(LIVE)] == LIVE
+    assert catalogue.motion("nod (file)") is clip
+    assert catalogue.groom("bob (file)").name == "bob"
+    assert catalogue.draper("adam").material == catalogue.draper("neural").material
+    with pytest.raises(InputError, match="one of"):
+        catalogue.groom("wig")
+
+
+def test_interpolated_strands_are_kept_for_one_groom_and_count(catalogue: Catalogue, groom: Groom) -> None:
+    once = catalogue.interpolation(groom, 50)
+    assert len(once) == 50
+    assert catalogue.interpolation(groom, 50) is once
+    assert len(catalogue.interpolation(groom, 60)) == 60
+
+
+def test_the_worker_forgets_what_is_stale_and_survives_errors() -> None:
+    done: list[str] = []
+    errors: list[Exception] = []
+    worker = Worker(errors.append)
+    gate = threading.Event()
+    worker.request("first", lambda: (gate.wait(SECONDS), done.append("first"))[-1])
+    for number in range(5):
+        worker.request("drag", lambda number=number: done.append(f"drag {number}"))  # type: ignore[misc]
+        worker.request("broken", lambda: [][1])
+    gate.set()
+    assert worker.wait_until_idle(SECONDS)
+    assert done == ["first", "drag 4"]
+    assert [type(error) for error in errors] == [IndexError]
+    worker.request("after", lambda: done.append("after"))
+    assert worker.wait_until_idle(SECONDS)
+    assert done[-1] == "after"
+    worker.stop()
+
+
+def test_a_change_is_made_before_the_drape_that_shows_it() -> None:
+    """A drape waits already when the change comes; it must not be taken for the one after the change."""
+    done: list[str] = []
+    worker = Worker(lambda error: None)
+    gate = threading.Event()
+    worker.request("hold", lambda: gate.wait(SECONDS) and None)
+    for kind in ("drape", "frame", "drape"):
+        worker.request(kind, lambda kind=kind: done.append(kind))  # type: ignore[misc]
+    gate.set()
+    assert worker.wait_until_idle(SECONDS)
+    assert done == ["frame", "drape"]
+    worker.stop()
+
+
+def test_playback_goes_on_from_where_it_was_put() -> None:
+    frames: queue.Queue[int] = queue.Queue()
+    playback = Playback(frames.put)
+    playback.seek(40)
+    assert frames.empty()
+    playback.play()
+    seen = [frames.get(timeout=SECONDS) for _ in range(4)]
+    playback.pause()
+    playback.stop()
+    assert seen[0] >= 40
+    assert seen == sorted(seen)
+    assert seen[-1] > 40
+
+
+def test_hair_across_the_light_is_brighter_than_hair_along_it() -> None:
+    key = np.array((-0.5, -0.7, 0.75), np.float32)
+    across = np.cross(key, (0.0, 0.0, 1.0))
+    steps = np.linspace(0, 0.2, 24, dtype=np.float32)[:, None]
+    strands = np.stack([steps * key, steps * across / np.linalg.norm(across)]).astype(np.float32)
+    along, crosswise = hair_colours(strands)[:, 12].astype(int)
+    assert crosswise.sum() > 1.5 * along.sum()
+    assert crosswise[0] > crosswise[1] > crosswise[2]
+
+
+def test_vertices_inside_are_marked_and_others_are_pale() -> None:
+    strands = np.random.default_rng(0).standard_normal((5, 6, 3)).astype(np.float32)
+    inside = np.zeros((5, 6), bool)
+    inside[2, 3] = True
+    marked, plain = hair_colours(strands, inside), hair_colours(strands)
+    assert tuple(marked[2, 3]) == INSIDE
+    assert (marked == INSIDE).all(axis=-1).sum() == 1
+    assert np.ptp(marked[~inside], axis=-1).mean() < np.ptp(plain[~inside], axis=-1).mean()
+
+
+def test_segments_join_neighbours_of_one_strand_only() -> None:
+    strands = np.arange(2 * 3 * 3).reshape(2, 3, 3)
+    pairs = segments(strands)
+    assert pairs.shape == (4, 2, 3)
+    assert np.array_equal(pairs[1], strands[0, 1:])
+    assert np.array_equal(pairs[2], strands[1, :2])
+
+
+def test_saved_drapes_never_take_a_name_that_is_there(stage: Stage, catalogue: Catalogue, tmp_path: Path) -> None:
+    named = replace(stage, groom=replace(stage.groom, name="my hair/2"), draper=catalogue.draper("posed")).drape()
+    first = free_path(tmp_path, named)
+    assert first == tmp_path / "my_hair_2_nod_0000_posed.npz"
+    first.with_suffix(".png").touch()
+    assert free_path(tmp_path, named).name == "my_hair_2_nod_0000_posed_2.npz"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["wig"], "wig: expected a bundled groom"),
+        (["bob", "--motion", "moonwalk"], "motion 'moonwalk': expected"),
+        (["--weights", "none.safetensors"], "none.safetensors: expected a checkpoint"),
+        (["--folder", "nowhere"], "--folder: expected an existing folder"),
+        (["--port", "70000"], "port: expected 0 to 65535, found 70000"),
+        (["--host", "no.such.host.invalid"], "no.such.host.invalid:8080: expected a free address"),
+    ],
+)
+def test_bad_input_is_refused_before_a_page_is_served(
+    arguments: list[str], complaint: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["view", *arguments])
+    assert stop.value.code == 2
+    said = capfd.readouterr().err
+    assert complaint in said
+    assert said.count("\n") == 1
+
+
+def test_a_port_that_is_taken_is_refused() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"127.0.0.1:{port}"):
+            Address("127.0.0.1", port).check()
+
+
+def no_picture(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:
+    path.write_bytes(b"a picture")
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("saved")
+
+
+@pytest.fixture(scope="module")
+def page(catalogue: Catalogue, saved: Path) -> Iterator[Page]:
+    served = Page(catalogue, ("thinned", REST), Address("127.0.0.1", 0), saved, no_picture)
+    assert served.session.worker.wait_until_idle(SECONDS)
+    yield served
+    served.stop()
+
+
+def settled(page: Page) -> Stage:
+    """What is shown when all that was asked for is done."""
+    assert page.session.worker.wait_until_idle(SECONDS)
+    assert page.session.shown is not None
+    return page.session.shown.stage
+
+
+def test_the_page_shows_its_first_drape(page: Page) -> None:
+    assert settled(page).groom.name == "thinned"
+    assert "ms a drape, network" in page.panel.status.content
+    hair = page._nodes._hair
+    assert hair is not None
+    assert page.session.shown is not None
+    assert np.array_equal(hair.points, segments(page.session.shown.strands))
+
+
+def test_what_the_program_sets_is_no_change_by_hand(page: Page) -> None:
+    shown = settled(page)
+    page.panel.groom.value = "bob"
+    assert settled(page) is shown
+    page.panel.groom.value = "thinned"
+
+
+def test_changes_send_points_and_keep_the_nodes(page: Page) -> None:
+    settled(page)
+    hair, before = page._nodes._hair, page.session.shown
+    assert hair is not None
+    assert before is not None
+    page.session.ask_edit("turn", lambda stage: stage.turned(HEAD, (0.0, 0.0, 30.0)))
+    settled(page)
+    assert page._nodes._hair is hair
+    assert not np.array_equal(hair.points, segments(before.strands))
+    page.session.ask_edit("turn", lambda stage: replace(stage, joint_turns={}))
+    settled(page)
+    np.testing.assert_allclose(hair.points, segments(before.strands), atol=1e-6)
+
+
+def test_a_solver_waits_for_its_button(page: Page, catalogue: Catalogue) -> None:
+    """The network's drape is shown meanwhile; `xpbd` alone stands for the rest of the solvers here."""
+    page.session.ask_edit("draper", lambda stage: replace(stage, draper=catalogue.draper("xpbd")))
+    assert settled(page).draper.name == "neural"
+    assert page.panel.settle.visible
+    assert page.panel.settle.label == "Settle with xpbd"
+    assert page.session.stage.draper.name == "xpbd"
+    page.session.ask_edit("draper", lambda stage: replace(stage, draper=catalogue.draper("posed")))
+    assert settled(page).draper.name == "posed"
+    assert not page.panel.settle.visible
+    page.session.ask_settle()
+    assert settled(page).draper.name == "posed"
+    page.session.ask_edit("draper", lambda stage: replace(stage, draper=catalogue.draper("neural")))
+
+
+def test_strands_between_guides_and_marks(page: Page) -> None:
+    guides = len(settled(page).groom)
+    page.session.ask_look(2 * guides, True)
+    settled(page)
+    hair = page._nodes._hair
+    assert hair is not None
+    assert len(hair.points) == 2 * guides * 23
+    assert page._nodes._skin.opacity is not None
+    page.session.ask_look(0, False)
+    settled(page)
+    assert page._nodes._hair is not None
+    assert len(page._nodes._hair.points) == guides * 23
+    assert page._nodes._skin.opacity is None
+
+
+@dataclass(frozen=True)
+class Browser:
+    """The page in Chromium, and every address that it asked for."""
+
+    tab: "Tab"
+    asked: list[str]
+
+    def picture(self) -> np.ndarray:
+        """What is left of the panel, [h, w, 3]."""
+        clip = {"x": 0, "y": 0, "width": WIDTH - PANEL_WIDTH, "height": HEIGHT}
+        return np.array(Image.open(io.BytesIO(self.tab.screenshot(clip=clip))).convert("RGB")).astype(int)  # type: ignore[arg-type]
+
+    def hair_and_skin(self) -> tuple[int, int]:
+        """Pixels of dark brown, and of light reddish grey."""
+        red, green, blue = np.moveaxis(self.picture(), -1, 0)
+        warm = (red > green) & (green > blue)
+        return int((warm & (red < 130) & (red > blue + 15)).sum()), int((warm & (red > 150) & (red > blue + 15)).sum())
+
+    def wait_for(self, seen: Callable[[int, int], bool]) -> None:
+        """Until the pixels of hair and skin are as they should be: a browser takes its time."""
+        end = time.monotonic() + SECONDS
+        while not seen(*self.hair_and_skin()):
+            assert time.monotonic() < end, self.hair_and_skin()
+
+
+@pytest.fixture(scope="module")
+def browser(page: Page) -> Iterator[Browser]:
+    """A small window, because the processor draws it."""
+    if CHROMIUM is None:
+        pytest.skip("no chromium on PATH (Debian: apt-get install chromium)")
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        tab = chromium.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+        tab.set_default_timeout(1000 * SECONDS)
+        opened = Browser(tab, [])
+        tab.on("request", lambda request: opened.asked.append(request.url))
+        tab.on("websocket", lambda websocket: opened.asked.append(websocket.url))
+        tab.goto(page.url)
+        tab.get_by_role("combobox", name="Groom").wait_for()
+        yield opened
+        chromium.close()
+
+
+def test_a_browser_shows_hair_and_skin_and_asks_nobody_else(browser: Browser, page: Page) -> None:
+    browser.wait_for(lambda hair, skin: hair > 2000 and skin > 2000)
+    address = page.url.removeprefix("http://")
+    assert f"ws://{address}/" in browser.asked
+    own = (f"http://{address}/", f"ws://{address}/", f"blob:http://{address}/", "data:")
+    assert [url for url in browser.asked if not url.startswith(own)] == []
+
+
+def test_a_groom_picked_in_the_browser_is_draped_and_seen(browser: Browser, page: Page) -> None:
+    long_hair, _ = browser.hair_and_skin()
+    browser.tab.get_by_role("combobox", name="Groom").click()
+    browser.tab.get_by_role("option", name="crew_cut", exact=True).click()
+    browser.wait_for(lambda hair, skin: hair < long_hair / 2)
+    assert settled(page).groom.name == "crew_cut"
+
+
+def test_play_moves_the_frame_and_pause_stops_it(browser: Browser, page: Page, catalogue: Catalogue) -> None:
+    page.session.ask_edit("motion", lambda stage: stage.playing(catalogue.motion("nod")))
+    browser.tab.get_by_role("button", name="Play").click()
+    browser.tab.get_by_role("button", name="Pause").click()
+    frame = settled(page).frame
+    assert frame > 0
+    assert page.panel.frame.value == frame
+    assert settled(page).frame == frame
+
+
+def test_an_error_is_told_and_the_page_goes_on(browser: Browser, page: Page, capfd: pytest.CaptureFixture[str]) -> None:
+    page.session.ask_edit("frame", lambda stage: replace(stage, frame=-1))
+    browser.tab.get_by_text("frame: expected 0 to").wait_for()
+    page.session.ask_edit("frame", lambda stage: [][1])
+    browser.tab.get_by_text("IndexError").wait_for()
+    assert "IndexError" in capfd.readouterr().err
+    page.session.ask_edit("frame", lambda stage: stage.at(11))
+    assert settled(page).frame == 11
+
+
+def test_buttons_measure_and_save(browser: Browser, page: Page, saved: Path) -> None:
+    browser.tab.get_by_text("Measure", exact=True).click()
+    browser.tab.get_by_role("button", name="Measure this drape").click()
+    browser.tab.get_by_text("body_intersection_percent").wait_for()
+    browser.tab.get_by_role("button", name="Save drape").click()
+    browser.tab.get_by_text(".npz and").wait_for()
+    (path,) = saved.glob("*.npz")
+    assert path.with_suffix(".png").is_file()
+    assert page.session.shown is not None
+    assert np.array_equal(read_drape(path).strands[0], page.session.shown.strands)

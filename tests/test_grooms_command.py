@@ -5,9 +5,12 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from quaffure.body.body_model import BodyModel
 from quaffure.cli import grooms as command
 from quaffure.cli.main import main
 from quaffure.groom.hair_style import HELD_OUT, STYLES
+from quaffure.groom.procedural import make_groom
+from quaffure.groom.style_sizes import StyleSize, style_sizes
 from quaffure.render import contact_sheet
 
 
@@ -24,10 +27,16 @@ def test_the_sheet_is_written_beside_the_list(tmp_path: Path, capfd: pytest.Capt
     out = tmp_path / "grooms.png"
     main(["grooms", "--json", "--out", str(out)])
     rows = json.loads(capfd.readouterr().out)
-    assert [row["name"] for row in rows] == ["bob", "mullet", "ponytail"]
+    assert {"bob", "mullet", "ponytail"} < {row["name"] for row in rows}
     assert [row["held_out"] for row in rows] == [row["name"] in HELD_OUT for row in rows]
     with Image.open(out) as sheet:
         assert sheet.format == "PNG"
+
+
+def test_the_list_is_that_of_the_styles(body: BodyModel) -> None:
+    assert list(style_sizes()) == list(STYLES)
+    groom = make_groom(STYLES["pixie"], body)
+    assert style_sizes()["pixie"] == StyleSize(len(groom), round(float(groom.strand_lengths.mean()), 3))
 
 
 @pytest.mark.parametrize(("name", "expected"), [("grooms.jpg", "ending in .png"), ("missing/grooms.png", "no folder")])

@@ -31,7 +31,7 @@ from quaffure.io.load_groom import load_groom
 OWN_FRAMES = 3
 """Frames of a user's motion where none are asked for."""
 DEFAULT_GROOM, DEFAULT_MOTION = "long_straight", "neck_turn"
-MOTION_FOLDER, GROOM_FOLDER = Path("../shared/data/motion"), Path("../shared/data/grooms")
+MOTION_FOLDER, GROOM_FOLDER = Path("data/motion"), Path("data/grooms")
 CACHE = Path("runs/evaluation")
 
 

@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.body_model import load_body
 from quaffure.cli.console import console, print_json, print_rows
 from quaffure.errors import InputError
 from quaffure.groom.clearance import rest_surface
-from quaffure.groom.groom import Groom
 from quaffure.groom.hair_style import HELD_OUT, STYLES
-from quaffure.groom.procedural import make_groom
+from quaffure.groom.procedural import LICENCE, make_groom
+from quaffure.groom.style_sizes import StyleSize, style_sizes
 
 
 @dataclass(frozen=True)
@@ -27,19 +27,19 @@ class GroomsCommand:
             raise InputError(self.out, "a picture's name ending in .png", f"{self.out.suffix or 'no suffix'}")
         if self.out is not None and not self.out.parent.is_dir():
             raise InputError(self.out, "a path in an existing folder", f"no folder {self.out.parent}")
-        body = load_body()
-        with console.status("growing the grooms"):
-            surface = rest_surface(body)
-            grooms = [make_groom(name, body, surface=surface) for name in STYLES]
         if self.out is not None:
-            _draw(self.out, grooms, body)
-        rows = [_row(groom) for groom in grooms]
+            _draw(self.out)
+        rows = [_row(name, size) for name, size in style_sizes().items()]
         print_json(rows) if self.json else print_rows(rows, "bundled grooms")
 
 
-def _draw(path: Path, grooms: list[Groom], body: BodyModel) -> None:
+def _draw(path: Path) -> None:
     from quaffure.render.contact_sheet import write_contact_sheet
 
+    body = load_body()
+    with console.status("growing the grooms"):
+        surface = rest_surface(body)
+        grooms = [make_groom(name, body, surface=surface) for name in STYLES]
     notes = {
         groom.name: f"{groom.strand_lengths.mean():.2f} m" + (", held out" if groom.name in HELD_OUT else "")
         for groom in grooms
@@ -50,12 +50,12 @@ def _draw(path: Path, grooms: list[Groom], body: BodyModel) -> None:
         )
 
 
-def _row(groom: Groom) -> dict[str, object]:
+def _row(name: str, size: StyleSize) -> dict[str, object]:
     return {
-        "name": groom.name,
-        "style": groom.name.replace("_", " "),
-        "strands": len(groom),
-        "length_m": round(float(groom.strand_lengths.mean()), 3),
-        "licence": groom.licence,
-        "held_out": groom.name in HELD_OUT,
+        "name": name,
+        "style": name.replace("_", " "),
+        "strands": size.strands,
+        "length_m": size.length_m,
+        "licence": LICENCE,
+        "held_out": name in HELD_OUT,
     }

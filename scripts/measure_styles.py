@@ -1,0 +1,26 @@
+"""Writes `assets/style_sizes.json`, which `quaffure grooms` reads: `python scripts/measure_styles.py`."""
+
+import json
+from pathlib import Path
+
+from quaffure.body.body_model import load_body
+from quaffure.groom.clearance import rest_surface
+from quaffure.groom.hair_style import STYLES
+from quaffure.groom.procedural import make_groom
+
+OUT = Path(__file__).parents[1] / "src" / "quaffure" / "assets" / "style_sizes.json"
+
+
+def main() -> None:
+    body = load_body()
+    surface = rest_surface(body)
+    grooms = (make_groom(name, body, surface=surface) for name in STYLES)
+    sizes = {
+        groom.name: {"strands": len(groom), "length_m": round(float(groom.strand_lengths.mean()), 3)}
+        for groom in grooms
+    }
+    OUT.write_text(json.dumps(sizes, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -9,7 +9,7 @@ from quaffure.body.motion import Motion
 from quaffure.body.pose_features import FEATURE_COUNT, pose_features
 from quaffure.body.soft_body import soft_body
 from quaffure.config import HairMaterial
-from quaffure.drapers.neural import NeuralDraper, layered_margin
+from quaffure.drapers.neural import NeuralDraper, starting_margin
 from quaffure.drapers.quaffure_model import load_model
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.closed_form import sagged_vectors
@@ -59,7 +59,9 @@ def sagged_and_slid(scene: Scene) -> tuple[Positions, Positions]:
     rest, root = rest_state(scene.groom.rest_strands, HairMaterial()), scene.posed[:, :, 0]
     sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, HairMaterial().k_cosserat)
     surface = soft_body(scene.bodies.body, scene.bodies.posed)
-    edges, _ = slide_reference(root, sag, rest.rest_length, layered_margin(scene.groom, rest), surface)
+    edges, _ = slide_reference(
+        root, sag, rest.rest_length, starting_margin(scene.groom, rest, scene.bodies.body), surface
+    )
     return tuple(integrate_directions(root, vectors, rest.rest_length) for vectors in (sag, edges))  # type: ignore[return-value]
 
 
@@ -74,13 +76,23 @@ def test_untrained_directions_are_the_sag_slid_along_the_body(scene: Scene) -> N
     assert (sag - scene.posed).norm(dim=-1).max() > 0.01
 
 
-def test_strands_of_the_crown_start_above_those_of_the_neck(groom: Groom) -> None:
+def test_strands_of_the_crown_start_above_those_of_the_neck(groom: Groom, body: BodyModel) -> None:
     rest = rest_state(groom.rest_strands, HairMaterial())
-    above = layered_margin(groom, rest) - rest.collision_margin
+    away = replace(groom, rest_strands=groom.rest_strands + groom.rest_strands.new_tensor([0.0, 0.0, 1.0]))
+    above = starting_margin(away, rest, body) - rest.collision_margin  # where the body hinders nothing
     heights = groom.rest_strands[:, 0, 2]
     assert (above[heights.argmax(), 1:] > above[heights.argmin(), 1:]).all()
     assert above[:, 0].max() == 0
     assert 0.004 < above[:, -1].max() < 0.015  # a bob is too short for all of it
+
+
+def test_hair_starts_no_further_out_than_it_is_at_rest(groom: Groom, body: BodyModel) -> None:
+    rest = rest_state(groom.rest_strands, HairMaterial())
+    posed = Scene(groom, BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
+    surface = soft_body(body, posed.bodies.posed)
+    margin = starting_margin(groom, rest, body)
+    edges, _ = slide_reference(posed.posed[:, :, 0], posed.director, rest.rest_length, margin, surface)
+    torch.testing.assert_close(edges, posed.director, atol=1e-3, rtol=0)
 
 
 def test_untrained_displacements_are_zero(scene: Scene) -> None:

@@ -4,7 +4,7 @@ from torch.nn.functional import normalize
 from quaffure.body.body_model import BodyModel
 from quaffure.body.soft_body import soft_body
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.geometry.soft_surface import LEAF, SoftSurface, slide, slide_reference, soft_views_reference
+from quaffure.geometry.soft_surface import LEAF, SoftSurface, slide, slide_reference, soft_views, soft_views_reference
 from quaffure.geometry.surface import posed_surface
 
 RADIUS = 0.3
@@ -54,6 +54,8 @@ def test_sliding_matches_its_twin() -> None:
     expected_edges, expected_views = slide_reference(root, vectors, lengths, margin, ball())
     torch.testing.assert_close(edges, expected_edges, atol=1e-4, rtol=0)
     torch.testing.assert_close(views, expected_views, atol=1e-4, rtol=0)
+    points = torch.cat([root + 0.1 * vectors[:, :, -1], 3 * root], dim=1)  # near and far
+    torch.testing.assert_close(soft_views(points, ball()), soft_views_reference(points, ball()), atol=1e-4, rtol=0)
 
 
 def test_strands_slide_out_of_the_way_and_nowhere_else() -> None:

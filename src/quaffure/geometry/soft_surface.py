@@ -38,12 +38,20 @@ class SoftSurface(NamedTuple):
     radius: float
 
 
-def soft_views_reference(points: Float[Tensor, "b p 3"], surface: SoftSurface) -> Float[Tensor, "b p 5"]:
-    """What oriented points of a surface say of places near it: the torch twin of the compiled look in `slide`.
+def soft_views(points: Float[Tensor, "b p 3"], surface: SoftSurface) -> Float[Tensor, "b p 5"]:
+    """What oriented points of a surface say of places near it.
 
     Returns:
         Mean signed distance over the radius, mean normal, and how much there is to see; all 0 far away.
     """
+    # A strand of one edge without length looks from where it begins, and turns nowhere.
+    nowhere = points.new_zeros(points.shape[1], 1)
+    margin = points.new_full((points.shape[1], 2), -1e3)
+    return slide(points, torch.ones_like(points)[:, :, None], nowhere, margin, surface)[1][:, :, 0]
+
+
+def soft_views_reference(points: Float[Tensor, "b p 3"], surface: SoftSurface) -> Float[Tensor, "b p 5"]:
+    """Torch twin of `soft_views`."""
     offset = points[:, :, None] - surface.points.flatten(1, 2)[:, None]
     weight = (1 - offset.square().sum(-1) / surface.radius**2).clamp(min=0) ** 4
     normals = surface.normals.flatten(1, 2)

@@ -57,6 +57,9 @@ class Groom:
         )
 
     def to(self, device: torch.device | str) -> "Groom":
+        """The same groom on a device; this very one where nothing has to move, so that what is kept for it is found."""
+        if self.rest_strands.device == torch.device(device):
+            return self
         return replace(
             self,
             rest_strands=self.rest_strands.to(device),

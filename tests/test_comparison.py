@@ -1,7 +1,8 @@
 """The evaluation set, drapes that are kept, and the figures that are made of them."""
 
 import json
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from unittest import mock
@@ -15,16 +16,17 @@ from quaffure.body.clips import CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion
 from quaffure.config import HairMaterial
 from quaffure.drapers.adam import AdamDraper
+from quaffure.drapers.drape_motion import drape_motion
 from quaffure.drapers.neural import NeuralDraper
 from quaffure.drapers.posed import PosedDraper
 from quaffure.drapers.refined import RefinedDraper
 from quaffure.drapers.scene import Scene
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.errors import InputError
-from quaffure.evaluation import draping
+from quaffure.evaluation import draping, sources
 from quaffure.evaluation.comparison import compare, summarize
-from quaffure.evaluation.competitors import Competitor
-from quaffure.evaluation.drape_cache import MANIFEST, DrapeCache, TimedDrape
+from quaffure.evaluation.competitors import POSED, ROWS, Competitor, competitors
+from quaffure.evaluation.drape_cache import DrapeCache, TimedDrape
 from quaffure.evaluation.draping import CaseDraper
 from quaffure.evaluation.evaluation_set import (
     CaseEntry,
@@ -33,7 +35,7 @@ from quaffure.evaluation.evaluation_set import (
     load_cases,
     load_evaluation_set,
 )
-from quaffure.evaluation.figures import figures_of_merit, total_energy
+from quaffure.evaluation.figures import figures_of_merit, measure, total_energy
 from quaffure.evaluation.fingerprint import fingerprint
 from quaffure.groom.groom import Groom
 from quaffure.groom.hair_style import HELD_OUT, STYLES
@@ -149,12 +151,34 @@ def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path, case: Evaluat
     assert (fetched.milliseconds, fetched.machine) == (made.milliseconds, draping.machine())
     assert again.known(row, case, 1) is None
     again.drape(row, case, 1)
-    assert (again.made, again.fetched, len(again.cache)) == (1, 1, 2)
-    entries = json.loads((tmp_path / MANIFEST).read_text())
-    assert [(entry["case"], entry["frame"], entry["draper"]) for entry in entries.values()] == [
+    assert (again.made, again.fetched) == (1, 1)
+    notes = [json.loads(path.read_text()) for path in tmp_path.glob("*.json")]
+    assert sorted((note["case"], note["frame"], note["draper"]) for note in notes) == [
         ("tiny-bow", 40, "counting"),
         ("tiny-bow", 41, "counting"),
     ]
+
+
+def test_two_runs_on_one_folder_lose_nothing(tmp_path: Path, case: EvaluationCase, body: BodyModel) -> None:
+    row = Competitor("counting", Counting())
+    both = [CaseDraper(body, DrapeCache(tmp_path)) for _ in range(2)]
+    for frame, one in enumerate(both):
+        one.drape(row, case, frame)
+    late = CaseDraper(body, DrapeCache(tmp_path))
+    assert late.known(row, case, 0) is not None
+    assert late.known(row, case, 1) is not None
+    assert both[0].known(row, case, 1) is not None
+
+
+def test_a_drape_counts_once_its_note_is_written(tmp_path: Path) -> None:
+    drape = TimedDrape(torch.zeros(2, 3, 3), 1.0, "a machine")
+    with (
+        mock.patch("quaffure.evaluation.drape_cache.json.dumps", side_effect=KeyboardInterrupt),
+        pytest.raises(KeyboardInterrupt),
+    ):
+        DrapeCache(tmp_path).put("key", drape, "case", 0, "posed")
+    assert [path.name for path in tmp_path.iterdir()] == ["key.npz"]
+    assert DrapeCache(tmp_path).get("key") is None
 
 
 def test_slow_drapes_are_timed_by_the_run_that_makes_them(
@@ -199,19 +223,59 @@ def test_fingerprints_see_weights_settings_and_material() -> None:
     assert len(prints) == 4
 
 
-def test_a_damaged_drape_is_made_again_and_a_damaged_manifest_refused(
-    tmp_path: Path, case: EvaluationCase, body: BodyModel
-) -> None:
+@pytest.mark.parametrize("suffix", [".npz", ".json"])
+def test_a_damaged_drape_is_made_again(tmp_path: Path, case: EvaluationCase, body: BodyModel, suffix: str) -> None:
     row = Competitor("counting", Counting())
     CaseDraper(body, DrapeCache(tmp_path)).drape(row, case, 0)
-    (file,) = tmp_path.glob("*.npz")
-    file.write_bytes(file.read_bytes()[:1000])
+    (file,) = tmp_path.glob(f"*{suffix}")
+    file.write_bytes(file.read_bytes()[:40])
     again = CaseDraper(body, DrapeCache(tmp_path))
     again.drape(row, case, 0)
     assert (again.made, again.fetched) == (1, 0)
-    (tmp_path / MANIFEST).write_text("[1]")
-    with pytest.raises(InputError, match=r"manifest\.json"):
-        DrapeCache(tmp_path)
+    assert again.known(row, case, 0) is not None
+
+
+@pytest.fixture
+def changed(tmp_path: Path) -> Iterator[Callable[[str], None]]:
+    """Changes a module in a copy of the package, which fingerprints are then made of."""
+    copy = shutil.copytree(
+        sources.PACKAGE, tmp_path / "quaffure", ignore=shutil.ignore_patterns("assets", "__pycache__")
+    )
+
+    def change(module: str) -> None:
+        path = copy / module
+        path.write_text(path.read_text() + "# another formula\n")
+        sources.sources_of.cache_clear()
+
+    with mock.patch.object(sources, "PACKAGE", copy):
+        sources.sources_of.cache_clear()
+        yield change
+    sources.sources_of.cache_clear()
+
+
+def test_a_changed_energy_makes_other_drapes(changed: Callable[[str], None]) -> None:
+    rows = {row.name: row.draper for row in competitors(ROWS, {})}
+
+    def prints() -> dict[str, str]:
+        return {name: fingerprint(draper) for name, draper in rows.items()}
+
+    before = prints()
+    changed("render/__init__.py")
+    changed("evaluation/figures.py")
+    assert prints() == before
+    changed("energies/gravity.py")  # imported by what solvers import, not by themselves
+    after_energy = prints()
+    assert {name for name in rows if after_energy[name] == before[name]} == {POSED}
+    changed("geometry/rotation.py")
+    after_geometry = prints()
+    assert not {name for name in rows if after_geometry[name] == after_energy[name]}
+
+
+def test_imports_inside_of_functions_count() -> None:
+    source = (
+        "def late():\n    from quaffure.energies import gravity\n    import quaffure.geometry.mesh\n    import torch\n"
+    )
+    assert list(sources._imported(source)) == ["quaffure.energies.gravity", "quaffure.geometry.mesh"]
 
 
 def test_a_drape_of_nan_is_refused(tmp_path: Path, case: EvaluationCase, body: BodyModel) -> None:
@@ -279,6 +343,23 @@ def test_without_solvers_there_is_no_reference_and_isolated_frames_do_not_trembl
     assert "jitter" not in isolated.figures["xpbd"]
     (without,) = compare([case], {"none": lambda case, frame: None}, (), body, HairMaterial())
     assert without.figures == {}
+
+
+def test_hair_that_does_not_move_has_no_jitter(case: EvaluationCase, body: BodyModel) -> None:
+    still = replace(case, motion=replace(case.motion, body_pose=case.motion.body_pose[:1].expand(3, -1)))
+    flat = dict.fromkeys(range(3), 0.0)
+    rows = {"xpbd": lifted(body, flat), "network": lifted(body, flat, wave=1e-3)}
+    (result,) = compare([still], rows, ("xpbd",), body, HairMaterial())
+    assert result.reference == ("xpbd",) * 3
+    for figures in result.figures.values():
+        assert "distance_mm" in figures
+        assert "jitter" not in figures
+    assert "jitter" not in summarize([result])["all"]["network"]
+    sequence = drape_motion(PosedDraper(), case.groom, body, still.motion, still.body_shape)
+    sequence = replace(sequence, strands=sequence.strands[:1].repeat(3, axis=0))
+    trembling = replace(sequence, strands=sequence.strands + 1e-3 * np.float32([0, 1, 0])[:, None, None, None])
+    assert "jitter" not in measure(trembling, case.groom, body, reference=sequence)[0]
+    assert "jitter" in measure(sequence, case.groom, body, reference=trembling)[0]
 
 
 def test_a_run_weighs_no_more_than_a_frame(case: EvaluationCase, body: BodyModel) -> None:

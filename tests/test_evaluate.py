@@ -70,7 +70,8 @@ def run(tmp_path: Path, inputs: Path, tiny_set: EvaluationSet) -> Callable[..., 
             mock.patch("quaffure.cli.evaluate.load_evaluation_set", return_value=tiny_set),
             mock.patch("quaffure.cli.score.load_evaluation_set", return_value=tiny_set),
         ):
-            main([command, *map(str, (*arguments, *folders, "--weights", f"quaffure={inputs / 'own.safetensors'}"))])
+            weights = ("--weights", f"neural={inputs / 'own.safetensors'}")
+            main([command, *map(str, (*folders, *weights, *arguments))])
 
     return run
 
@@ -125,7 +126,7 @@ def test_evaluate_writes_the_same_on_file_page_and_screen(
     pytest.importorskip("matplotlib")
     out, report = tmp_path / "results.json", tmp_path / "report"
     weights = ("--weights", f"mine={inputs / 'other.safetensors'}")
-    chosen = [word for name in ("posed", "xpbd", "quaffure", "mine") for word in ("--draper", name)]
+    chosen = [word for name in ("posed", "xpbd", "neural", "mine") for word in ("--draper", name)]
     run("evaluate", "--out", out, "--report", report, *chosen, *weights)
     screen = capfd.readouterr().out
     results = json.loads(out.read_text())
@@ -138,7 +139,7 @@ def test_evaluate_writes_the_same_on_file_page_and_screen(
     assert "tiny-13_26-a" in text
     assert (results["evaluation_set"], results["drapes_made"], results["drapes_fetched"]) == (7, 12, 0)
     assert results["material"] == asdict(MATERIAL)
-    assert list(results["rows"]) == ["posed", "xpbd", "quaffure", "mine"]
+    assert list(results["rows"]) == ["posed", "xpbd", "neural", "mine"]
     assert results["rows"]["mine"]["weights"] == {"trained": "neither"}
     (only,) = results["cases"]
     assert (only["case"], only["group"], only["frames"]) == ("tiny-bow-a", "unseen", [40, 41, 42])
@@ -232,12 +233,27 @@ def test_score_says_when_there_is_nothing_to_measure_against(
 
 
 def test_rows_share_one_hair(inputs: Path) -> None:
-    own = competitors(("posed", "newton", "quaffure_refined"), {"quaffure": inputs / "stiff.safetensors"})
+    own = competitors(("posed", "newton", "neural_refined"), {"neural": inputs / "stiff.safetensors"})
     assert {row.draper.material.k_cosserat for row in own} == {1.0}
     assert [row.is_solver for row in own] == [False, True, False]
-    both = {"quaffure": inputs / "own.safetensors", "stiff": inputs / "stiff.safetensors"}
+    both = {"neural": inputs / "own.safetensors", "stiff": inputs / "stiff.safetensors"}
     with pytest.raises(InputError, match=r"stiff\.safetensors: expected weights for hair of"):
         competitors(("posed",), both)
+    twice = competitors(("neural", "posed", "neural"), {"neural": inputs / "own.safetensors"})
+    assert [row.name for row in twice] == ["neural", "posed"]
+
+
+def test_a_network_has_one_name_everywhere(inputs: Path) -> None:
+    for row in competitors(("posed", "neural", "neural_refined"), {"neural": inputs / "own.safetensors"}):
+        assert row.draper.name == row.name
+
+
+def test_an_evaluation_without_cases_writes_nothing(refused: Callable[..., str], tmp_path: Path) -> None:
+    nothing = ("--groom-folder", tmp_path, "--json")
+    out = ("--out", tmp_path / "results.json", "--report", tmp_path / "report")
+    assert "expected at least one case" in refused("evaluate", *out, *nothing)
+    assert "expected at least one case" in refused("evaluate", "--write-cases", tmp_path / "cases", *nothing)
+    assert not list(tmp_path.iterdir())
 
 
 def test_mistakes_are_told_in_one_line_before_the_work(

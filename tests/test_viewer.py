@@ -16,12 +16,14 @@ import pytest
 import torch
 from PIL import Image
 
-from quaffure.body.clips import CLIP_NAMES, bundled_clip
+from quaffure.body.clips import CLIP_FPS, CLIP_NAMES, bundled_clip
 from quaffure.body.motion import joint_matrices
 from quaffure.body.pose_features import HEAD
 from quaffure.cli.main import main
+from quaffure.config import HairMaterial
 from quaffure.drapers.posed import PosedDraper
 from quaffure.drapers.quaffure_model import Quaffure, load_model
+from quaffure.drapers.scene import Scene
 from quaffure.drapers.solvers import SOLVERS
 from quaffure.errors import InputError
 from quaffure.groom.drape_sequence import DrapeSequence
@@ -30,13 +32,14 @@ from quaffure.groom.guide_interpolation import GuideInterpolation
 from quaffure.groom.hair_style import STYLES
 from quaffure.groom.procedural import make_groom
 from quaffure.io.drape_file import read_drape
+from quaffure.types import Positions
 from quaffure.viewer.catalogue import LIVE, REST, Catalogue
+from quaffure.viewer.draping_thread import DrapingThread
 from quaffure.viewer.hair_colours import INSIDE, hair_colours, segments
 from quaffure.viewer.page import Address, Page
 from quaffure.viewer.playback import Playback
 from quaffure.viewer.session import free_path
-from quaffure.viewer.stage import Stage
-from quaffure.viewer.worker import Worker
+from quaffure.viewer.stage import Degrees, Stage
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page as Tab
@@ -78,11 +81,15 @@ def stage(catalogue: Catalogue) -> Stage:
     return Stage(catalogue.body, catalogue.groom("thinned"), catalogue.motion("nod"), catalogue.draper("neural"))
 
 
-def facing(stage: Stage) -> torch.Tensor:
-    """Where the nose points."""
+NOSE, CROWN = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)
+"""Where they point at rest, seen from the head."""
+
+
+def pointing(stage: Stage, part: tuple[float, float, float] = NOSE) -> torch.Tensor:
+    """Where the nose or the crown points."""
     shape = torch.tensor(stage.body_shape)[None]
     rotations, _ = stage.body.posed_joints(stage.body_pose(), shape)
-    return rotations[0, stage.body.joint_names.index(HEAD)] @ torch.tensor([0.0, -1.0, 0.0])
+    return rotations[0, stage.body.joint_names.index(HEAD)] @ torch.tensor(part)
 
 
 def test_without_turns_the_pose_is_the_clips(stage: Stage) -> None:
@@ -90,22 +97,28 @@ def test_without_turns_the_pose_is_the_clips(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize(
-    ("degrees", "nose"),
-    [((0.0, 0.0, 90.0), (1.0, 0.0, 0.0)), ((90.0, 0.0, 0.0), (0.0, 0.0, -1.0)), ((0.0, 45.0, 0.0), (0.0, -1.0, 0.0))],
+    ("degrees", "nose", "crown"),
+    [
+        ((0.0, 0.0, 90.0), (1.0, 0.0, 0.0), CROWN),
+        ((90.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
+        ((0.0, 90.0, 0.0), NOSE, (1.0, 0.0, 0.0)),
+    ],
+    ids=["turn left", "bend forward", "lean left"],
 )
 def test_turns_go_the_way_the_sliders_say(
-    stage: Stage, catalogue: Catalogue, degrees: tuple[float, float, float], nose: tuple[float, float, float]
+    stage: Stage, catalogue: Catalogue, degrees: Degrees, nose: Degrees, crown: Degrees
 ) -> None:
     turned = stage.playing(catalogue.motion(REST)).turned(HEAD, degrees)
-    torch.testing.assert_close(facing(turned), torch.tensor(nose), atol=1e-5, rtol=0)
+    torch.testing.assert_close(pointing(turned), torch.tensor(nose), atol=1e-5, rtol=0)
+    torch.testing.assert_close(pointing(turned, CROWN), torch.tensor(crown), atol=1e-5, rtol=0)
 
 
 def test_turns_come_on_top_of_the_clip(stage: Stage, catalogue: Catalogue) -> None:
     """The neck turns left in the clip; the head turns back by hand, and the other joints stay."""
     looking_left = stage.playing(catalogue.motion("neck_turn")).at(60)
     back = looking_left.turned(HEAD, (0.0, 0.0, -70.0))
-    assert facing(looking_left)[0] > 0.9
-    torch.testing.assert_close(facing(back), torch.tensor([0.0, -1.0, 0.0]), atol=1e-4, rtol=0)
+    assert pointing(looking_left)[0] > 0.9
+    torch.testing.assert_close(pointing(back), torch.tensor(NOSE), atol=1e-4, rtol=0)
     changed = (back.body_pose() != looking_left.body_pose()).unflatten(1, (27, 3)).any(-1)[0]
     assert changed.nonzero().flatten().tolist() == [stage.body.joint_names.index(HEAD)]
     assert torch.equal(back.turned(HEAD, (0.0, 0.0, 0.0)).body_pose(), looking_left.body_pose())
@@ -188,37 +201,53 @@ def test_interpolated_strands_are_kept_for_one_groom_and_count(catalogue: Catalo
     assert len(catalogue.interpolation(groom, 60)) == 60
 
 
-def test_the_worker_forgets_what_is_stale_and_survives_errors() -> None:
+def test_the_draping_thread_forgets_what_is_stale_and_survives_errors() -> None:
     done: list[str] = []
     errors: list[Exception] = []
-    worker = Worker(errors.append)
+    thread = DrapingThread(errors.append)
     gate = threading.Event()
-    worker.request("first", lambda: (gate.wait(SECONDS), done.append("first"))[-1])
+    thread.request("first", lambda: (gate.wait(SECONDS), done.append("first"))[-1])
     for number in range(5):
-        worker.request("drag", lambda number=number: done.append(f"drag {number}"))  # type: ignore[misc]
-        worker.request("broken", lambda: [][1])
+        thread.request("drag", lambda number=number: done.append(f"drag {number}"))  # type: ignore[misc]
+        thread.request("broken", lambda: [][1])
     gate.set()
-    assert worker.wait_until_idle(SECONDS)
+    assert thread.wait_until_idle(SECONDS)
     assert done == ["first", "drag 4"]
     assert [type(error) for error in errors] == [IndexError]
-    worker.request("after", lambda: done.append("after"))
-    assert worker.wait_until_idle(SECONDS)
+    thread.request("after", lambda: done.append("after"))
+    assert thread.wait_until_idle(SECONDS)
     assert done[-1] == "after"
-    worker.stop()
+    thread.stop()
+
+
+def test_the_draping_thread_survives_an_error_that_cannot_be_told(capfd: pytest.CaptureFixture[str]) -> None:
+    done: list[str] = []
+
+    def untold(error: Exception) -> None:
+        raise ConnectionError("no browser")
+
+    thread = DrapingThread(untold)
+    thread.request("broken", lambda: [][1])
+    assert thread.wait_until_idle(SECONDS)
+    thread.request("after", lambda: done.append("after"))
+    assert thread.wait_until_idle(SECONDS)
+    assert done == ["after"]
+    assert "no browser" in capfd.readouterr().err
+    thread.stop()
 
 
 def test_a_change_is_made_before_the_drape_that_shows_it() -> None:
     """A drape waits already when the change comes; it must not be taken for the one after the change."""
     done: list[str] = []
-    worker = Worker(lambda error: None)
+    thread = DrapingThread(lambda error: None)
     gate = threading.Event()
-    worker.request("hold", lambda: gate.wait(SECONDS) and None)
+    thread.request("hold", lambda: gate.wait(SECONDS) and None)
     for kind in ("drape", "frame", "drape"):
-        worker.request(kind, lambda kind=kind: done.append(kind))  # type: ignore[misc]
+        thread.request(kind, lambda kind=kind: done.append(kind))  # type: ignore[misc]
     gate.set()
-    assert worker.wait_until_idle(SECONDS)
+    assert thread.wait_until_idle(SECONDS)
     assert done == ["frame", "drape"]
-    worker.stop()
+    thread.stop()
 
 
 def test_playback_goes_on_from_where_it_was_put() -> None:
@@ -233,6 +262,30 @@ def test_playback_goes_on_from_where_it_was_put() -> None:
     assert seen[0] >= 40
     assert seen == sorted(seen)
     assert seen[-1] > 40
+
+
+class SeekBetween(float):
+    """A speed that, when the clock asks for it, lets another thread seek first, or try to."""
+
+    playback: Playback
+
+    def __rmul__(self, other: float) -> float:
+        other_thread = threading.Thread(target=self.playback.seek, args=(1000,))
+        self.playback.speed = 1.0
+        other_thread.start()
+        other_thread.join(0.2)
+        return float.__rmul__(self, other)
+
+
+def test_a_seek_while_the_clock_ticks_is_not_lost() -> None:
+    frames: queue.Queue[int] = queue.Queue()
+    playback = Playback(frames.put)
+    playback.speed = between = SeekBetween(1.0)
+    between.playback = playback
+    playback.play()
+    seen = [frames.get(timeout=SECONDS) for _ in range(3)]
+    playback.stop()
+    assert seen[-1] >= 1000
 
 
 def test_hair_across_the_light_is_brighter_than_hair_along_it() -> None:
@@ -312,16 +365,24 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def page(catalogue: Catalogue, saved: Path) -> Iterator[Page]:
     served = Page(catalogue, ("thinned", REST), Address("127.0.0.1", 0), saved, no_picture)
-    assert served.session.worker.wait_until_idle(SECONDS)
+    assert served.session.thread.wait_until_idle(SECONDS)
     yield served
     served.stop()
 
 
 def settled(page: Page) -> Stage:
     """What is shown when all that was asked for is done."""
-    assert page.session.worker.wait_until_idle(SECONDS)
+    assert page.session.thread.wait_until_idle(SECONDS)
     assert page.session.shown is not None
     return page.session.shown.stage
+
+
+def wait_until(holds: Callable[[], bool]) -> None:
+    """What is clicked takes its way through the browser."""
+    end = time.monotonic() + SECONDS
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 def test_the_page_shows_its_first_drape(page: Page) -> None:
@@ -354,19 +415,58 @@ def test_changes_send_points_and_keep_the_nodes(page: Page) -> None:
     np.testing.assert_allclose(hair.points, segments(before.strands), atol=1e-6)
 
 
+class SlowDraper:
+    """The posed groom, lifted, from a draper that is not one of those that follow every change."""
+
+    name, material = "slow", HairMaterial()
+
+    def __init__(self, fails: bool = False) -> None:
+        self.fails = fails
+
+    def drape(self, scene: Scene) -> Positions:
+        if self.fails:
+            raise InputError("slow", "strands that settle", "others")
+        return scene.posed + 0.01
+
+
 def test_a_solver_waits_for_its_button(page: Page, catalogue: Catalogue) -> None:
-    """The network's drape is shown meanwhile; `xpbd` alone stands for the rest of the solvers here."""
-    page.session.ask_edit("draper", lambda stage: replace(stage, draper=catalogue.draper("xpbd")))
+    """The network's drape is shown meanwhile."""
+    page.session.ask_edit("draper", lambda stage: replace(stage, draper=SlowDraper()))
     assert settled(page).draper.name == "neural"
     assert page.panel.settle.visible
-    assert page.panel.settle.label == "Settle with xpbd"
-    assert page.session.stage.draper.name == "xpbd"
+    assert page.panel.settle.label == "Settle with slow"
+    assert page.session.stage.draper.name == "slow"
+    page.session.ask_settle()
+    assert settled(page).draper.name == "slow"
+    assert "**slow**" in page.panel.status.content
     page.session.ask_edit("draper", lambda stage: replace(stage, draper=catalogue.draper("posed")))
     assert settled(page).draper.name == "posed"
     assert not page.panel.settle.visible
-    page.session.ask_settle()
-    assert settled(page).draper.name == "posed"
     page.session.ask_edit("draper", lambda stage: replace(stage, draper=catalogue.draper("neural")))
+    settled(page)
+
+
+def test_a_groom_that_cannot_be_draped_does_not_stay(page: Page) -> None:
+    """Two of its strands root in one texel, which the network cannot hold."""
+    before = settled(page)
+    twice = before.groom.select(torch.tensor([0, 0, 1]))
+    page.session.ask_edit("groom", lambda stage: replace(stage, groom=twice))
+    assert settled(page) is before
+    assert page.session.stage is before
+    page.session.ask_edit("frame", lambda stage: stage.turned(HEAD, (0.0, 0.0, 20.0)))
+    assert settled(page).joint_turns == {HEAD: (0.0, 0.0, 20.0)}
+    page.session.ask_edit("frame", lambda stage: replace(stage, joint_turns={}))
+    settled(page)
+
+
+def test_a_solver_that_fails_leaves_the_page_as_it_was(page: Page, catalogue: Catalogue) -> None:
+    page.session.ask_edit("draper", lambda stage: replace(stage, draper=SlowDraper(fails=True)))
+    before, status = settled(page), page.panel.status.content
+    page.session.ask_settle()
+    assert settled(page) is before
+    assert page.panel.status.content == status
+    page.session.ask_edit("draper", lambda stage: replace(stage, draper=catalogue.draper("neural")))
+    settled(page)
 
 
 def test_strands_between_guides_and_marks(page: Page) -> None:
@@ -447,10 +547,14 @@ def test_a_groom_picked_in_the_browser_is_draped_and_seen(browser: Browser, page
 def test_play_moves_the_frame_and_pause_stops_it(browser: Browser, page: Page, catalogue: Catalogue) -> None:
     page.session.ask_edit("motion", lambda stage: stage.playing(catalogue.motion("nod")))
     browser.tab.get_by_role("button", name="Play").click()
+    wait_until(lambda: page.panel.frame.value > 0)
     browser.tab.get_by_role("button", name="Pause").click()
+    wait_until(lambda: not page._playback.playing)
+    time.sleep(2 / CLIP_FPS)  # a frame that was due already
     frame = settled(page).frame
     assert frame > 0
     assert page.panel.frame.value == frame
+    time.sleep(0.3)
     assert settled(page).frame == frame
 
 

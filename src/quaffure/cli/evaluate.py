@@ -64,7 +64,7 @@ class EvaluateCommand:
     draper: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A row to run; may be given several times. Without it, all, and those of --weights."""
     weights: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME=FILE")] = ()
-    """Weights of a training run as a row NAME; may be given several times. The row quaffure is the shipped weights."""
+    """Weights of a training run as a row NAME; may be given several times. The row neural is the shipped weights."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A groom to evaluate on instead of the set; may be given several times."""
     motion: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
@@ -136,6 +136,8 @@ class EvaluateCommand:
         skipped = {name: path.name for name, path in missing.items() if path is not None}
         if skipped:
             self._say(f"{len(skipped)} of {len(entries)} cases left out: no {', '.join(sorted(set(skipped.values())))}")
+        if not there:
+            raise InputError("the evaluation", "at least one case whose files are there", "none")
         frames = sum(len(entry.frames) for entry in there)
         return Selection(load_cases(there, of, folders, body), frames, of.version, skipped)
 
@@ -153,12 +155,13 @@ class EvaluateCommand:
 
     def _write_cases(self, folder: Path, body: BodyModel, weights: dict[str, Path]) -> None:
         material = competitors((NETWORK,), weights)[0].draper.material
+        cases = self._of_set(body).cases
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(folder, "a folder for the cases", error.strerror or str(error)) from error
         version = load_evaluation_set().version
-        paths = [write_case(folder, case, version, body, material) for case in self._of_set(body).cases]
+        paths = [write_case(folder, case, version, body, material) for case in cases]
         print_json([str(path) for path in paths]) if self.json else self._say(
             f"written: {len(paths)} cases in {folder}"
         )
@@ -200,9 +203,7 @@ def weights_by_name(pairs: tuple[str, ...]) -> dict[str, Path]:
 
 def print_summary(results: Results) -> None:
     """Means and worst frames over all cases."""
-    everything = results["summary"].get("all", {})
-    if not everything:
-        raise InputError("the evaluation", "at least one case whose files are there", "none")
+    everything = results["summary"]["all"]
     print_rows(_turned(mean_rows(everything)), f"{len(results['cases'])} cases, means; times are medians")
     print_rows(_turned(worst_rows(everything)), "worst frames")
 

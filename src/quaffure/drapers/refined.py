@@ -20,7 +20,7 @@ class RefinedDraper:
         learning_rate: at the start [dimensionless change of a unit direction]; falls to a hundredth along a cosine.
     """
 
-    name = "refined"
+    name = "neural_refined"
 
     def __init__(self, start: NeuralDraper, steps: int = 10, learning_rate: float = 0.01) -> None:
         self.start, self.material = start, start.material

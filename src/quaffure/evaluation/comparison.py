@@ -156,6 +156,8 @@ def _add_jitter(
         for name, frames in drapes.items()
     }
     best = min(solvers, key=lambda name: mean(figures[name]["energy"]))
+    if trembling[best] == 0:
+        return  # nothing moves: no ratio
     for name, value in trembling.items():
         figures[name]["jitter"] = [value / trembling[best]]
 

@@ -12,7 +12,7 @@ from quaffure.drapers.refined import RefinedDraper
 from quaffure.drapers.solvers import solver
 from quaffure.errors import InputError
 
-POSED, NETWORK, REFINED = "posed", "quaffure", "quaffure_refined"
+POSED, NETWORK, REFINED = "posed", "neural", "neural_refined"
 SOLVER_ROWS = ("adam", "lbfgs", "xpbd", "newton")
 """Whose lowest drape of a frame is the reference of all rows."""
 ROWS = (POSED, *SOLVER_ROWS, NETWORK, REFINED)
@@ -35,13 +35,13 @@ class Competitor:
 
 
 def competitors(names: Sequence[str], weights: Mapping[str, Path]) -> list[Competitor]:
-    """The rows asked for, in that order.
+    """The rows asked for, in that order and each once.
 
-    All rows drape the hair of the row `quaffure`: the shipped weights, or those that take their place.
+    All rows drape the hair of the row `neural`: the shipped weights, or those that take their place.
 
     Args:
         names: of `ROWS` or of `weights`.
-        weights: checkpoints by the name of their row; `quaffure` replaces the shipped ones.
+        weights: checkpoints by the name of their row; `neural` replaces the shipped ones.
 
     Raises:
         InputError: a name that is no row, a file that is no checkpoint, or one that was trained for other hair.
@@ -66,4 +66,4 @@ def competitors(names: Sequence[str], weights: Mapping[str, Path]) -> list[Compe
     for name in names:
         if name not in rows:
             raise InputError("draper", f"one of {', '.join(rows)}", f"'{name}'")
-    return [rows[name] for name in names]
+    return [rows[name] for name in dict.fromkeys(names)]

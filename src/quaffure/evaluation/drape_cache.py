@@ -12,8 +12,6 @@ from quaffure.io.atomic import replacing
 from quaffure.io.npz_strands import read_npz
 from quaffure.types import Float, Tensor
 
-MANIFEST = "manifest.json"
-
 
 @dataclass(frozen=True)
 class TimedDrape:
@@ -31,8 +29,8 @@ class TimedDrape:
 
 
 @dataclass(frozen=True)
-class DrapeEntry:
-    """What the manifest says of a drape.
+class DrapeNote:
+    """What the .json file beside a drape says of it.
 
     Attributes:
         frame: of the clip.
@@ -47,12 +45,13 @@ class DrapeEntry:
 
 
 class DrapeCache:
-    """A folder of drapes by fingerprint, with a manifest that says what each one is.
+    """A folder of drapes by fingerprint: `<key>.npz`, and `<key>.json` that says what it is.
 
-    A drape counts once the manifest has it: a process that dies in between leaves nothing half-written.
+    A drape counts once its note is there, which is written last: a process that dies in between leaves nothing
+    half-written. Processes may share a folder, as none of its files belongs to more than one drape.
 
     Raises:
-        InputError: the folder cannot be made, or its manifest is damaged.
+        InputError: the folder cannot be made.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -61,41 +60,33 @@ class DrapeCache:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(folder, "a folder for drapes", error.strerror or str(error)) from error
-        self._entries = _read_manifest(folder / MANIFEST)
-
-    def __len__(self) -> int:
-        """Number of drapes."""
-        return len(self._entries)
 
     def get(self, key: str) -> TimedDrape | None:
-        """The drape of a fingerprint; None where there is none, or where its file is lost or damaged."""
-        entry = self._entries.get(key)
-        if entry is None:
+        """The drape of a fingerprint; None where there is none, or where one of its files is lost or damaged."""
+        note = _read_note(self._path(key, ".json"))
+        if note is None:
             return None
         try:
-            strands = read_npz(self._path(key), ("strands",)).get("strands")
+            strands = read_npz(self._path(key, ".npz"), ("strands",)).get("strands")
         except InputError:
             return None
         if strands is None or strands.dtype != np.float32:
             return None
-        return TimedDrape(torch.from_numpy(strands), entry.milliseconds, entry.machine)
+        return TimedDrape(torch.from_numpy(strands), note.milliseconds, note.machine)
 
     def put(self, key: str, drape: TimedDrape, case: str, frame: int, draper: str) -> None:
-        with replacing(self._path(key)) as temporary, temporary.open("wb") as file:
+        note = DrapeNote(case, frame, draper, drape.milliseconds, drape.machine)
+        with replacing(self._path(key, ".npz")) as temporary, temporary.open("wb") as file:
             np.savez(file, strands=drape.strands.numpy())
-        self._entries[key] = DrapeEntry(case, frame, draper, drape.milliseconds, drape.machine)
-        with replacing(self.folder / MANIFEST) as temporary:
-            entries = {name: asdict(entry) for name, entry in self._entries.items()}
-            temporary.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
+        with replacing(self._path(key, ".json")) as temporary:
+            temporary.write_text(json.dumps(asdict(note), indent=1) + "\n", encoding="utf-8")
 
-    def _path(self, key: str) -> Path:
-        return self.folder / f"{key[:32]}.npz"
+    def _path(self, key: str, suffix: str) -> Path:
+        return self.folder / f"{key}{suffix}"
 
 
-def _read_manifest(path: Path) -> dict[str, DrapeEntry]:
-    if not path.is_file():
-        return {}
+def _read_note(path: Path) -> DrapeNote | None:
     try:
-        return {key: DrapeEntry(**entry) for key, entry in json.loads(path.read_text(encoding="utf-8")).items()}
-    except (OSError, ValueError, TypeError, AttributeError) as error:
-        raise InputError(path, "a manifest of drapes, or none", str(error)) from error
+        return DrapeNote(**json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None

@@ -30,7 +30,7 @@ def measure(
     Args:
         groom: the one that was draped.
         reference: the best solver's drape of the same groom and frames; needed for `excess_energy`, `distance_mm` and
-            `jitter`, which is one figure for the clip and repeated.
+            `jitter`, which is one figure for the clip and repeated, and left out where the reference does not move.
 
     Raises:
         InputError: the reference holds other frames, bodies or strands, or hair of another material.
@@ -50,8 +50,9 @@ def measure(
         posed.append(figures_of_merit(scene.posed, scene, energy, against))
     whole = _joined(draped)
     if reference is not None and len(sequence) >= 3:
-        ratio = acceleration(sequence, body) / acceleration(reference, body)
-        whole["jitter"] = ratio.expand(len(sequence))
+        of_reference = acceleration(reference, body)
+        if of_reference > 0:
+            whole["jitter"] = (acceleration(sequence, body) / of_reference).expand(len(sequence))
     return whole, _joined(posed)
 
 

@@ -1,8 +1,6 @@
 """Fingerprints of whatever decides a drape, and what a draper's setting is in words."""
 
 import hashlib
-import inspect
-import sys
 from dataclasses import asdict, fields, is_dataclass
 from typing import Any
 
@@ -10,13 +8,14 @@ import numpy as np
 import torch
 
 from quaffure.drapers.draper import Draper
+from quaffure.evaluation.sources import sources_of
 
 
 def fingerprint(*values: object) -> str:
     """Hexadecimal SHA-256 of values: arrays, networks, dataclasses, plain values and containers of them.
 
-    Networks and any other objects, such as drapers, also stand for the source of their module: a changed solver is
-    another solver. Private attributes, which hold what was computed before, are left out.
+    Networks and any other objects, such as drapers, also stand for `sources_of` their module: a solver whose energy
+    changed is another solver. Private attributes, which hold what was computed before, are left out.
     """
     sha = hashlib.sha256()
     for value in values:
@@ -39,19 +38,15 @@ def _feed(sha: Any, value: Any) -> None:
         for name, item in value.items():
             _feed(sha, (name, item))
     elif isinstance(value, torch.nn.Module):
-        _feed(sha, (_source(value), getattr(value, "config", None), dict(value.state_dict())))
+        _feed(sha, (sources_of(type(value).__module__), getattr(value, "config", None), dict(value.state_dict())))
     elif is_dataclass(value):
         _feed(sha, {field.name: getattr(value, field.name) for field in fields(value)})
     else:
-        _feed(sha, (_source(value), _public(value)))
+        _feed(sha, (sources_of(type(value).__module__), _public(value)))
 
 
 def _public(value: object) -> dict[str, Any]:
     return {name: item for name, item in vars(value).items() if not name.startswith("_")}
-
-
-def _source(value: object) -> str:
-    return inspect.getsource(sys.modules[type(value).__module__])
 
 
 def setting_of(draper: Draper) -> dict[str, object]:

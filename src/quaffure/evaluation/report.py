@@ -113,8 +113,8 @@ def _about(results: Results) -> str:
     of_set = results["evaluation_set"]
     cases = "Cases of the user" if of_set is None else f"Evaluation set, version {of_set}"
     about = [
-        f"Made by `quaffure evaluate` {results['version']}; do not edit. [How to read it](evaluation.md), "
-        "[what the columns mean](figures_of_merit.md).",
+        f"Made by `quaffure evaluate` {results['version']}; do not edit. How to read it is said in quaffure's "
+        "docs/evaluation.md, what the columns mean in its docs/figures_of_merit.md.",
         f"- {cases}{', quick' if results['quick'] else ''}: {len(results['cases'])}, frames: {frames}"
         f"{_skipped(results['skipped'])}",
         f"- Hair: {_in_words(results['material'])}",

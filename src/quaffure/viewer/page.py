@@ -95,9 +95,9 @@ class Page:
         threading.Event().wait()
 
     def stop(self) -> None:
-        """End playback, the worker and the server."""
+        """End playback, the draping thread and the server."""
         self._playback.stop()
-        self.session.worker.stop()
+        self.session.thread.stop()
         self._server.stop()
 
     def _notify(self, title: str, text: str, is_error: bool) -> None:

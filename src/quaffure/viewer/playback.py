@@ -21,6 +21,7 @@ class Playback:
         self.speed = 1.0
         self._on_frame = on_frame
         self._position = 0.0
+        self._moving = threading.Lock()
         self._playing = threading.Event()
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="quaffure-playback", daemon=True)
@@ -38,7 +39,8 @@ class Playback:
 
     def seek(self, frame: int) -> None:
         """Go on from this frame."""
-        self._position = float(frame)
+        with self._moving:
+            self._position = float(frame)
 
     def stop(self) -> None:
         """For good."""
@@ -52,5 +54,7 @@ class Playback:
             before = time.perf_counter()
             if self._stopped.wait(1 / CLIP_FPS) or not self.playing:
                 continue
-            self._position += (time.perf_counter() - before) * CLIP_FPS * self.speed
-            self._on_frame(int(self._position))
+            with self._moving:
+                self._position += (time.perf_counter() - before) * CLIP_FPS * self.speed
+                due = int(self._position)
+            self._on_frame(due)

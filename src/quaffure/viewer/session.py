@@ -4,32 +4,41 @@ import re
 import sys
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from quaffure.errors import InputError
 from quaffure.groom.drape_sequence import DrapeSequence
 from quaffure.groom.guide_interpolation import GuideInterpolation
 from quaffure.io.drape_file import write_drape
 from quaffure.viewer.catalogue import LIVE, NEURAL, Catalogue
+from quaffure.viewer.draping_thread import DrapingThread
 from quaffure.viewer.hair_colours import hair_colours
 from quaffure.viewer.panel import Panel
 from quaffure.viewer.scene_nodes import SceneNodes
 from quaffure.viewer.stage import Drape, Stage
-from quaffure.viewer.worker import Worker
 
 PictureWriter = Callable[[Path, DrapeSequence, GuideInterpolation | None], None]
 Notify = Callable[[str, str, bool], None]
 RECENT = 15  # drapes, of whose times the median is shown
 
 
+class Look(NamedTuple):
+    """How a drape is drawn: with so many strands, or with 0 its guides; what is inside the body marked or not."""
+
+    strand_count: int
+    mark_inside: bool
+
+
 class Session:
-    """One stage and its drape. Every method that starts with `ask_` returns at once and leaves the work to the worker.
+    """One stage and its drape. Every method that starts with `ask_` returns at once and leaves the work to its thread.
 
     Args:
         stage: to start with.
@@ -39,8 +48,9 @@ class Session:
         save: the folder for files, and the writer of a picture of a drape with the strands between its guides.
 
     Attributes:
-        stage: what is shown, or about to be; of the worker's thread.
+        stage: what is shown, or about to be. Where that fails, what is shown comes back.
         shown: the drape on the page; None before the first.
+        thread: does all the work, and alone may change the stage.
     """
 
     def __init__(
@@ -54,54 +64,72 @@ class Session:
     ) -> None:
         self.stage = stage
         self.shown: Drape | None = None
+        self._draped: Stage | None = None  # the last one that could be
         self._catalogue, self._panel, self._nodes, self._notify = catalogue, panel, nodes, notify
         self._folder, self._write_picture = save
-        self._strand_count, self._mark_inside = 0, False
+        self._look = Look(0, False)
         self._times: deque[tuple[float, float | None]] = deque(maxlen=RECENT)
-        self.worker = Worker(self.report)
+        self.thread = DrapingThread(self.report)
 
     def ask_edit(self, kind: str, change: Callable[[Stage], Stage]) -> None:
         """Change the stage and drape it; a newer change of the same kind replaces one that waits."""
-        self.worker.request(kind, lambda: self._edit(change))
-        self.worker.request("drape", self._drape)
+        self.thread.request(kind, lambda: self._edit(change))
+        self.thread.request("drape", self._drape)
 
     def ask_drape(self) -> None:
-        self.worker.request("drape", self._drape)
+        self.thread.request("drape", self._drape)
 
     def ask_settle(self) -> None:
         """Run the stage's draper however long it takes."""
-        self.worker.request("settle", self._settle)
+        self.thread.request("settle", self._settle)
 
     def ask_measure(self) -> None:
         """Write figures of merit of the drape that is shown to the panel."""
-        self.worker.request("measure", self._measure)
+        self.thread.request("measure", self._measure)
 
     def ask_save(self) -> None:
         """Write the drape that is shown, and a picture of it."""
-        self.worker.request("save", self._save)
+        self.thread.request("save", self._save)
 
     def ask_look(self, strand_count: int, mark_inside: bool) -> None:
         """Draw so many strands, or with 0 the guides; mark what is inside the body."""
-        self.worker.request("look", lambda: self._look(strand_count, mark_inside))
+        self.thread.request("look", lambda: self._change_look(Look(strand_count, mark_inside)))
 
     def _edit(self, change: Callable[[Stage], Stage]) -> None:
         self.stage = change(self.stage)
 
     def _drape(self) -> None:
         """What follows every change: solvers are too slow for that, so the network stands in."""
-        live = self.stage.draper.name in LIVE
-        self._panel.offer_settling(None if live else self.stage.draper.name)
-        stage = self.stage if live else replace(self.stage, draper=self._catalogue.draper(NEURAL))
-        if self.shown is None:
-            stage.drape()  # compiles kernels: not a time to show
-        self._show(stage.drape())
+        slow = None if self.stage.draper.name in LIVE else self.stage.draper.name
+        with self._undone_on_failure():
+            stage = self.stage if slow is None else replace(self.stage, draper=self._catalogue.draper(NEURAL))
+            if self.shown is None:
+                stage.drape()  # compiles kernels: not a time to show
+            self._show(stage.drape())
+        self._panel.offer_settling(slow)
 
     def _settle(self) -> None:
         name = self.stage.draper.name
-        self._panel.status.content = f"Settling with **{name}**: seconds to minutes. Changes wait until it is done."
-        self._show(self.stage.drape())
+        with self._undone_on_failure():
+            self._panel.status.content = f"Settling with **{name}**: seconds to minutes. Changes wait until it is done."
+            self._show(self.stage.drape())
+
+    @contextmanager
+    def _undone_on_failure(self) -> Iterator[None]:
+        """For what drapes the stage: if that fails, the last stage that was draped comes back, and the status with it.
+
+        Otherwise every later change would be one of a stage that cannot be draped, and fail too.
+        """
+        status = self._panel.status.content
+        try:
+            yield
+        except Exception:
+            self.stage, self._panel.status.content = self._draped or self.stage, status
+            raise
+        self._draped = self.stage
 
     def _show(self, drape: Drape) -> None:
+        picture = self._picture(drape, self._look)  # may fail, and then nothing on the page has changed
         before, self.shown = self.shown, drape
         if before is None or before.stage.groom is not drape.stage.groom:
             self._nodes.dress(drape.stage.groom)
@@ -109,28 +137,26 @@ class Session:
         elif before.stage.draper.name != drape.stage.draper.name:
             self._times.clear()
         self._times.append((drape.milliseconds, drape.network_milliseconds))
-        self._redraw(drape)
+        self._nodes.show(drape.body_vertices, *picture)
         self._panel.figures.content = ""
         self._panel.status.content = self._status(drape)
 
-    def _redraw(self, drape: Drape) -> None:
-        strands = self._drawn(drape)
-        inside = drape.inside(strands) if self._mark_inside else None
-        self._nodes.show(drape.body_vertices, strands, hair_colours(strands, inside))
+    def _picture(self, drape: Drape, look: Look) -> tuple[Float[np.ndarray, "m n 3"], UInt8[np.ndarray, "m n 3"]]:
+        """Strands to draw, and their colours."""
+        between = self._between(drape, look)
+        strands = drape.strands if between is None else between.strands(drape.strands, drape.body_vertices)
+        return strands, hair_colours(strands, drape.inside(strands) if look.mark_inside else None)
 
-    def _drawn(self, drape: Drape) -> Float[np.ndarray, "m n 3"]:
-        between = self._between(drape)
-        return drape.strands if between is None else between.strands(drape.strands, drape.body_vertices)
-
-    def _between(self, drape: Drape) -> GuideInterpolation | None:
-        count = self._strand_count
+    def _between(self, drape: Drape, look: Look) -> GuideInterpolation | None:
+        count = look.strand_count
         return self._catalogue.interpolation(drape.stage.groom, count) if count else None
 
-    def _look(self, strand_count: int, mark_inside: bool) -> None:
-        self._strand_count, self._mark_inside = strand_count, mark_inside
-        self._nodes.show_through(mark_inside)
-        if self.shown is not None:
-            self._redraw(self.shown)
+    def _change_look(self, look: Look) -> None:
+        picture = None if self.shown is None else self._picture(self.shown, look)
+        self._look = look
+        self._nodes.show_through(look.mark_inside)
+        if self.shown is not None and picture is not None:
+            self._nodes.show(self.shown.body_vertices, *picture)
 
     def _status(self, drape: Drape) -> str:
         totals, networks = zip(*self._times)
@@ -153,7 +179,7 @@ class Session:
             return
         path = free_path(self._folder, self.shown)
         write_drape(path, self.shown.sequence)
-        self._write_picture(path.with_suffix(".png"), self.shown.sequence, self._between(self.shown))
+        self._write_picture(path.with_suffix(".png"), self.shown.sequence, self._between(self.shown, self._look))
         self._notify("Saved", f"{path} and {path.with_suffix('.png').name}", False)
 
     def report(self, error: Exception) -> None:

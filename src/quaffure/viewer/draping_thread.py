@@ -1,19 +1,21 @@
 """The one thread that drapes for the live page."""
 
+import sys
 import threading
+import traceback
 from collections.abc import Callable
 
 Job = Callable[[], None]
 
 
-class Worker:
+class DrapingThread:
     """Runs jobs one after another; a job asked for again before its turn replaces the older one and goes to the end.
 
     So dragging a slider leaves one drape to do and not a hundred. One thread does everything because numba's own
     pool of threads must not be entered from two threads at once.
 
     Args:
-        on_error: told of every exception that leaves a job; the thread goes on.
+        on_error: told of every exception that leaves a job; the thread goes on, even if this raises in its turn.
     """
 
     def __init__(self, on_error: Callable[[Exception], None]) -> None:
@@ -47,12 +49,20 @@ class Worker:
     def _run(self) -> None:
         while (job := self._next()) is not None:
             try:
-                job()
-            except Exception as error:
+                self._do(job)
+            finally:
+                with self._changed:
+                    self._busy = False
+                    self._changed.notify_all()
+
+    def _do(self, job: Job) -> None:
+        try:
+            job()
+        except Exception as error:
+            try:
                 self._on_error(error)
-            with self._changed:
-                self._busy = False
-                self._changed.notify_all()
+            except Exception as another:
+                traceback.print_exception(another, file=sys.stderr)
 
     def _next(self) -> Job | None:
         with self._changed:

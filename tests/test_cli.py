@@ -430,7 +430,7 @@ def forged_header(whole: bytes) -> bytes:
 def test_bad_weights(refusal: Refusal, inputs: Path, damage: Callable[[bytes], bytes]) -> None:
     path = refusal.saved("bad.safetensors", damage((inputs / "tiny.safetensors").read_bytes()))
     line = refusal("drape", inputs / "tiny.npz", "--weights", path)
-    assert f"{path}: expected a checkpoint of this package, found " in line
+    assert f"{path}: expected a checkpoint (.safetensors), found " in line
 
 
 def test_missing_weights(refusal: Refusal) -> None:

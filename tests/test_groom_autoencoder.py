@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.body_model import BodyModel
 from quaffure.cli import train_code
 from quaffure.cli.main import main
 from quaffure.errors import InputError
@@ -21,7 +21,6 @@ from quaffure.evaluation.groom_code_figures import (
     scatter_of_styles,
 )
 from quaffure.geometry.surface import Surface
-from quaffure.groom.clearance import rest_surface
 from quaffure.groom.groom import Groom
 from quaffure.groom.hair_style import HELD_OUT, STYLES
 from quaffure.groom.procedural import make_groom
@@ -47,22 +46,11 @@ from quaffure.networks.groom_texture import (
     strands_of,
 )
 from quaffure.training.groom_batches import batch_of, mean_strands, mirrored, part_of, patch_of, scaled
-from quaffure.training.groom_samples import Growing, family_growings, grow_samples, library_growings
 from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeTraining, train
 
 NARROW = (16, 16, 16, 16)
 TINY = GroomCodeConfig(steps=6, batch=4, warmup=1, widths=NARROW, save_every_seconds=0)
 STYLES_HERE = ("long_straight", "bob", "afro", HELD_OUT[0])
-
-
-@pytest.fixture(scope="module")
-def body() -> BodyModel:
-    return load_body()
-
-
-@pytest.fixture(scope="module")
-def surface(body: BodyModel) -> Surface:
-    return rest_surface(body)
 
 
 @pytest.fixture(scope="module")
@@ -191,26 +179,6 @@ def test_parts_and_lengths_of_samples(samples: list[GroomSample]) -> None:
     assert (longer[:, :SHAPE_CHANNELS] == 0).all()
 
 
-def test_grown_samples_are_kept_and_damaged_files_refused(body: BodyModel, surface: Surface, tmp_path: Path) -> None:
-    growings = [*library_growings(["bob"], [3]), *family_growings([5])]
-    done: list[int] = []
-    grown = grow_samples(growings, body, surface, tmp_path, done.append)
-    assert done == [1, 2]
-    times = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
-    again = grow_samples(growings, body, surface, tmp_path, done.append)
-    assert times == {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
-    assert all(torch.equal(a.features, b.features) for a, b in zip(grown, again))
-    edited = Growing("bob", replace(STYLES["bob"], length=0.2), 3)
-    assert edited.file != growings[0].file
-    path = tmp_path / growings[0].file
-    np.savez(path, features=np.zeros((5, 3), np.float16), texels=np.zeros(5, np.int16))
-    with pytest.raises(InputError, match="grown anew"):
-        grow_samples(growings, body, surface, tmp_path, done.append)
-    path.write_bytes(path.read_bytes()[:500])
-    with pytest.raises(InputError, match="undamaged"):
-        grow_samples(growings, body, surface, tmp_path, done.append)
-
-
 def test_training_lowers_the_loss(samples: list[GroomSample], tmp_path: Path) -> None:
     training = GroomCodeTraining(replace(TINY, steps=40, learning_rate=3e-3), samples[::2], [], tmp_path)
     losses = [training.train_step() for _ in range(40)]
@@ -253,7 +221,7 @@ def test_the_command_grows_trains_and_measures(
     few = {name: STYLES[name] for name in (*trained, HELD_OUT[0])}
     for name, value in {"STYLES": few, "TRAINED": trained, "ANEW": range(50, 51), "UNSEEN_DRAWS": range(1)}.items():
         monkeypatch.setattr(train_code, name, value)
-    write_groom(tmp_path / "own.npz", replace(grooms["afro"], name="own"))
+    write_groom(tmp_path / "own.npz", replace(grooms["afro"], name="bob"))
     own, run = str(tmp_path / "own.npz"), str(tmp_path / "run")
     sizes = {"steps": 2, "batch": 2, "library-seeds": 1, "family": 1}
     options = [f"--{name}={value}" for name, value in sizes.items()] + ["--widths", *["16"] * 4, "--json"]
@@ -263,11 +231,35 @@ def test_the_command_grows_trains_and_measures(
     grown = {name: len(rows) for name, rows in figures["grooms"].items()}
     assert grown["library, as trained"] == 2
     assert grown["own grooms, as trained"] == grown["other grooms, unseen"] == 1
+    # It is no growing of the bundled style that it is called like.
+    assert [row["groom"] for row in figures["grooms"]["own grooms, as trained"]] == ["own:bob"]
     assert grown["held-out styles"] == 2
     assert figures["codes"]["grown anew"]["growings"] == 3
     assert groom_code(grooms["bob"], encoder=load_groom_encoder(tmp_path / "run" / "groom_code.safetensors")).shape == (
         16,
     )
+
+
+def test_what_cannot_be_trained_on_is_refused_in_one_line(
+    grooms: dict[str, Groom], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def too_late(*arguments: object) -> None:
+        raise AssertionError("grew its grooms first")
+
+    monkeypatch.setattr(train_code, "grow_samples", too_late)
+    write_groom(tmp_path / "mine.npz", replace(grooms["afro"], name="Ratboy_mohawk"))
+    (tmp_path / "file").touch()
+    for options, complaint in (
+        (["--out", str(tmp_path / "run"), "--groom", "mohawk/Ratboy_mohawk.tfx"], "held out"),
+        (["--out", str(tmp_path / "run"), "--groom", str(tmp_path / "mine.npz")], "held out"),
+        (["--out", str(tmp_path / "file" / "run")], "a folder for the run"),
+    ):
+        with pytest.raises(SystemExit) as stop:
+            main(["train-code", *options])
+        assert stop.value.code == 2
+        told = capsys.readouterr().err
+        assert complaint in told
+        assert told.count("\n") == 1
 
 
 def test_scatter_is_what_growings_differ_by(
@@ -291,7 +283,10 @@ def test_a_folder_of_other_grooms_is_refused(samples: list[GroomSample], tmp_pat
 
 
 def test_impossible_settings_are_refused() -> None:
-    for wrong in ({"steps": 0}, {"library_seeds": 0}, {"family": -1}, {"library_share": 1.5}):
+    for wrong in (
+        *({"steps": 0}, {"library_seeds": 0}, {"family": -1}, {"library_share": 1.5}),
+        *({"learning_rate": 0.0}, {"seed": -1}, {"widths": (16, 16, 16, 0)}),
+    ):
         with pytest.raises(InputError, match=next(iter(wrong)).replace("_", "-")):
             GroomCodeConfig(**wrong)
 

@@ -60,6 +60,15 @@ def test_logs_go_back_to_the_step_of_the_checkpoint(folder: RunFolder) -> None:
     assert path.read_text().split()[1:] == ["2,0.5", "4,0.25", "5,0.2"]
 
 
+def test_tables_of_the_users_are_left_alone(folder: RunFolder) -> None:
+    own = folder.path / "measured.csv"
+    own.write_text("name,length\nbob,0.2\n")
+    folder.log("validation", {"step": 2, "energy": 0.5})
+    folder.rewind_logs(0)
+    assert own.read_text() == "name,length\nbob,0.2\n"
+    assert (folder.path / "validation.csv").read_text().split() == ["step,energy"]
+
+
 def test_a_table_of_an_older_version_takes_new_columns(folder: RunFolder) -> None:
     folder.log("validation", {"step": 1, "energy": 0.5})
     folder.log("validation", {"step": 2, "energy": 0.4, "body_intersection_percent": 3.0})
@@ -77,5 +86,6 @@ def test_the_version_of_the_code_is_kept(folder: RunFolder) -> None:
 
 def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="folder for the run"):
-        RunFolder(tmp_path / "file")
+    for path in (tmp_path / "file", tmp_path / "file" / "run"):
+        with pytest.raises(InputError, match="folder for the run"):
+            RunFolder(path)

@@ -1,77 +1,39 @@
-import csv
 import json
-import signal
-import subprocess
-import sys
-import time
+from collections.abc import Iterable
 from dataclasses import replace
-from importlib.resources import files
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.clips import bundled_clip
 from quaffure.body.motion import Motion
-from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
-from quaffure.cli.main import main
 from quaffure.config import HairMaterial
 from quaffure.drapers.neural import NeuralDraper
 from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.energies import force_limit
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.errors import InputError
 from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import HELD_OUT
 from quaffure.groom.procedural import make_groom
-from quaffure.io.groom_file import write_groom
-from quaffure.networks.checkpoint import load_network
-from quaffure.networks.quaffure_network import NetworkConfig, build_network
-from quaffure.training.averaged_adam import AveragedAdam
-from quaffure.training.distributed import Worker, joined_workers
+from quaffure.networks.checkpoint import load_network, save_network
+from quaffure.networks.quaffure_network import build_network
+from quaffure.training import run_folder, train_decoder
+from quaffure.training.distributed import Worker
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_config import TrainConfig
 from quaffure.training.train_decoder import DecoderTraining, train
-from quaffure.training.validation import Validation, validation_figures
-
-TINY = TrainConfig(
-    network=NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=8, strand_width=16),
-    steps=4,
-    runs=1,
-    warmup=2,
-    log_every=1,
-    validate_every=2,
-)
-TINY_OPTIONS = (
-    *("--texel-channels", "8", "--strand-width", "16", "--runs", "1", "--warmup", "2"),
-    *("--log-every", "1", "--validate-every", "100", "--save-every-seconds", "0", "--device", "cpu"),
-)
-QUAFFURE = Path(sys.executable).with_name("quaffure")
-LONGEST_WAIT = 300  # seconds
-
-
-@pytest.fixture(scope="module")
-def body() -> BodyModel:
-    return load_body()
+from quaffure.training.validation import Validation, loss_unit, validation_figures
+from tests.scenes import sphere_groom
+from tests.training_runs import TINY, rows_of, tiny_groom, training
 
 
 @pytest.fixture(scope="module")
 def groom(body: BodyModel) -> Groom:
-    return make_groom("bob", body).select(torch.arange(0, 2400, 60))
-
-
-@pytest.fixture(scope="module")
-def groom_file(groom: Groom, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("grooms") / "tiny.npz"
-    write_groom(path, groom)
-    return path
-
-
-def training(body: BodyModel, groom: Groom, folder: Path, config: TrainConfig = TINY, rank: int = 0) -> DecoderTraining:
-    return DecoderTraining(config, body, (groom,), PoseSampler(load_pose_prior()), folder, Worker(rank))
+    return tiny_groom(body)
 
 
 def validation() -> Validation:
@@ -80,20 +42,6 @@ def validation() -> Validation:
 
 def silent(step: int, figures: dict[str, float]) -> None:
     pass
-
-
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def checkpoint(folder: Path) -> dict:
-    state: dict = torch.load(folder / "checkpoint.pt", weights_only=True)
-    return state
-
-
-def train_command(folder: Path, groom_file: Path, steps: int) -> list[str]:
-    return ["train", "--out", str(folder), "--groom", str(groom_file), "--steps", str(steps), *TINY_OPTIONS]
 
 
 class SamePoses(PoseSampler):
@@ -111,7 +59,10 @@ def test_steps_on_the_same_poses_lower_the_loss(body: BodyModel, tmp_path: Path,
     config = replace(TINY, network=network, steps=24, log_every=24, learning_rate=2e-3)
     run = DecoderTraining(config, body, (groom,), SamePoses(load_pose_prior()), tmp_path)
     losses = [figures["loss"] for figures in islice(run.steps(), 12)]
-    assert min(losses[-5:]) < 0.6 * losses[0]
+    # Slid strands start near the minimum: their loss begins at about nothing and ends below it.
+    aim = losses[0] - 0.02 if output == "directions" else 0.6 * losses[0]
+    assert losses[0] > (-0.02 if output == "directions" else 0)
+    assert min(losses[-5:]) < aim
 
 
 def test_two_runs_end_with_the_same_bits(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
@@ -124,79 +75,6 @@ def test_two_runs_end_with_the_same_bits(body: BodyModel, groom: Groom, tmp_path
     for name, value in weights[0].items():
         assert torch.equal(weights[1][name], value), name
     assert any(not torch.equal(weights[2][name], value) for name, value in weights[0].items())
-
-
-def test_every_step_of_every_process_has_poses_of_its_own(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
-    drawn: list[torch.Tensor] = []
-
-    class Recording(PoseSampler):
-        def sample(self, runs: int, frames: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
-            poses, shapes = super().sample(runs, frames, generator)
-            drawn.append(poses)
-            return poses, shapes
-
-    for rank in range(2):
-        run = DecoderTraining(TINY, body, (groom,), Recording(load_pose_prior()), tmp_path, Worker(rank))
-        for _ in islice(run.steps(), 2):
-            pass
-    apart = torch.cdist(torch.stack(drawn).flatten(1), torch.stack(drawn).flatten(1))
-    assert len(drawn) == 4
-    assert float((apart + torch.eye(4)).min()) > 0.5
-
-
-def test_a_killed_run_ends_like_an_unbroken_one_bit_for_bit(groom_file: Path, tmp_path: Path) -> None:
-    steps, killed = 6, tmp_path / "killed"
-    process = subprocess.Popen([QUAFFURE, *train_command(killed, groom_file, steps)], stdout=subprocess.DEVNULL)
-    log, end = killed / "training.csv", time.monotonic() + LONGEST_WAIT
-    try:
-        while not (log.is_file() and len(rows_of(log)) >= 2):
-            assert process.poll() is None
-            assert time.monotonic() < end
-            time.sleep(0.01)
-    finally:
-        process.kill()
-    assert process.wait() == -signal.SIGKILL
-    reached = checkpoint(killed)["counters"][0]
-    assert 1 <= reached < steps
-
-    main(train_command(killed, groom_file, steps))
-    main(train_command(tmp_path / "whole", groom_file, steps))
-    resumed, whole = checkpoint(killed), checkpoint(tmp_path / "whole")
-    for part in ("network", "average"):
-        for name, value in whole[part].items():
-            assert torch.equal(resumed[part][name], value), name
-    assert torch.equal(resumed["counters"][:2], whole["counters"][:2])
-    assert [row["loss"] for row in rows_of(log)] == [row["loss"] for row in rows_of(tmp_path / "whole/training.csv")]
-
-
-def test_two_processes_take_the_mean_of_their_gradients(
-    body: BodyModel, groom: Groom, groom_file: Path, tmp_path: Path
-) -> None:
-    launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "--no-python"]
-    command = [*launcher, QUAFFURE, *train_command(tmp_path / "both", groom_file, 1)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=2 * LONGEST_WAIT, check=False)
-    assert done.returncode == 0, done.stderr
-
-    own = []
-    config = replace(TINY, steps=1)
-    for rank in range(2):
-        run = training(body, groom, tmp_path / f"{rank}", config, rank)
-        norm = next(run.steps())["gradient_norm"]
-        own.append([moment / 0.1 * max(1.0, norm) for moment in first_moments(run.optimizer.adam.state_dict())])
-    mean = [(first + second) / 2 for first, second in zip(*own)]
-    norm = float(torch.stack([gradient.norm() for gradient in mean]).norm())
-    for found, gradient in zip(first_moments(checkpoint(tmp_path / "both")["optimizer"]), mean, strict=True):
-        torch.testing.assert_close(found, 0.1 * gradient / max(1.0, norm), rtol=1e-3, atol=1e-7)
-    assert float((own[0][-1] - own[1][-1]).norm()) > 0.1 * float(own[0][-1].norm())  # each had poses of its own
-
-    (row,) = rows_of(tmp_path / "both" / "training.csv")  # one of them writes
-    assert float(row["gradient_norm"]) == pytest.approx(norm, rel=1e-4)
-    assert json.loads((tmp_path / "both" / "config.json").read_text())["processes"] == 2
-
-
-def first_moments(optimizer: dict) -> list[torch.Tensor]:
-    """Adam's running means of the gradients, after one step a tenth of the first ones."""
-    return [state["exp_avg"] for _, state in sorted(optimizer["state"].items())]
 
 
 def test_a_run_leaves_configuration_logs_and_the_best_weights(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
@@ -249,6 +127,113 @@ def test_validation_tells_the_share_of_vertices_inside(body: BodyModel, groom: G
     assert figures["orientation_error_deg"] < 0.1
 
 
+def test_stubble_is_measured_by_what_a_bend_costs() -> None:
+    material = HairMaterial(k_cosserat=3e-4)
+    groom = sphere_groom(strands=5)
+    energy = HairEnergy(groom, material)
+    weight = 9.81 * float((energy.rest.mass * groom.strand_lengths[:, None]).sum())
+    assert loss_unit(energy) == pytest.approx(weight + 5 * 24 * 3e-4, rel=1e-5)
+    assert 0.1 * weight < 5 * 24 * 3e-4
+
+
+@pytest.mark.parametrize("largest_force", [10.0, 0.01])
+def test_the_mean_loss_of_several_grooms_is_followed(
+    body: BodyModel, groom: Groom, tmp_path: Path, largest_force: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same groom twice is the groom, also where every force is cut off."""
+    monkeypatch.setattr(force_limit, "STRAND_WEIGHTS", largest_force)
+    config = replace(TINY, steps=1, grooms_per_step=2)
+    alone, twice = (
+        next(DecoderTraining(config, body, grooms, SamePoses(load_pose_prior()), tmp_path).steps())
+        for grooms in ((groom,), (groom, groom))
+    )
+    for name in ("loss", "gradient_norm", "self_collision"):
+        assert twice[name] == pytest.approx(alone[name], rel=1e-3), name
+
+
+def test_some_of_many_grooms_are_drawn_anew_for_every_step(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
+    grooms = tuple(replace(groom, name=name) for name in "abc")
+    config = replace(TINY, steps=8, runs=1, grooms_per_step=2, log_every=100)
+    run = DecoderTraining(config, body, grooms, SamePoses(load_pose_prior()), tmp_path)
+    assert run.samples_per_step == 4
+    drawn: list[str] = []
+    own_loss = run._loss
+
+    def recording(scene: Scene, energy: HairEnergy, count: int) -> tuple[torch.Tensor, dict[str, float]]:
+        drawn.append(scene.groom.name)
+        assert count == 2
+        return own_loss(scene, energy, count)
+
+    run._loss = recording  # type: ignore[method-assign]
+    for _ in run.steps():
+        pass
+    pairs = {frozenset(pair) for pair in zip(drawn[::2], drawn[1::2], strict=True)}
+    assert len(drawn) == 16
+    assert all(len(pair) == 2 for pair in pairs)
+    assert len(pairs) > 1
+    assert set(drawn) == set("abc")
+
+
+def test_self_collision_on_every_second_step_is_as_strong(
+    body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(train_decoder, "limit_forces", lambda positions, rest, joules: positions)  # is not linear
+    bodies = BodyBatch(body, *SamePoses(load_pose_prior()).sample(1, 2, torch.Generator()))
+    gradients: dict[tuple[int, int], torch.Tensor] = {}
+    for every in (1, 2):
+        run = training(body, groom, tmp_path, replace(TINY, self_collision_every=every))
+        for run.step in (0, 1):
+            loss, _ = run._loss(Scene(groom, bodies), run.energies[0], 1)
+            loss.backward()
+            last = run.draper.network.strand[-1].bias
+            gradients[every, run.step] = last.grad.clone()
+            last.grad = None
+    apart = (gradients[2, 0] - gradients[2, 1]).norm()
+    assert apart > 1e-3 * gradients[1, 0].norm()
+    for_every_step, for_every_second = ((gradients[k, 0] + gradients[k, 1]) / 2 for k in (1, 2))
+    torch.testing.assert_close(for_every_second, for_every_step, rtol=1e-3, atol=1e-3 * float(apart))
+
+
+def test_some_of_many_grooms_stand_for_all_in_a_validation(
+    body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured: list[tuple[int, int]] = []
+
+    def figures(draper: NeuralDraper, scenes: Iterable[tuple[Scene, HairEnergy]]) -> dict[str, float]:
+        measured.extend((len(scene.groom), len(energy.rest.mass)) for scene, energy in scenes)
+        return {"energy": 0.0}
+
+    monkeypatch.setattr(train_decoder, "VALIDATED_GROOMS", 2)
+    monkeypatch.setattr(train_decoder, "validation_figures", figures)
+    grooms = tuple(groom.select(torch.arange(count)) for count in (10, 11, 12, 13, 14))
+    DecoderTraining(TINY, body, grooms, SamePoses(load_pose_prior()), tmp_path).validate(validation())
+    assert measured == [(10, 10), (13, 13)]
+
+
+def test_the_version_of_the_code_is_that_of_the_start(
+    body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    versions = iter(["at the start", "edited since"])
+    monkeypatch.setattr(run_folder, "code_version", lambda: next(versions))
+    run = training(body, groom, tmp_path)
+    run.describe()
+    run.validate(validation())
+    assert json.loads((tmp_path / "config.json").read_text())["version"] == "at the start"
+    assert load_network(tmp_path / "best.safetensors")[2]["version"] == "at the start"
+
+
+def test_a_run_killed_before_its_first_checkpoint_begins_its_logs_anew(
+    body: BodyModel, groom: Groom, tmp_path: Path
+) -> None:
+    killed = training(body, groom, tmp_path)
+    for figures in islice(killed.steps(), 3):
+        killed.log(figures)
+    again = training(body, groom, tmp_path)
+    assert not again.resume()
+    train(again, validation(), silent)
+    assert [row["step"] for row in rows_of(tmp_path / "training.csv")] == ["1", "2", "3", "4"]
+
+
 def test_the_regularization_of_poses_reaches_the_network(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
     losses = []
     for strength in (0.0, 10.0):
@@ -293,75 +278,43 @@ def test_a_folder_of_another_run_is_refused(body: BodyModel, groom: Groom, tmp_p
         training(body, groom, tmp_path).resume()
 
 
-def test_a_gradient_that_is_not_finite_changes_no_weight() -> None:
-    layer = torch.nn.Linear(2, 1)
-    optimizer = AveragedAdam(layer, 0.1, 0.9)
-    before = layer.weight.detach().clone()
-    (layer(torch.ones(2)) * float("inf")).sum().backward()
-    with pytest.raises(InputError, match="learning-rate"):
-        optimizer.update(1.0)
-    assert torch.equal(layer.weight, before)
-
-
-def test_the_command_trains_on_a_body_of_ones_own(
-    groom_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_run_goes_on_after_a_gradient_that_is_not_finite(
+    body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with np.load(str(files("quaffure") / "assets" / "body.npz"), allow_pickle=False) as shipped:
-        arrays = dict(shipped)
-    arrays["rest_vertices"] = arrays["rest_vertices"] + np.float32([0, 0, 1e-3])
-    np.savez(tmp_path / "taller.npz", **arrays)
-    command = train_command(tmp_path / "run", groom_file, 1)
-    main([*command, "--body", str(tmp_path / "taller.npz")])
-    load_network(tmp_path / "run" / "best.safetensors")
-    with pytest.raises(SystemExit) as stop:
-        main(command)
-    assert stop.value.code == 2
-    assert "expected a run on body" in capsys.readouterr().err
+    run = training(body, groom, tmp_path, replace(TINY, validate_every=100))
+    own_loss = run._loss
 
-    arrays["joint_names"] = arrays["joint_names"][::-1]
-    np.savez(tmp_path / "reversed.npz", **arrays)
-    with pytest.raises(SystemExit):
-        main([*command, "--body", str(tmp_path / "reversed.npz")])
-    assert "the joints" in capsys.readouterr().err
+    def broken_once(scene: Scene, energy: HairEnergy, grooms: int) -> tuple[torch.Tensor, dict[str, float]]:
+        loss, terms = own_loss(scene, energy, grooms)
+        return (loss * float("nan") if run.step == 1 else loss), terms
+
+    monkeypatch.setattr(run, "_loss", broken_once)
+    train(run, validation(), silent)
+    rows = rows_of(tmp_path / "training.csv")
+    assert [row["step"] for row in rows] == ["1", "2", "3", "4"]
+    assert [float(row["skipped_updates"]) for row in rows] == [0, 1, 1, 1]
+    assert [row["loss"] == "nan" for row in rows] == [False, True, False, False]
+    again = training(body, groom, tmp_path)
+    assert again.resume()
+    assert (again.step, again.optimizer.skipped) == (4, 1)
 
 
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        (["--groom", HELD_OUT[0]], "held out"),
-        (["--groom", "bob", "--pose-features", "5"], "0 or 111"),
-        (["--groom", "bob", "--weights", "none.safetensors"], "no such file"),
-    ],
-)
-def test_what_cannot_be_trained_is_refused_in_one_line(
-    options: list[str], complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["train", "--out", str(tmp_path / "run"), *options])
-    assert stop.value.code == 2
-    told = capsys.readouterr().err
-    assert complaint in told
-    assert told.count("\n") == 1
+def test_impossible_networks_are_refused(tmp_path: Path) -> None:
+    for wrong in ({"strand_layers": 0}, {"strand_layers": 65}, {"strand_width": 0}, {"texel_channels": 5000}):
+        with pytest.raises(ValueError, match=f"expected {next(iter(wrong))} from"):
+            replace(TINY.network, **wrong)
+    network = build_network(replace(TINY.network, strand_layers=1))
+    save_network(tmp_path / "n.safetensors", network, HairMaterial(), {})
+    assert load_network(tmp_path / "n.safetensors")[0].config.strand_layers == 1
+    torch.nn.init.constant_(network.decoder.dense[0].bias, float("nan"))
+    save_network(tmp_path / "n.safetensors", network, HairMaterial(), {})
+    with pytest.raises(InputError, match="finite weights"):
+        load_network(tmp_path / "n.safetensors")
 
 
 def test_settings_out_of_range_are_refused() -> None:
     with pytest.raises(InputError, match="validate-every"):
         TrainConfig(validate_every=0)
-
-
-def test_an_environment_of_no_launcher_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("WORLD_SIZE", "2")
-    monkeypatch.delenv("RANK", raising=False)
-    with pytest.raises(InputError, match="RANK"), joined_workers("cpu"):
-        pass
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
-def test_cuda_without_a_device_is_refused() -> None:
-    with pytest.raises(InputError, match="CUDA device"), joined_workers("cuda"):
-        pass
-    with joined_workers("auto") as worker:
-        assert worker == Worker()
 
 
 @pytest.mark.cuda

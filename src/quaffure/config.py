@@ -8,6 +8,8 @@ STANDARD_GRAVITY = 9.81
 VERTICES_PER_STRAND = 24
 """N of the paper."""
 
+EDGES_PER_STRAND = VERTICES_PER_STRAND - 1
+
 TEXTURE_SIZE = 64
 """T of the paper."""
 

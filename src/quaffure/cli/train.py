@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import timedelta
 from pathlib import Path
 
@@ -16,15 +16,13 @@ from quaffure.body.pose_prior import load_pose_prior
 from quaffure.cli.console import console
 from quaffure.cli.inputs import motion_of
 from quaffure.errors import InputError
-from quaffure.evaluation.evaluation_set import evaluation_motions
+from quaffure.evaluation.evaluation_set import refuse_evaluation_data
 from quaffure.groom.clearance import rest_surface
 from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import HELD_OUT
-from quaffure.groom.procedural import make_groom
-from quaffure.groom.style_family import sample_style
 from quaffure.io.load_groom import load_groom
 from quaffure.networks.checkpoint import load_network
 from quaffure.training.distributed import Device, Worker, joined_workers
+from quaffure.training.groom_samples import family_growings
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_config import TrainConfig
 from quaffure.training.train_decoder import DecoderTraining, train
@@ -46,10 +44,10 @@ class TrainCommand:
 
     out: Path
     """Folder of the run; made where it does not exist."""
-    groom: tyro.conf.UseAppendAction[tuple[str, ...]]
-    """A bundled groom or a file; may be given several times."""
+    groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """A bundled groom or a file; may be given several times. Grooms that are held out for evaluation are refused."""
     family: int = 0
-    """Draws of the continuous family of hairstyles to train on besides."""
+    """Draws of the continuous family of hairstyles to train on besides, or instead."""
     motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
     """Motion files to train on besides the pose prior; may be given several times. Evaluation clips are refused."""
     body: Path | None = None
@@ -61,17 +59,24 @@ class TrainCommand:
     config: TrainConfig = field(default_factory=TrainConfig)
 
     def run(self) -> None:
+        self._check()
+        with joined_workers(self.device) as worker:
+            body = self._body()
+            training = DecoderTraining(self.config, body, self._grooms(body), self._sampler(body), self.out, worker)
+            self._start(training)
+            with Progress(*_columns(), console=console, disable=not worker.is_first) as progress:
+                train(training, _validation(), _report(training, progress))
+
+    def _check(self) -> None:
+        """What a mistake can be told from before anything is loaded."""
         if self.config.network.pose_features not in (0, FEATURE_COUNT):
             expected = f"0 or {FEATURE_COUNT}"
             raise InputError("--pose-features", expected, f"{self.config.network.pose_features}")
-        with joined_workers(self.device) as worker:
-            body = self._body()
-            grooms = tuple(load_groom(name, body) for name in self._allowed_grooms()) + _family(self.family, body)
-            sampler = self._sampler(body)
-            training = DecoderTraining(self.config, body, grooms, sampler, self.out, worker)
-            self._start(training)
-            with Progress(*_columns(), console=console, disable=not worker.is_first) as progress:
-                train(training, _validation(sampler), _report(training, progress))
+        if self.family < 0:
+            raise InputError("--family", "0 or more", f"{self.family}")
+        if not self.groom and not self.family:
+            raise InputError("--groom", "at least one groom, or draws of the --family", "none")
+        refuse_evaluation_data(self.groom, self.motion)
 
     def _body(self) -> BodyModel:
         body, shipped = load_body(self.body), load_body()
@@ -80,16 +85,14 @@ class TrainCommand:
             raise InputError(f"{self.body}", f"the joints {list(shipped.joint_names)}", f"{list(body.joint_names)}")
         return body
 
-    def _allowed_grooms(self) -> tuple[str, ...]:
-        for name in self.groom:
-            if name in HELD_OUT:
-                raise InputError(f"--groom {name}", "a groom that is not held out for evaluation", name)
-        return self.groom
+    def _grooms(self, body: BodyModel) -> tuple[Groom, ...]:
+        own = [load_groom(name, body) for name in self.groom]
+        # A groom file keeps the groom's name whatever the file is called.
+        refuse_evaluation_data(groom.name for groom in own)
+        surface = rest_surface(body)
+        return (*own, *(growing.grown(body, surface) for growing in family_growings(range(self.family))))
 
     def _sampler(self, body: BodyModel) -> PoseSampler:
-        for path in self.motion:
-            if path.stem in evaluation_motions():
-                raise InputError(path, "a clip that is not in the evaluation set", path.stem)
         clips = tuple(motion_of(str(path), body) for path in self.motion)
         for clip in clips:
             if len(clip) < self.config.frames:
@@ -101,14 +104,6 @@ class TrainCommand:
             _say(training.worker, f"carrying on from step {training.step}")
         elif self.weights is not None:
             training.start_from(load_network(self.weights)[0])
-
-
-def _family(count: int, body: BodyModel) -> tuple[Groom, ...]:
-    """The first draws of the family, each by a generator of its own."""
-    surface = rest_surface(body)
-    styles = (sample_style(torch.Generator().manual_seed(index)) for index in range(count))
-    grown = (make_groom(style, body, index, surface) for index, style in enumerate(styles))
-    return tuple(replace(groom, name=f"family_{index}") for index, groom in enumerate(grown))
 
 
 def _say(worker: Worker, text: str) -> None:
@@ -139,7 +134,9 @@ def _report(training: DecoderTraining, progress: Progress) -> Callable[[int, dic
     return report
 
 
-def _validation(sampler: PoseSampler) -> Validation:
-    """Poses and shapes drawn once from the same distribution by a generator of their own."""
+def _validation() -> Validation:
+    """Poses and shapes drawn once, by a generator of their own, from the prior alone: frames of the clips are poses
+    that the network was trained on.
+    """
     generator = torch.Generator().manual_seed(VALIDATION_SEED)
-    return Validation(*sampler.sample(VALIDATION_POSES, 1, generator))
+    return Validation(*PoseSampler(load_pose_prior()).sample(VALIDATION_POSES, 1, generator))

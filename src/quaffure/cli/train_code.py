@@ -1,9 +1,10 @@
 """`quaffure train-code`: the groom autoencoder, from growing its grooms to the figures of its codes."""
 
 import json
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -14,6 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.cli.console import print_json, print_rows
+from quaffure.evaluation.evaluation_set import refuse_evaluation_data
 from quaffure.evaluation.groom_code_figures import (
     code_figures,
     half_way_figures,
@@ -23,12 +25,14 @@ from quaffure.evaluation.groom_code_figures import (
 )
 from quaffure.geometry.surface import Surface
 from quaffure.groom.clearance import rest_surface
+from quaffure.groom.groom import Groom
 from quaffure.groom.hair_style import HELD_OUT, STYLES
 from quaffure.io.atomic import replacing
 from quaffure.io.load_groom import load_groom
 from quaffure.networks.groom_autoencoder import GroomAutoencoder
 from quaffure.networks.groom_texture import GroomSample, sample_of
 from quaffure.training.groom_samples import Growing, family_growings, grow_samples, library_growings
+from quaffure.training.run_folder import made_folder
 from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeTraining, train
 
 TRAINED = [name for name in STYLES if name not in HELD_OUT]
@@ -65,7 +69,8 @@ class TrainCodeCommand:
     out: Path
     """Folder of the run; made where it does not exist. The grooms are kept in it: 370 kB each."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """A groom to train on besides the bundled styles and the continuous family; may be given several times."""
+    """A groom to train on besides the bundled styles and the continuous family; may be given several times. Grooms that
+    are held out for evaluation are refused."""
     unseen: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A groom to be measured on and not trained on, besides the held-out styles; may be given several times."""
     json: bool = False
@@ -73,10 +78,10 @@ class TrainCodeCommand:
     config: GroomCodeConfig = field(default_factory=GroomCodeConfig)
 
     def run(self) -> None:
+        refuse_evaluation_data(self.groom)
         body = load_body()
-        own, unseen = (_samples(names, body) for names in (self.groom, self.unseen))
-        (self.out / "grooms").mkdir(parents=True, exist_ok=True)
-        garden = Garden(body, rest_surface(body), self.out / "grooms")
+        garden = Garden(body, rest_surface(body), made_folder(self.out / "grooms"))
+        own, unseen = self._own(body), _samples([load_groom(name, body) for name in self.unseen], body)
         library = garden.grow(library_growings(TRAINED, range(self.config.library_seeds)), "growing the library")
         family = garden.grow(family_growings(range(self.config.family)), "growing the family")
         network = self._train(GroomCodeTraining(self.config, library + own, family, self.out))
@@ -86,6 +91,13 @@ class TrainCodeCommand:
             path.write_text(json.dumps(figures, indent=1))
         print_json(figures) if self.json else _print(figures)
 
+    def _own(self, body: BodyModel) -> list[GroomSample]:
+        grooms = [load_groom(name, body) for name in self.groom]
+        # A groom file keeps the groom's name whatever the file is called.
+        refuse_evaluation_data(groom.name for groom in grooms)
+        # One that is called like a bundled style is no growing of it.
+        return _samples([replace(groom, name=f"own:{groom.name}") for groom in grooms], body)
+
     def _train(self, training: GroomCodeTraining) -> GroomAutoencoder:
         if training.resume():
             Console(stderr=True).print(f"carrying on from step {training.step}")
@@ -94,14 +106,18 @@ class TrainCodeCommand:
 
             def report(step: int, loss: float) -> None:
                 nonlocal smooth
-                smooth = loss if smooth == 0.0 else 0.98 * smooth + 0.02 * loss
+                if math.isfinite(loss):
+                    smooth = loss if smooth == 0.0 else 0.98 * smooth + 0.02 * loss
                 progress.update(task, completed=step, description=f"loss {smooth:.4f} strand lengths")
 
-            return train(training, report)
+            network = train(training, report)
+        if training.optimizer.skipped:
+            Console(stderr=True).print(f"{training.optimizer.skipped} updates skipped: gradients that were not finite")
+        return network
 
 
-def _samples(names: tuple[str, ...], body: BodyModel) -> list[GroomSample]:
-    return [sample_of(groom, body, groom.name) for groom in (load_groom(name, body) for name in names)]
+def _samples(grooms: list[Groom], body: BodyModel) -> list[GroomSample]:
+    return [sample_of(groom, body, groom.name) for groom in grooms]
 
 
 def _figures(

@@ -1,7 +1,7 @@
 """The evaluation set: clips, shapes and grooms that no training ever sees, in one versioned file of the package."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -125,6 +125,28 @@ def load_evaluation_set() -> EvaluationSet:
 def evaluation_motions() -> frozenset[str]:
     """Stems of the motion files of the set, which training refuses."""
     return frozenset(load_evaluation_set().motions)
+
+
+def refuse_evaluation_data(grooms: Iterable[str | Path] = (), motions: Iterable[str | Path] = ()) -> None:
+    """Keep out of a training what it is judged by: every clip of the set, and its grooms of the group `unseen`.
+
+    Args:
+        grooms, motions: bundled names or files. Names and stems of files count, in any case: a copy of a held-out
+            groom is one as well.
+
+    Raises:
+        InputError: one of them is in the set.
+    """
+    of = load_evaluation_set()
+    clips = {name.lower() for name in (*of.motions, *(entry.clip for entry in of.cases))}
+    unseen = {name.lower() for name, source in of.grooms.items() if source.group == "unseen"}
+    for path in map(Path, grooms):
+        if path.stem.lower() in unseen:
+            raise InputError(f"groom {path}", "a groom that is not held out for evaluation", path.stem)
+    for path in map(Path, motions):
+        if path.stem.lower() in clips:
+            expected = "a clip that is not in the evaluation set (one of your own needs another name)"
+            raise InputError(f"motion {path}", expected, path.stem)
 
 
 @dataclass(frozen=True)

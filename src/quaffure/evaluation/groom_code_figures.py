@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from quaffure.config import TEXTURE_SIZE
-from quaffure.networks.groom_autoencoder import EDGES, GroomAutoencoder, relative_distance
+from quaffure.config import EDGES_PER_STRAND, TEXTURE_SIZE
+from quaffure.networks.groom_autoencoder import GroomAutoencoder, relative_distance
 from quaffure.networks.groom_encoder import GroomEncoder
 from quaffure.networks.groom_texture import SHAPE_CHANNELS, UNIT_LENGTH, GroomSample, texture_of
 from quaffure.types import Float, Int, Tensor
@@ -169,7 +169,7 @@ def _vertices(groom: GroomSample) -> Float[Tensor, "s e 3"]:
     """Vertices but the root, from the root [m]."""
     features = groom.features.float()
     lengths = UNIT_LENGTH * features[:, SHAPE_CHANNELS].exp()
-    return lengths[:, None, None] * features[:, 3:SHAPE_CHANNELS].unflatten(1, (EDGES, 3))
+    return lengths[:, None, None] * features[:, 3:SHAPE_CHANNELS].unflatten(1, (EDGES_PER_STRAND, 3))
 
 
 def _decoded(
@@ -178,7 +178,7 @@ def _decoded(
     """Mean length of the strands, and their vertices from the root [m]."""
     decoded = network.decoder(code, torch.zeros_like(texels), texels)
     lengths = UNIT_LENGTH * decoded[:, SHAPE_CHANNELS].exp()
-    shapes = decoded[:, 3:SHAPE_CHANNELS].unflatten(1, (EDGES, 3))
+    shapes = decoded[:, 3:SHAPE_CHANNELS].unflatten(1, (EDGES_PER_STRAND, 3))
     return float(lengths.mean()), lengths[:, None, None] * shapes
 
 

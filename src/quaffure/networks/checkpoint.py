@@ -4,20 +4,16 @@ import json
 from dataclasses import asdict, fields
 from pathlib import Path
 
-import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
-
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
 from quaffure.networks.quaffure_network import NetworkConfig, QuaffureNetwork, build_network
+from quaffure.networks.weights_file import read_weights, save_weights
 
 
 def save_network(path: Path, network: QuaffureNetwork, material: HairMaterial, notes: dict[str, str]) -> None:
     """Write half-precision weights, the network's configuration and the material that it was trained for."""
-    half = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
     metadata = {"network": json.dumps(asdict(network.config)), "material": json.dumps(asdict(material)), **notes}
-    save_file(half, path, metadata)
+    save_weights(path, network, metadata)
 
 
 def load_network(path: str | Path) -> tuple[QuaffureNetwork, HairMaterial, dict[str, str]]:
@@ -27,19 +23,13 @@ def load_network(path: str | Path) -> tuple[QuaffureNetwork, HairMaterial, dict[
         InputError: the file is missing or not a checkpoint of this package.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "a checkpoint (.safetensors)", "no such file")
+    weights, notes = read_weights(path, "a checkpoint (.safetensors)")
     try:
-        with safe_open(path, framework="pt") as file:
-            notes = dict(file.metadata() or {})
-            weights = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
         config = NetworkConfig(**_known(json.loads(notes.pop("network")), NetworkConfig))
         material = HairMaterial(**_known(json.loads(notes.pop("material")), HairMaterial))
         network = build_network(config)
         network.load_state_dict(weights)
-        if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
-            raise ValueError("NaN or infinite weights")
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
         first_line = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(path, "a checkpoint of this package", first_line) from error
     return network.eval(), material, notes

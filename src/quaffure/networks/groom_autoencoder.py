@@ -5,15 +5,14 @@ import math
 import torch
 from torch import nn
 
-from quaffure.config import TEXTURE_SIZE, VERTICES_PER_STRAND
+from quaffure.config import EDGES_PER_STRAND, TEXTURE_SIZE
 from quaffure.networks.deformation_decoder import DeformationDecoder
 from quaffure.networks.groom_encoder import CODE_SIZE, GroomEncoder
 from quaffure.networks.groom_texture import SHAPE_CHANNELS, TEXTURE_CHANNELS
 from quaffure.types import Float, Int, Tensor
 
 Widths = tuple[int, int, int, int]
-EDGES = VERTICES_PER_STRAND - 1
-DECODED_CHANNELS = 1 + 3 * EDGES
+DECODED_CHANNELS = 1 + 3 * EDGES_PER_STRAND
 # The largest factor by which a decoded length may leave `UNIT_LENGTH` [natural logarithm].
 MOST_LOG_LENGTH = 5.0
 # Standard deviation of what a layer's weights make of inputs of unit variance: SiLU halves what passes it.
@@ -48,7 +47,7 @@ class GroomDecoder(nn.Module):
         answers = self.texture(code).mT.flatten(0, 1)
         own = answers.index_select(0, samples * TEXTURE_SIZE**2 + texels).float()
         own = own + self.mean.index_select(0, texels)
-        shape = own[:, 1:].unflatten(1, (EDGES, 3)) * _shares(own)
+        shape = own[:, 1:].unflatten(1, (EDGES_PER_STRAND, 3)) * _shares(own)
         log_length = own[:, :1].clamp(-MOST_LOG_LENGTH, MOST_LOG_LENGTH)
         return torch.cat([own.new_zeros(len(own), 3), shape.flatten(1), log_length], dim=1)
 
@@ -86,7 +85,7 @@ class GroomAutoencoder(nn.Module):
 
 def decoded_channels(features: Float[Tensor, "s channels"]) -> Float[Tensor, "s decoded_channels"]:
     """What `GroomDecoder`'s texture would have to hold for strands of `strand_features`."""
-    directions = features[:, 3:SHAPE_CHANNELS].unflatten(1, (EDGES, 3)) / _shares(features)
+    directions = features[:, 3:SHAPE_CHANNELS].unflatten(1, (EDGES_PER_STRAND, 3)) / _shares(features)
     return torch.cat([features[:, SHAPE_CHANNELS : SHAPE_CHANNELS + 1], directions.flatten(1)], dim=1)
 
 
@@ -102,9 +101,9 @@ def relative_distance(
     longer = (decoded[:, SHAPE_CHANNELS] - features[:, SHAPE_CHANNELS]).exp()
     gap = longer[:, None] * decoded[:, 3:SHAPE_CHANNELS] - features[:, 3:SHAPE_CHANNELS]
     # A norm has no gradient at zero.
-    return (gap.unflatten(1, (EDGES, 3)).square().sum(-1) + 1e-12).sqrt()
+    return (gap.unflatten(1, (EDGES_PER_STRAND, 3)).square().sum(-1) + 1e-12).sqrt()
 
 
 def _shares(like: Tensor) -> Float[Tensor, "e 1"]:
     """Place of every vertex but the root along its strand."""
-    return torch.arange(1, EDGES + 1, device=like.device)[:, None] / EDGES
+    return torch.arange(1, EDGES_PER_STRAND + 1, device=like.device)[:, None] / EDGES_PER_STRAND

@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import nn
 
 from quaffure.body.body_model import BodyModel, load_body
@@ -16,10 +14,11 @@ from quaffure.groom.groom import Groom
 from quaffure.networks.groom_autoencoder import GroomAutoencoder, Widths
 from quaffure.networks.groom_encoder import GroomEncoder
 from quaffure.networks.groom_texture import TEXTURE_CHANNELS, groom_texture
+from quaffure.networks.weights_file import MAX_WIDTH, read_weights, save_weights
 from quaffure.types import Float, Tensor
 
 WEIGHTS = Path(str(files("quaffure") / "assets" / "groom_code.safetensors"))
-MAX_WIDTH = 4096
+_ENCODER_FILE = "weights of a groom encoder (.safetensors)"
 Network = TypeVar("Network", bound=nn.Module)
 
 
@@ -46,7 +45,7 @@ def load_groom_encoder(path: str | Path | None = None) -> GroomEncoder:
         InputError: the file is missing or holds no groom encoder.
     """
     path = Path(path or WEIGHTS)
-    weights, _ = _read(path)
+    weights, _ = read_weights(path, _ENCODER_FILE)
     return _filled(GroomEncoder(TEXTURE_CHANNELS), weights, path)
 
 
@@ -57,35 +56,18 @@ def load_groom_autoencoder(path: str | Path) -> GroomAutoencoder:
         InputError: the file is missing or holds no groom autoencoder.
     """
     path = Path(path)
-    weights, notes = _read(path)
+    weights, notes = read_weights(path, _ENCODER_FILE)
     return _filled(GroomAutoencoder(_widths(path, notes.get("widths", ""))), weights, path)
 
 
 def save_encoder(path: Path, network: GroomAutoencoder, notes: dict[str, str]) -> None:
     """Write the encoder alone, in half precision."""
-    _save(path, network.encoder, notes)
+    save_weights(path, network.encoder, notes)
 
 
 def save_autoencoder(path: Path, network: GroomAutoencoder, notes: dict[str, str]) -> None:
     """Write encoder and decoder, in half precision."""
-    _save(path, network, notes | {"widths": ",".join(map(str, network.widths))})
-
-
-def _save(path: Path, network: nn.Module, notes: dict[str, str]) -> None:
-    half = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
-    save_file(half, path, notes)
-
-
-def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    expected = "weights of a groom encoder (.safetensors)"
-    if not path.is_file():
-        raise InputError(path, expected, "no such file")
-    try:
-        with safe_open(path, framework="pt") as file:
-            weights = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
-            return weights, dict(file.metadata() or {})
-    except (OSError, SafetensorError) as error:
-        raise InputError(path, expected, str(error).splitlines()[0]) from error
+    save_weights(path, network, notes | {"widths": ",".join(map(str, network.widths))})
 
 
 def _widths(path: Path, text: str) -> Widths:
@@ -96,8 +78,6 @@ def _widths(path: Path, text: str) -> Widths:
 
 
 def _filled(network: Network, weights: dict[str, Tensor], path: Path) -> Network:
-    if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
-        raise InputError(path, "finite weights", "NaN or infinity")
     try:
         network.load_state_dict(weights)
     except RuntimeError as error:

@@ -11,16 +11,16 @@ from typing import Literal
 import torch
 from torch import nn
 
-from quaffure.config import VERTICES_PER_STRAND
+from quaffure.config import EDGES_PER_STRAND, VERTICES_PER_STRAND
 from quaffure.geometry.soft_surface import VIEW_CHANNELS
 from quaffure.networks.deformation_decoder import DeformationDecoder
 from quaffure.networks.groom_encoder import CODE_SIZE, GroomEncoder
 from quaffure.networks.groom_texture import TEXTURE_CHANNELS
+from quaffure.networks.weights_file import MAX_WIDTH
 from quaffure.types import BodyPose, BodyShape, Float, Int, Tensor
 
-EDGES = VERTICES_PER_STRAND - 1
 POSE_SIZE, SHAPE_SIZE = 81, 10
-MAX_WIDTH = 4096
+MAX_LAYERS = 64
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class NetworkConfig:
     strand_width: int = 128
     """Width of the layers common to all strands (`directions` only)."""
     strand_layers: int = 2
-    """How many of them there are between the first and the last (`directions` only)."""
+    """Hidden layers common to all strands, the first included (`directions` only)."""
     views: bool = True
     """Whether the strand layers see the skin near the undeformed strand (`directions` only)."""
     slides: bool = True
@@ -45,10 +45,11 @@ class NetworkConfig:
     def __post_init__(self) -> None:
         if self.output not in ("directions", "displacement"):
             raise ValueError(f"expected output directions or displacement, found {self.output!r}")
-        for name in ("pose_features", "texel_channels", "strand_width"):
+        widths = {"pose_features": (0, MAX_WIDTH), "texel_channels": (1, MAX_WIDTH), "strand_width": (1, MAX_WIDTH)}
+        for name, (least, most) in (widths | {"strand_layers": (1, MAX_LAYERS)}).items():
             value = getattr(self, name)
-            if not (isinstance(value, int) and 0 <= value <= MAX_WIDTH):
-                raise ValueError(f"expected {name} from 0 to {MAX_WIDTH}, found {value!r}")
+            if not (isinstance(value, int) and least <= value <= most):
+                raise ValueError(f"expected {name} from {least} to {most}, found {value!r}")
 
 
 @dataclass(frozen=True)
@@ -106,10 +107,10 @@ class DirectionNetwork(nn.Module):
         self.decoder = DeformationDecoder(inputs, config.texel_channels)
         width = config.strand_width
         self.from_texel = nn.Linear(config.texel_channels, width)
-        seen = VIEW_CHANNELS * EDGES if config.views else 0
-        self.from_strand = nn.Linear(3 * EDGES + seen, width, bias=False)
+        seen = VIEW_CHANNELS * EDGES_PER_STRAND if config.views else 0
+        self.from_strand = nn.Linear(3 * EDGES_PER_STRAND + seen, width, bias=False)
         between = [layer for _ in range(config.strand_layers - 1) for layer in (nn.Linear(width, width), nn.SiLU())]
-        self.strand = nn.Sequential(nn.SiLU(), *between, nn.Linear(width, 3 * EDGES))
+        self.strand = nn.Sequential(nn.SiLU(), *between, nn.Linear(width, 3 * EDGES_PER_STRAND))
         _start_at_zero(self.strand[-1])
 
     def forward(self, inputs: NetworkInputs) -> Float[Tensor, "b s e 3"]:
@@ -119,7 +120,7 @@ class DirectionNetwork(nn.Module):
         if self.config.views:
             own = torch.cat([own, inputs.views.flatten(2)], dim=2)
         own = self.from_strand(own)
-        return self.strand(self.from_texel(texels) + own).float().unflatten(-1, (EDGES, 3))
+        return self.strand(self.from_texel(texels) + own).float().unflatten(-1, (EDGES_PER_STRAND, 3))
 
 
 QuaffureNetwork = DirectionNetwork | DisplacementNetwork

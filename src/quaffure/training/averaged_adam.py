@@ -13,10 +13,16 @@ from quaffure.errors import InputError
 Network = TypeVar("Network", bound=nn.Module)
 LARGEST_GRADIENT = 1.0
 """Norm that gradients are clipped to."""
+MOST_SKIPPED = 10
+"""Updates left out in a row at which a training is given up."""
 
 
 class AveragedAdam(Generic[Network]):
-    """Adam on a network, and the exponential average of its weights, which is steadier than they are."""
+    """Adam on a network, and the exponential average of its weights, which is steadier than they are.
+
+    Attributes:
+        skipped: how many updates were left out so far, because a gradient was not finite.
+    """
 
     def __init__(self, network: Network, learning_rate: float, memory: float) -> None:
         """
@@ -29,6 +35,8 @@ class AveragedAdam(Generic[Network]):
         trained = [parameter for parameter in network.parameters() if parameter.requires_grad]
         self.adam = torch.optim.Adam(trained, lr=learning_rate, betas=(0.9, 0.99))
         self._average = AveragedModel(network, avg_fn=_moving_average(memory))
+        self.skipped = 0
+        self._skipped_in_a_row = 0
 
     @property
     def averaged(self) -> Network:
@@ -47,12 +55,17 @@ class AveragedAdam(Generic[Network]):
     def update(self, share: float) -> float:
         """One step along the gradients that are there, by a share of the learning rate; the gradients' norm.
 
+        Where a gradient is not finite, all weights stay as they were: one bad batch must not end a run, which would
+        meet it again whenever it is resumed.
+
         Raises:
-            InputError: a gradient is not finite; the weights stay as they were.
+            InputError: that happened `MOST_SKIPPED` times in a row.
         """
         norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT))
         if not math.isfinite(norm):
-            raise InputError("training", "finite gradients (a lower --learning-rate may help)", f"{norm}")
+            self._skip(norm)
+            return norm
+        self._skipped_in_a_row = 0
         for group in self.adam.param_groups:
             group["lr"] = self.learning_rate * share
         self.adam.step()
@@ -60,12 +73,21 @@ class AveragedAdam(Generic[Network]):
         self._average.update_parameters(self.network)
         return norm
 
+    def _skip(self, norm: float) -> None:
+        self.adam.zero_grad(set_to_none=True)
+        self.skipped += 1
+        self._skipped_in_a_row += 1
+        if self._skipped_in_a_row == MOST_SKIPPED:
+            found = f"{norm} for {MOST_SKIPPED} steps in a row"
+            raise InputError("training", "finite gradients (a lower --learning-rate may help)", found)
+
     def state(self) -> dict[str, Any]:
         """Everything that `restore` needs, by name."""
         return {
             "network": self.network.state_dict(),
             "average": self._average.state_dict(),
             "optimizer": self.adam.state_dict(),
+            "skipped": self.skipped,
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -77,6 +99,8 @@ class AveragedAdam(Generic[Network]):
         self.network.load_state_dict(state["network"])
         self._average.load_state_dict(state["average"])
         self.adam.load_state_dict(state["optimizer"])
+        # Checkpoints made before updates were skipped do not count them.
+        self.skipped = int(state.get("skipped", 0))
 
 
 def warm_cosine(step: int, warmup: int, steps: int) -> float:

@@ -76,22 +76,32 @@ def joined_workers(device: Device = "auto") -> Iterator[Worker]:
         device: `auto` is CUDA where there is a device, each process of a machine on one of its own.
 
     Raises:
-        InputError: no CUDA device, or an environment with WORLD_SIZE but without the launcher's other variables.
+        InputError: no CUDA device, or an environment with WORLD_SIZE in which the launcher's other variables are
+            missing, or are no numbers that fit.
     """
     kind = _kind(device)
-    world_size = int(os.environ.get("WORLD_SIZE", "1"))
+    world_size = _whole_number("WORLD_SIZE", range(1, 2**16)) if "WORLD_SIZE" in os.environ else 1
     if world_size == 1:
         yield Worker(device=torch.device(kind))
         return
     missing = [name for name in _OF_A_LAUNCHER if name not in os.environ]
     if missing:
         raise InputError("environment", "all variables that torchrun sets beside WORLD_SIZE", f"no {missing}")
-    worker = Worker(int(os.environ["RANK"]), world_size, _own_device(kind))
+    _whole_number("MASTER_PORT", range(1, 2**16))
+    worker = Worker(_whole_number("RANK", range(world_size)), world_size, _own_device(kind))
     distributed.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=_PATIENCE)
     try:
         yield worker
     finally:
         distributed.destroy_process_group()
+
+
+def _whole_number(variable: str, allowed: range) -> int:
+    text = os.environ[variable]
+    if not text.isdecimal() or int(text) not in allowed:
+        expected = f"a whole number from {allowed.start} to {allowed.stop - 1}"
+        raise InputError(f"environment variable {variable}", expected, repr(text))
+    return int(text)
 
 
 def _kind(device: Device) -> str:
@@ -106,6 +116,6 @@ def _own_device(kind: str) -> torch.device:
         # A launcher shares out the cores by OMP_NUM_THREADS, which torch reads and numba does not.
         numba.set_num_threads(min(numba.get_num_threads(), torch.get_num_threads()))
         return torch.device("cpu")
-    own = torch.device("cuda", int(os.environ["LOCAL_RANK"]))
+    own = torch.device("cuda", _whole_number("LOCAL_RANK", range(torch.cuda.device_count())))
     torch.cuda.set_device(own)
     return own

@@ -5,22 +5,27 @@ Growing one takes 0.4 s, reading it back 3 ms, so every groom is grown once and 
 
 import hashlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import torch
 
+import quaffure.groom
 from quaffure.body.body_model import BodyModel
 from quaffure.config import TEXTURE_SIZE
 from quaffure.errors import InputError
 from quaffure.geometry.surface import Surface
+from quaffure.groom.groom import Groom
 from quaffure.groom.hair_style import STYLES, HairStyle
 from quaffure.groom.procedural import make_groom
 from quaffure.groom.style_family import sample_style
 from quaffure.io.atomic import replacing
 from quaffure.io.npz_strands import read_npz
+from quaffure.networks import groom_texture
 from quaffure.networks.groom_texture import TEXTURE_CHANNELS, GroomSample, sample_of
+from quaffure.training.run_folder import body_digest
 
 
 @dataclass(frozen=True)
@@ -31,10 +36,16 @@ class Growing:
     controls: HairStyle
     seed: int
 
-    @property
-    def file(self) -> str:
-        """Changes with the controls: an edited style is grown anew."""
-        return f"{self.name}-{self.seed}-{hashlib.sha256(repr(self.controls).encode()).hexdigest()[:8]}.npz"
+    def grown(self, body: BodyModel, surface: Surface) -> Groom:
+        """The groom on a body, whose surface at rest is given."""
+        return replace(make_groom(self.controls, body, self.seed, surface), name=self.name)
+
+    def file_on(self, body: str) -> str:
+        """Name of the file of it on a body of that digest. Changes with the controls and with the code that grows and
+        encodes: what was edited is grown anew.
+        """
+        origin = f"{self.controls}, body {body}, code {_digest_of_sources()}"
+        return f"{self.name}-{self.seed}-{hashlib.sha256(origin.encode()).hexdigest()[:8]}.npz"
 
 
 def library_growings(names: Iterable[str], seeds: Iterable[int]) -> list[Growing]:
@@ -60,15 +71,21 @@ def grow_samples(
     Raises:
         InputError: a file of the folder is damaged.
     """
-    samples = []
+    samples, digest = [], body_digest(body)
     for growing in growings:
-        path = folder / growing.file
+        path = folder / growing.file_on(digest)
         if not path.is_file():
-            groom = make_groom(growing.controls, body, growing.seed, surface)
-            _write(path, sample_of(groom, body, growing.name))
+            _write(path, sample_of(growing.grown(body, surface), body, growing.name))
         samples.append(_read(path, growing.name))
         on_groom(len(samples))
     return samples
+
+
+@cache
+def _digest_of_sources() -> str:
+    (room,) = quaffure.groom.__path__
+    sources = [*sorted(Path(room).glob("*.py")), Path(groom_texture.__file__)]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
 
 
 def _write(path: Path, sample: GroomSample) -> None:

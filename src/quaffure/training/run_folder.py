@@ -1,21 +1,24 @@
 """The folder of a training run: what it was asked for, its logs, and the checkpoint that it carries on from."""
 
 import csv
+import hashlib
 import json
 import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import torch
 
 import quaffure
+from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.io.atomic import replacing
 
 CHECKPOINT = "checkpoint.pt"
+Table = Literal["training", "validation"]
 
 
 class RunFolder:
@@ -23,6 +26,7 @@ class RunFolder:
 
     Attributes:
         path: the folder.
+        version: of the code that this process runs, whatever becomes of the source meanwhile.
     """
 
     def __init__(self, path: Path) -> None:
@@ -33,16 +37,13 @@ class RunFolder:
         Raises:
             InputError: it cannot be made.
         """
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(path, "a folder for the run", error.strerror or str(error)) from error
-        self.path = path
+        self.path = made_folder(path)
+        self.version = code_version()
 
     def describe(self, description: Mapping[str, object]) -> None:
         """Write `config.json`: the version of the code, and what the run was asked for."""
         with replacing(self.path / "config.json") as path:
-            path.write_text(json.dumps({"version": code_version(), **description}, indent=1) + "\n")
+            path.write_text(json.dumps({"version": self.version, **description}, indent=1) + "\n")
 
     def save(self, state: Mapping[str, Any]) -> None:
         """Replace the checkpoint. `state` holds tensors, numbers and texts, and under `identity` what `load` asks for.
@@ -87,7 +88,7 @@ class RunFolder:
             reason = (str(error) or type(error).__name__).splitlines()[0]
             raise InputError(self.path / CHECKPOINT, "a checkpoint of this training", reason) from error
 
-    def log(self, name: str, row: Mapping[str, object]) -> None:
+    def log(self, name: Table, row: Mapping[str, object]) -> None:
         """Append a row to a table, `<name>.csv`; columns that it does not have yet are added to it, empty so far."""
         path = self.path / f"{name}.csv"
         columns, rows = _read_table(path)
@@ -100,12 +101,31 @@ class RunFolder:
 
     def rewind_logs(self, step: int) -> None:
         """Drop rows of later steps, which the run will do again, and a row that was cut short by a kill."""
-        for path in sorted(self.path.glob("*.csv")):
+        # Not every .csv of the folder: it may be one that holds tables of the user's.
+        for path in (self.path / f"{name}.csv" for name in get_args(Table)):
             columns, rows = _read_table(path)
             whole = [row for row in rows if None not in row.values() and row.get("step", "").isdigit()]
             kept = [row for row in whole if int(row["step"]) <= step]
             if len(kept) < len(rows):
                 _write_table(path, columns, kept)
+
+
+def made_folder(path: Path) -> Path:
+    """The folder, with those that it lies in, made where it does not exist.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(path, "a folder for the run", error.strerror or str(error)) from error
+    return path
+
+
+def body_digest(body: BodyModel) -> str:
+    """Tells one body from another, in any process: its file is the same everywhere."""
+    return hashlib.sha256(body.rest_vertices.cpu().numpy().tobytes()).hexdigest()[:8]
 
 
 def code_version() -> str:

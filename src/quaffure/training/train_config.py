@@ -1,5 +1,7 @@
 """What a training run of the deformation decoder is asked for."""
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from quaffure.body.pose_features import FEATURE_COUNT
@@ -42,8 +44,24 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         counts = ("steps", "runs", "frames", "grooms_per_step", "self_collision_every", "log_every", "validate_every")
-        for name in counts:
-            if getattr(self, name) < 1:
-                raise InputError(f"--{name.replace('_', '-')}", "1 or more", f"{getattr(self, name)}")
+        refuse_impossible({name: getattr(self, name) for name in counts}, self.learning_rate, self.seed)
         if not 0 < self.material.collision_margin <= REACH:
             raise InputError("--collision-margin", f"up to {REACH} m", f"{self.material.collision_margin}")
+
+
+def refuse_impossible(counts: Mapping[str, int], learning_rate: float, seed: int) -> None:
+    """Check what every training is asked for.
+
+    Args:
+        counts: by the name of the setting.
+
+    Raises:
+        InputError: a count below 1, a learning rate that is not above 0, or a negative seed.
+    """
+    for name, count in counts.items():
+        if count < 1:
+            raise InputError(f"--{name.replace('_', '-')}", "1 or more", f"{count}")
+    if not 0 < learning_rate < math.inf:
+        raise InputError("--learning-rate", "a number above 0", f"{learning_rate}")
+    if seed < 0:
+        raise InputError("--seed", "0 or more", f"{seed}")

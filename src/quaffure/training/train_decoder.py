@@ -1,6 +1,5 @@
 """Self-supervised training of the deformation decoder, Sec. 3.5: fresh poses in, energy down."""
 
-import hashlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -26,7 +25,7 @@ from quaffure.networks.quaffure_network import QuaffureNetwork, build_network
 from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
 from quaffure.training.distributed import ALONE, Worker
 from quaffure.training.pose_sampler import PoseSampler
-from quaffure.training.run_folder import RunFolder, code_version
+from quaffure.training.run_folder import RunFolder, body_digest
 from quaffure.training.train_config import TrainConfig
 from quaffure.training.validation import Validation, loss_unit, validation_figures
 from quaffure.types import Tensor
@@ -84,8 +83,9 @@ class DecoderTraining:
         return of_each * self.worker.world_size
 
     def steps(self) -> Iterator[dict[str, float]]:
-        """Train to the last step. After each one: loss [`loss_unit`], learning rate, the gradient's norm and rate
-        [samples/s]; every `log_every` steps also every term of the loss. Of this worker's samples, but for the norm.
+        """Train to the last step. After each one: loss [`loss_unit`], learning rate, the gradient's norm, updates
+        skipped so far and rate [samples/s]; every `log_every` steps also every term of the loss. Of this worker's
+        samples, but for the norm.
         """
         while self.step < self.config.steps:
             start = time.perf_counter()
@@ -115,7 +115,8 @@ class DecoderTraining:
         self.worker.average_gradients(self.draper.network)
         share = warm_cosine(self.step, config.warmup, config.steps)
         norm = self.optimizer.update(share)
-        return figures | {"learning_rate": config.learning_rate * share, "gradient_norm": norm}
+        of_step = {"learning_rate": config.learning_rate * share, "gradient_norm": norm}
+        return figures | of_step | {"skipped_updates": float(self.optimizer.skipped)}
 
     def _drawn_grooms(self, generator: torch.Generator) -> list[int]:
         if len(self.grooms) <= self.config.grooms_per_step:
@@ -154,7 +155,7 @@ class DecoderTraining:
         if figures["energy"] < self.best:
             self.best = figures["energy"]
             names = ",".join(groom.name for groom in self.grooms)
-            notes = {"step": str(self.step), "grooms": names, "version": code_version()}
+            notes = {"step": str(self.step), "grooms": names, "version": self.folder.version}
             with replacing(self.folder.path / "best.safetensors") as path:
                 save_network(path, self.optimizer.averaged, self.config.material, notes)
         self.folder.log("validation", self._row(figures))
@@ -204,14 +205,20 @@ class DecoderTraining:
     def resume(self) -> bool:
         """Carry on from the folder's checkpoint, which the first worker reads for all; False where there is none.
 
+        Rows of the logs that are later than it are dropped, all of them where a run was killed before its first one.
         The number of processes may be another than before.
 
         Raises:
             InputError: it is of another run, or damaged.
         """
         state: dict[str, Any] | None = self.worker.of_first(lambda: self.folder.load(self._identity()))
-        if state is None:
-            return False
+        if state is not None:
+            self._restore(state)
+        if self.worker.is_first:
+            self.folder.rewind_logs(self.step)
+        return state is not None
+
+    def _restore(self, state: dict[str, Any]) -> None:
         with self.folder.reading():
             # Checkpoints made before the geometry was kept have none.
             if state.get("geometry", self._geometry()) != self._geometry():
@@ -219,9 +226,6 @@ class DecoderTraining:
             self.optimizer.restore(state)
             step, self.best, self.seconds = state["counters"].tolist()
         self.step = int(step)
-        if self.worker.is_first:
-            self.folder.rewind_logs(self.step)
-        return True
 
     def _identity(self) -> str:
         """What may not change in a run: grooms, network, material and seed."""
@@ -229,11 +233,10 @@ class DecoderTraining:
         return f"{[groom.name for groom in self.grooms]}, {config.network}, {config.material}, seed {config.seed}"
 
     def _geometry(self) -> str:
-        """The body, whose file is the same everywhere, and the sizes of the grooms, which are grown or registered anew
-        by every process, so that their last bits depend on the machine.
+        """The body, and the sizes of the grooms, which are grown or registered anew by every process, so that their
+        last bits depend on the machine.
         """
-        digest = hashlib.sha256(self.body.rest_vertices.cpu().numpy().tobytes()).hexdigest()[:8]
-        return f"body {digest}, strands {[len(groom) for groom in self.grooms]}"
+        return f"body {body_digest(self.body)}, strands {[len(groom) for groom in self.grooms]}"
 
 
 def train(training: DecoderTraining, validation: Validation, report: Callable[[int, dict[str, float]], None]) -> None:

@@ -14,9 +14,11 @@ from quaffure.io.atomic import replacing
 from quaffure.networks.groom_autoencoder import GroomAutoencoder, Widths, relative_distance
 from quaffure.networks.groom_code import save_autoencoder, save_encoder
 from quaffure.networks.groom_texture import SHAPE_CHANNELS, GroomSample
+from quaffure.networks.weights_file import MAX_WIDTH
 from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
 from quaffure.training.groom_batches import GroomBatch, batch_of, mean_strands, mirrored, part_of, patch_of, scaled
 from quaffure.training.run_folder import RunFolder
+from quaffure.training.train_config import refuse_impossible
 from quaffure.types import Float, Tensor
 
 
@@ -51,9 +53,10 @@ class GroomCodeConfig:
     """Seconds between two checkpoints that the run can be resumed from."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "library_seeds"):
-            if getattr(self, name) < 1:
-                raise InputError(f"--{name.replace('_', '-')}", "1 or more", f"{getattr(self, name)}")
+        counts = {"steps": self.steps, "batch": self.batch, "library_seeds": self.library_seeds}
+        refuse_impossible(counts, self.learning_rate, self.seed)
+        if not all(0 < width <= MAX_WIDTH for width in self.widths):
+            raise InputError("--widths", f"four from 1 to {MAX_WIDTH}", f"{self.widths}")
         if self.family < 0:
             raise InputError("--family", "0 or more", f"{self.family}")
         if not 0 <= self.library_share <= 1:

@@ -1,0 +1,42 @@
+"""Weights of a network in half precision, with what its reader needs to know, in one safetensors file."""
+
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import nn
+
+from quaffure.errors import InputError
+from quaffure.types import Tensor
+
+MAX_WIDTH = 4096
+"""Widest layer that a file may ask for: its text must not decide how much memory is taken."""
+
+
+def save_weights(path: Path, network: nn.Module, notes: dict[str, str]) -> None:
+    """Write all weights, rounded to half precision, and texts by name."""
+    half = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
+    save_file(half, path, notes)
+
+
+def read_weights(path: Path, expected: str) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """What `save_weights` wrote, in single precision: weights by name, and the texts.
+
+    Args:
+        expected: what the file should be, for the error.
+
+    Raises:
+        InputError: no such file, a broken one, or weights that are not finite.
+    """
+    if not path.is_file():
+        raise InputError(path, expected, "no such file")
+    try:
+        with safe_open(path, framework="pt") as file:
+            weights = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+            notes = dict(file.metadata() or {})
+    except (OSError, SafetensorError) as error:
+        raise InputError(path, expected, str(error).splitlines()[0]) from error
+    if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
+        raise InputError(path, "finite weights", "NaN or infinity")
+    return weights, notes

@@ -1,0 +1,150 @@
+import signal
+import subprocess
+import time
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.cli import train as train_cli
+from quaffure.cli.main import main
+from quaffure.errors import InputError
+from quaffure.evaluation.evaluation_set import load_evaluation_set, refuse_evaluation_data
+from quaffure.groom.groom import Groom
+from quaffure.groom.hair_style import HELD_OUT
+from quaffure.io.groom_file import write_groom
+from quaffure.networks.checkpoint import load_network
+from quaffure.training.train_decoder import DecoderTraining
+from quaffure.training.validation import Validation
+from tests.training_runs import LONGEST_WAIT, QUAFFURE, TINY_OPTIONS, checkpoint, rows_of, tiny_groom, train_command
+
+
+@pytest.fixture(scope="module")
+def groom(body: BodyModel) -> Groom:
+    return tiny_groom(body)
+
+
+@pytest.fixture(scope="module")
+def groom_file(body: BodyModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("grooms") / "tiny.npz"
+    write_groom(path, tiny_groom(body))
+    return path
+
+
+def test_a_killed_run_ends_like_an_unbroken_one_bit_for_bit(groom_file: Path, tmp_path: Path) -> None:
+    steps, killed = 6, tmp_path / "killed"
+    process = subprocess.Popen([QUAFFURE, *train_command(killed, groom_file, steps)], stdout=subprocess.DEVNULL)
+    log, end = killed / "training.csv", time.monotonic() + LONGEST_WAIT
+    try:
+        while not (log.is_file() and len(rows_of(log)) >= 2):
+            assert process.poll() is None
+            assert time.monotonic() < end
+            time.sleep(0.01)
+    finally:
+        process.kill()
+    assert process.wait() == -signal.SIGKILL
+    reached = checkpoint(killed)["counters"][0]
+    assert 1 <= reached < steps
+
+    main(train_command(killed, groom_file, steps))
+    main(train_command(tmp_path / "whole", groom_file, steps))
+    resumed, whole = checkpoint(killed), checkpoint(tmp_path / "whole")
+    for part in ("network", "average"):
+        for name, value in whole[part].items():
+            assert torch.equal(resumed[part][name], value), name
+    assert torch.equal(resumed["counters"][:2], whole["counters"][:2])
+    assert [row["loss"] for row in rows_of(log)] == [row["loss"] for row in rows_of(tmp_path / "whole/training.csv")]
+
+
+def test_the_command_trains_on_a_body_of_ones_own(
+    groom_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with np.load(str(files("quaffure") / "assets" / "body.npz"), allow_pickle=False) as shipped:
+        arrays = dict(shipped)
+    arrays["rest_vertices"] = arrays["rest_vertices"] + np.float32([0, 0, 1e-3])
+    np.savez(tmp_path / "taller.npz", **arrays)
+    command = train_command(tmp_path / "run", groom_file, 1)
+    main([*command, "--body", str(tmp_path / "taller.npz")])
+    load_network(tmp_path / "run" / "best.safetensors")
+    with pytest.raises(SystemExit) as stop:
+        main(command)
+    assert stop.value.code == 2
+    assert "expected a run on body" in capsys.readouterr().err
+
+    arrays["joint_names"] = arrays["joint_names"][::-1]
+    np.savez(tmp_path / "reversed.npz", **arrays)
+    with pytest.raises(SystemExit):
+        main([*command, "--body", str(tmp_path / "reversed.npz")])
+    assert "the joints" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--groom", HELD_OUT[0]], "held out"),
+        (["--groom", "bob", "--groom", "mohawk/Ratboy_mohawk.tfx"], "held out"),
+        (["--groom", "bob", "--motion", "nod"], "not in the evaluation set"),
+        (["--groom", "bob", "--pose-features", "5"], "0 or 111"),
+        (["--groom", "bob", "--weights", "none.safetensors"], "no such file"),
+        ([], "at least one groom"),
+        (["--family", "-1"], "--family: expected 0 or more"),
+        (["--groom", "bob", "--strand-layers", "0"], "strand_layers from 1 to 64"),
+        (["--groom", "bob", "--learning-rate", "-1"], "--learning-rate: expected a number above 0"),
+        (["--groom", "bob", "--seed", "-1"], "--seed: expected 0 or more"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused_in_one_line(
+    options: list[str], complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["train", "--out", str(tmp_path / "run"), "--steps", "1", *TINY_OPTIONS, *options])
+    assert stop.value.code == 2
+    told = capsys.readouterr().err
+    assert complaint in told
+    assert told.count("\n") == 1
+
+
+def test_a_held_out_groom_under_another_name_is_refused(
+    groom: Groom, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_groom(tmp_path / "mine.npz", replace(groom, name=HELD_OUT[0]))
+    with pytest.raises(SystemExit):
+        main(train_command(tmp_path / "run", tmp_path / "mine.npz", 1))
+    assert "held out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("spelling", ["{}", "somewhere/{}.npz", "somewhere/{}.tfx"])
+def test_nothing_of_the_evaluation_set_is_trained_on(spelling: str) -> None:
+    of = load_evaluation_set()
+    unseen = [name for name, source in of.grooms.items() if source.group == "unseen"]
+    unseen += [Path(source.file).stem for source in of.grooms.values() if source.group == "unseen" and source.file]
+    assert {*HELD_OUT, "ratboy_mohawk", "Ratboy_mohawk"} <= set(unseen)
+    for name in (*unseen, *map(str.upper, unseen)):
+        with pytest.raises(InputError, match="held out"):
+            refuse_evaluation_data(grooms=["bob", spelling.format(name)])
+    clips = {entry.clip for entry in of.cases}
+    assert clips > {"nod", "13_26"}
+    for name in (*clips, *of.motions):
+        with pytest.raises(InputError, match="evaluation set"):
+            refuse_evaluation_data(motions=[Path("02_06.bvh"), Path(spelling.format(name))])
+    seen = [name for name, source in of.grooms.items() if source.group == "seen"]
+    refuse_evaluation_data([spelling.format(name) for name in (*seen, "mohawk")], [spelling.format("02_06")])
+
+
+def test_validation_poses_are_from_no_clip(groom_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs: list[tuple[DecoderTraining, Validation]] = []
+    monkeypatch.setattr(train_cli, "train", lambda training, validation, report: runs.append((training, validation)))
+    poses = 0.1 * np.random.default_rng(0).standard_normal((40, 81))
+    np.savez(tmp_path / "own.npz", body_pose=poses.astype(np.float32), fps=np.float32(30))
+    command = train_command(tmp_path / "run", groom_file, 1)
+    main(command)
+    main([*command, "--motion", str(tmp_path / "own.npz"), "--family", "1"])
+    (_, without), (trained, beside) = runs
+    assert [clip.name for clip in trained.sampler.clips] == ["own"]
+    assert [groom.name for groom in trained.grooms][1:] == ["family_0"]
+    assert torch.equal(beside.body_pose, without.body_pose)
+    assert torch.equal(beside.body_shape, without.body_shape)

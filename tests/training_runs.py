@@ -1,0 +1,55 @@
+"""Small training runs that many tests share."""
+
+import csv
+import sys
+from pathlib import Path
+
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.pose_features import FEATURE_COUNT
+from quaffure.body.pose_prior import load_pose_prior
+from quaffure.groom.groom import Groom
+from quaffure.groom.procedural import make_groom
+from quaffure.networks.quaffure_network import NetworkConfig
+from quaffure.training.distributed import Worker
+from quaffure.training.pose_sampler import PoseSampler
+from quaffure.training.train_config import TrainConfig
+from quaffure.training.train_decoder import DecoderTraining
+
+TINY = TrainConfig(
+    network=NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=8, strand_width=16),
+    steps=4,
+    runs=1,
+    warmup=2,
+    log_every=1,
+    validate_every=2,
+)
+TINY_OPTIONS = (
+    *("--texel-channels", "8", "--strand-width", "16", "--runs", "1", "--warmup", "2"),
+    *("--log-every", "1", "--validate-every", "100", "--save-every-seconds", "0", "--device", "cpu"),
+)
+QUAFFURE = Path(sys.executable).with_name("quaffure")
+LONGEST_WAIT = 300  # seconds
+
+
+def tiny_groom(body: BodyModel) -> Groom:
+    return make_groom("bob", body).select(torch.arange(0, 2400, 60))
+
+
+def training(body: BodyModel, groom: Groom, folder: Path, config: TrainConfig = TINY, rank: int = 0) -> DecoderTraining:
+    return DecoderTraining(config, body, (groom,), PoseSampler(load_pose_prior()), folder, Worker(rank))
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def checkpoint(folder: Path) -> dict:
+    state: dict = torch.load(folder / "checkpoint.pt", weights_only=True)
+    return state
+
+
+def train_command(folder: Path, groom_file: Path, steps: int) -> list[str]:
+    return ["train", "--out", str(folder), "--groom", str(groom_file), "--steps", str(steps), *TINY_OPTIONS]

@@ -9,6 +9,7 @@ from quaffure.body.motion import Motion
 from quaffure.body.pose_features import FEATURE_COUNT, pose_features
 from quaffure.body.soft_body import soft_body
 from quaffure.config import HairMaterial
+from quaffure.drapers import neural
 from quaffure.drapers.neural import NeuralDraper, starting_margin
 from quaffure.drapers.quaffure_model import load_model
 from quaffure.drapers.scene import BodyBatch, Scene
@@ -136,6 +137,18 @@ def test_a_drape_does_not_depend_on_the_batch_or_the_order_of_strands(scene: Sce
     torch.testing.assert_close(
         draper.drape(Scene(scene.groom.select(order), scene.bodies)), whole[:, order], atol=1e-5, rtol=0
     )
+
+
+def test_a_groom_is_fitted_to_a_body_once(groom: Groom, body: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    fitted: list[Groom] = []
+    at_rest = neural.rest_state
+    monkeypatch.setattr(neural, "rest_state", lambda *of: (fitted.append(groom), at_rest(*of))[1])
+    model = load_model()
+    for _ in range(2):
+        model.drape(groom, torch.zeros(1, 81), torch.zeros(1, 10))
+    assert len(fitted) == 1
+    model.draper.drape(Scene(groom, BodyBatch(replace(body), torch.zeros(1, 81), torch.zeros(1, 10))))
+    assert len(fitted) == 2
 
 
 def test_pose_features_do_not_change_with_heading_and_do_with_the_head(body: BodyModel) -> None:

@@ -1,5 +1,6 @@
 """The network's drape: one pass, no iterations."""
 
+from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import torch
@@ -15,7 +16,7 @@ from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.geometry.soft_surface import slide, soft_views
 from quaffure.groom.groom import Groom
-from quaffure.networks.groom_texture import groom_texture
+from quaffure.networks.groom_code import groom_code
 from quaffure.networks.quaffure_network import POSE_SIZE, SHAPE_SIZE, NetworkInputs, QuaffureNetwork
 from quaffure.types import Float, Positions, Tensor
 
@@ -23,6 +24,21 @@ THICKNESS, THICK_FROM = 0.015, 0.2
 """How far above the lowest hair the uppermost starts, and after which length of strand all of it [m]."""
 SEEN = 0.05
 """From which amount of a view on it tells a distance."""
+
+
+@dataclass(frozen=True)
+class FittedGroom:
+    """What a drape needs of a groom on a body, whatever the pose.
+
+    Attributes:
+        rest: rest quantities.
+        code: of the frozen encoder.
+        margin: see `starting_margin` [m].
+    """
+
+    rest: RestState
+    code: Float[Tensor, "16"]
+    margin: Float[Tensor, "s n"]
 
 
 class NeuralDraper:
@@ -38,23 +54,24 @@ class NeuralDraper:
 
     def __init__(self, network: QuaffureNetwork, material: HairMaterial, bf16: bool = False) -> None:
         self.network, self.material, self.bf16 = network, material, bf16
-        self._codes: WeakKeyDictionary[Groom, Tensor] = WeakKeyDictionary()
-        self._margins: WeakKeyDictionary[Groom, Tensor] = WeakKeyDictionary()
+        self._fitted: WeakKeyDictionary[Groom, WeakKeyDictionary[BodyModel, FittedGroom]] = WeakKeyDictionary()
 
     def drape(self, scene: Scene) -> Positions:
         with torch.no_grad():
-            return self.deform(scene, rest_state(scene.groom.rest_strands, self.material))
+            return self.deform(scene)
 
-    def deform(self, scene: Scene, rest: RestState) -> Positions:
-        """Draped vertices [m], differentiable in the network's weights."""
+    def deform(self, scene: Scene) -> Positions:
+        """Draped vertices [m], differentiable in the network's weights but for the encoder's."""
+        fitted = self._fit(scene.groom, scene.bodies.body)
+        rest = fitted.rest
         bodies, root, directions = scene.bodies, scene.posed[:, :, 0], self.network.config.output == "directions"
         head = world_from_head(bodies.body, bodies.posed.joint_rotations)[:, None]
         sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, self.material.k_cosserat)
         surface = soft_body(bodies.body, bodies.posed)
-        edges, views = slide(root, sag, rest.rest_length, self._margin(scene.groom, rest, bodies.body), surface)
+        edges, views = slide(root, sag, rest.rest_length, fitted.margin, surface)
         if not self.network.config.slides:
             edges = torch.nn.functional.normalize(sag, dim=-1)
-        inputs = self._inputs(scene, integrate_directions(root, edges, rest.rest_length), views)
+        inputs = self._inputs(scene, fitted, integrate_directions(root, edges, rest.rest_length), views)
         with torch.autocast(sag.device.type, torch.bfloat16, enabled=self.bf16):
             answer = self.network(inputs)
         answer = answer @ head.mT
@@ -63,14 +80,16 @@ class NeuralDraper:
         answer = torch.cat([torch.zeros_like(answer[:, :, :1]), answer[:, :, 1:]], dim=2)  # roots do not move
         return scene.posed + answer
 
-    def _inputs(self, scene: Scene, undeformed: Positions, views: Float[Tensor, "b s e 5"]) -> NetworkInputs:
+    def _inputs(
+        self, scene: Scene, fitted: FittedGroom, undeformed: Positions, views: Float[Tensor, "b s e 5"]
+    ) -> NetworkInputs:
         bodies = scene.bodies
         body, posed_body = bodies.body, bodies.posed
         head = body.joint_names.index(HEAD)
         offset = undeformed[:, :, 1:] - posed_body.joint_positions[:, None, None, head]
         to_head = posed_body.joint_rotations[:, None, head]
         return NetworkInputs(
-            groom_code=self._code(scene.groom, body),
+            groom_code=fitted.code,
             texels=scene.groom.texels(),
             body_pose=without_heading(bodies.body_pose),
             body_shape=bodies.body_shape,
@@ -79,16 +98,15 @@ class NeuralDraper:
             views=torch.cat([views[..., :1], views[..., 1:4] @ to_head, views[..., 4:]], dim=-1),
         )
 
-    def _code(self, groom: Groom, body: BodyModel) -> Float[Tensor, "16"]:
-        if groom not in self._codes:
+    def _fit(self, groom: Groom, body: BodyModel) -> FittedGroom:
+        """Made once for every groom and body that is still in use."""
+        on_bodies = self._fitted.setdefault(groom, WeakKeyDictionary())
+        if body not in on_bodies:
+            rest = rest_state(groom.rest_strands, self.material)
             with torch.no_grad():
-                self._codes[groom] = self.network.encoder(groom_texture(groom, body))[0]
-        return self._codes[groom]
-
-    def _margin(self, groom: Groom, rest: RestState, body: BodyModel) -> Float[Tensor, "s n"]:
-        if groom not in self._margins:
-            self._margins[groom] = starting_margin(groom, rest, body)
-        return self._margins[groom]
+                code = groom_code(groom, body, self.network.encoder)
+            on_bodies[body] = FittedGroom(rest, code, starting_margin(groom, rest, body))
+        return on_bodies[body]
 
 
 def starting_margin(groom: Groom, rest: RestState, body: BodyModel) -> Float[Tensor, "s n"]:

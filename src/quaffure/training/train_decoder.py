@@ -128,7 +128,7 @@ class DecoderTraining:
     def _loss(self, scene: Scene, energy: HairEnergy, grooms: int) -> tuple[Tensor, dict[str, float]]:
         """Eq. 1 over the batch of one of several grooms, in `loss_unit`, and its terms where this step logs them."""
         config, unit = self.config, loss_unit(energy)
-        draped = self.draper.deform(scene, energy.rest)
+        draped = self.draper.deform(scene)
         # The gradient that arrives is that of the mean over samples and grooms.
         positions = limit_forces(draped, energy.rest, len(draped) * grooms * unit)
         total = energy.along_strands(positions, scene.director, scene.surface)

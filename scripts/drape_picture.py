@@ -16,7 +16,6 @@ from quaffure.body.clips import bundled_clip
 from quaffure.body.motion import Motion, resample
 from quaffure.drapers.drape_motion import drape_motion
 from quaffure.drapers.quaffure_model import load_model
-from quaffure.groom.groom import Groom
 from quaffure.groom.guide_interpolation import interpolation_of
 from quaffure.groom.procedural import make_groom
 from quaffure.io.read_motion import read_motion
@@ -39,24 +38,24 @@ def main(dance: str) -> None:
     with StrandRenderer(TILE_WIDTH, TILE_HEIGHT) as renderer:
         for name, colour in zip(GROOMS, NATURAL_COLOURS):
             groom, tiles = make_groom(name, body), []
+            between = interpolation_of(groom, body, STRANDS)
             for motion, frames in ((turn, NECK_TURN), (danced, DANCE)):
                 chosen = Motion(motion.body_pose[list(frames)], motion.fps, motion.name)
                 drape = drape_motion(model.draper, groom, body, chosen, torch.zeros(10))
                 tiles += [
-                    _tile(strands, vertices, groom, body, renderer, colour, chosen.body_pose[frame])
-                    for frame, (strands, vertices) in enumerate(zip(drape.strands, drape.body_vertices))
+                    _tile(between.strands(strands, vertices), vertices, body, body_pose, renderer, colour)
+                    for strands, vertices, body_pose in zip(drape.strands, drape.body_vertices, chosen.body_pose)
                 ]
             rows.append(np.hstack(tiles))
     Image.fromarray(np.vstack(rows)).save(OUT, quality=80, optimize=True)
 
 
 def _tile(
-    strands: np.ndarray, vertices: np.ndarray, groom: Groom, body: BodyModel, renderer: StrandRenderer,
-    colour: tuple[float, float, float], body_pose: torch.Tensor,
+    hair: np.ndarray, vertices: np.ndarray, body: BodyModel, body_pose: torch.Tensor, renderer: StrandRenderer,
+    colour: tuple[float, float, float],
 ) -> np.ndarray:  # fmt: skip
     rotations, positions = body.posed_joints(body_pose[None], torch.zeros(1, 10))
     x, y, z = positions[0, body.joint_names.index("Head")].tolist()
-    hair = interpolation_of(groom, body, STRANDS).strands(strands, vertices)
     chest = rotations[0, body.joint_names.index("Spine1")]
     # From the chest's front and not the head's: that the head turns should be seen.
     facing = float(torch.rad2deg(torch.atan2(-chest[0, 1], chest[1, 1])))

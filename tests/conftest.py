@@ -53,3 +53,14 @@ def surface(body: "BodyModel") -> "Surface":
     from quaffure.groom.clearance import rest_surface
 
     return rest_surface(body)
+
+
+@pytest.fixture(scope="session")
+def tiny_groom_file(body: "BodyModel", tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A groom that trains in no time."""
+    from quaffure.io.groom_file import write_groom
+    from tests.training_runs import tiny_groom
+
+    path = tmp_path_factory.mktemp("grooms") / "tiny.npz"
+    write_groom(path, tiny_groom(body))
+    return path

@@ -12,7 +12,6 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.errors import InputError
 from quaffure.groom.groom import Groom
-from quaffure.io.groom_file import write_groom
 from quaffure.training.distributed import Worker, joined_workers
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_decoder import DecoderTraining
@@ -24,18 +23,11 @@ def groom(body: BodyModel) -> Groom:
     return tiny_groom(body)
 
 
-@pytest.fixture(scope="module")
-def groom_file(body: BodyModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("grooms") / "tiny.npz"
-    write_groom(path, tiny_groom(body))
-    return path
-
-
 def test_two_processes_take_the_mean_of_their_gradients(
-    body: BodyModel, groom: Groom, groom_file: Path, tmp_path: Path
+    body: BodyModel, groom: Groom, tiny_groom_file: Path, tmp_path: Path
 ) -> None:
     launcher = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "--no-python"]
-    command = [*launcher, QUAFFURE, *train_command(tmp_path / "both", groom_file, 1)]
+    command = [*launcher, QUAFFURE, *train_command(tmp_path / "both", tiny_groom_file, 1)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=2 * LONGEST_WAIT, check=False)
     assert done.returncode == 0, done.stderr
 

@@ -28,16 +28,9 @@ def groom(body: BodyModel) -> Groom:
     return tiny_groom(body)
 
 
-@pytest.fixture(scope="module")
-def groom_file(body: BodyModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("grooms") / "tiny.npz"
-    write_groom(path, tiny_groom(body))
-    return path
-
-
-def test_a_killed_run_ends_like_an_unbroken_one_bit_for_bit(groom_file: Path, tmp_path: Path) -> None:
+def test_a_killed_run_ends_like_an_unbroken_one_bit_for_bit(tiny_groom_file: Path, tmp_path: Path) -> None:
     steps, killed = 6, tmp_path / "killed"
-    process = subprocess.Popen([QUAFFURE, *train_command(killed, groom_file, steps)], stdout=subprocess.DEVNULL)
+    process = subprocess.Popen([QUAFFURE, *train_command(killed, tiny_groom_file, steps)], stdout=subprocess.DEVNULL)
     log, end = killed / "training.csv", time.monotonic() + LONGEST_WAIT
     try:
         while not (log.is_file() and len(rows_of(log)) >= 2):
@@ -50,8 +43,8 @@ def test_a_killed_run_ends_like_an_unbroken_one_bit_for_bit(groom_file: Path, tm
     reached = checkpoint(killed)["counters"][0]
     assert 1 <= reached < steps
 
-    main(train_command(killed, groom_file, steps))
-    main(train_command(tmp_path / "whole", groom_file, steps))
+    main(train_command(killed, tiny_groom_file, steps))
+    main(train_command(tmp_path / "whole", tiny_groom_file, steps))
     resumed, whole = checkpoint(killed), checkpoint(tmp_path / "whole")
     for part in ("network", "average"):
         for name, value in whole[part].items():
@@ -61,13 +54,13 @@ def test_a_killed_run_ends_like_an_unbroken_one_bit_for_bit(groom_file: Path, tm
 
 
 def test_the_command_trains_on_a_body_of_ones_own(
-    groom_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tiny_groom_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with np.load(str(files("quaffure") / "assets" / "body.npz"), allow_pickle=False) as shipped:
         arrays = dict(shipped)
     arrays["rest_vertices"] = arrays["rest_vertices"] + np.float32([0, 0, 1e-3])
     np.savez(tmp_path / "taller.npz", **arrays)
-    command = train_command(tmp_path / "run", groom_file, 1)
+    command = train_command(tmp_path / "run", tiny_groom_file, 1)
     main([*command, "--body", str(tmp_path / "taller.npz")])
     load_network(tmp_path / "run" / "best.safetensors")
     with pytest.raises(SystemExit) as stop:
@@ -135,12 +128,14 @@ def test_nothing_of_the_evaluation_set_is_trained_on(spelling: str) -> None:
     refuse_evaluation_data([spelling.format(name) for name in (*seen, "mohawk")], [spelling.format("02_06")])
 
 
-def test_validation_poses_are_from_no_clip(groom_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_validation_poses_are_from_no_clip(
+    tiny_groom_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     runs: list[tuple[DecoderTraining, Validation]] = []
     monkeypatch.setattr(train_cli, "train", lambda training, validation, report: runs.append((training, validation)))
     poses = 0.1 * np.random.default_rng(0).standard_normal((40, 81))
     np.savez(tmp_path / "own.npz", body_pose=poses.astype(np.float32), fps=np.float32(30))
-    command = train_command(tmp_path / "run", groom_file, 1)
+    command = train_command(tmp_path / "run", tiny_groom_file, 1)
     main(command)
     main([*command, "--motion", str(tmp_path / "own.npz"), "--family", "1"])
     (_, without), (trained, beside) = runs

@@ -3,7 +3,7 @@
 import math
 import zipfile
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -120,7 +120,7 @@ class BodyModel:
         # products over them run through contiguous memory.
         offsets = positions[..., None] - rotations @ rest_joints[..., None]
         transforms = torch.cat([rotations, offsets], dim=-1).flatten(2)
-        blended = (transforms.transpose(1, 2) @ self._dense_skin_weights.T).unflatten(1, (3, 4))
+        blended = (transforms.transpose(1, 2) @ self.dense_skin_weights.T).unflatten(1, (3, 4))
         turned = (blended[:, :, :3] * rest_vertices.transpose(1, 2)[:, None]).sum(2)
         return PosedBody((turned + blended[:, :, 3]).transpose(1, 2).contiguous(), rotations, positions)
 
@@ -148,8 +148,11 @@ class BodyModel:
         return torch.tensor((0, *self.joint_parents[1:]), device=self.rest_joints.device)
 
     @cached_property
-    def _dense_skin_weights(self) -> Float[Tensor, "v 27"]:
-        """One product of matrices blends all vertices faster than gathering each one's joints."""
+    def dense_skin_weights(self) -> Float[Tensor, "v 27"]:
+        """Share of every joint in every vertex.
+
+        One product of matrices blends all vertices faster than gathering each one's joints.
+        """
         dense = self.skin_weights.new_zeros(len(self.skin_weights), JOINT_COUNT)
         return dense.scatter_add_(1, self.skin_joints, self.skin_weights)
 
@@ -181,6 +184,12 @@ def load_body(path: Path | None = None) -> BodyModel:
         ),
         meta=str(arrays["meta"]),
     )
+
+
+@cache
+def shipped_body() -> BodyModel:
+    """The body that the package ships, loaded once."""
+    return load_body()
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:

@@ -9,6 +9,7 @@ from quaffure.body.body_model import BodyModel, PosedBody
 from quaffure.body.pose_features import HEAD, NEAR_HAIR
 from quaffure.geometry.mesh import angle_weighted_vertex_normals
 from quaffure.geometry.soft_surface import LEAF, SoftSurface
+from quaffure.geometry.spread import spread_subset
 from quaffure.types import Float, Int, Tensor
 
 LEAVES = 128
@@ -30,23 +31,13 @@ def soft_body(body: BodyModel, posed: PosedBody) -> SoftSurface:
 def _skin_points(body: BodyModel) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 3"], Float[Tensor, "k 27"]]:
     """Vertices spread evenly over the skin, leaf after leaf, their normals at rest and their skin weights."""
     near = torch.tensor([body.joint_names.index(name) for name in (HEAD, *NEAR_HAIR)], device=body.faces.device)
-    weights = torch.zeros(len(body.rest_vertices), len(body.joint_names), device=near.device)
-    weights.scatter_add_(1, body.skin_joints, body.skin_weights)
+    weights = body.dense_skin_weights
     reachable = (weights[:, near].sum(1) > 0.5).nonzero()[:, 0]
-    vertices = reachable[_spread(body.rest_vertices[reachable], LEAVES * LEAF)]
+    spread = spread_subset(body.rest_vertices[reachable].cpu().numpy(), LEAVES * LEAF)
+    vertices = reachable[torch.from_numpy(spread).to(reachable.device)]
     vertices = vertices[_leaf_order(body.rest_vertices[vertices])]
     normals = angle_weighted_vertex_normals(body.rest_vertices[None], body.faces)[0, vertices]
     return vertices, normalize(normals, dim=-1), weights[vertices]
-
-
-def _spread(points: Float[Tensor, "p 3"], count: int) -> Int[Tensor, " count"]:
-    """Farthest point sampling: each point is the one farthest from those before it."""
-    chosen = [0]
-    nearest = (points - points[0]).square().sum(-1)
-    for _ in range(count - 1):
-        chosen.append(int(nearest.argmax()))
-        nearest = torch.minimum(nearest, (points - points[chosen[-1]]).square().sum(-1))
-    return torch.tensor(chosen, device=points.device)
 
 
 def _leaf_order(points: Float[Tensor, "p 3"]) -> Int[Tensor, " p"]:

@@ -25,7 +25,7 @@ from quaffure.evaluation.draping import CaseDraper
 from quaffure.evaluation.evaluation_set import DataFolders, EvaluationCase, load_cases, load_evaluation_set
 from quaffure.evaluation.report import mean_rows, worst_rows, write_report
 from quaffure.evaluation.results import Results, results_of
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import check_folder_of, made_folder, replacing
 from quaffure.io.load_groom import load_groom
 
 OWN_FRAMES = 3
@@ -117,8 +117,8 @@ class EvaluateCommand:
             raise InputError("--out", "a .json file to write", "none")
         if self.out is not None and self.out.suffix.lower() != ".json":
             raise InputError(self.out, "an output of suffix .json", f"suffix '{self.out.suffix}'")
-        if self.out is not None and not self.out.parent.is_dir():
-            raise InputError(self.out, "a path in an existing folder", f"no folder {self.out.parent}")
+        if self.out is not None:
+            check_folder_of(self.out)
         own = {"--groom": self.groom, "--motion": self.motion}
         given = next((name for name, value in own.items() if value), None)
         if given and (self.quick or self.write_cases is not None):
@@ -156,10 +156,7 @@ class EvaluateCommand:
     def _write_cases(self, folder: Path, body: BodyModel, weights: dict[str, Path]) -> None:
         material = competitors((NETWORK,), weights)[0].draper.material
         cases = self._of_set(body).cases
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(folder, "a folder for the cases", error.strerror or str(error)) from error
+        made_folder(folder, "a folder for the cases")
         version = load_evaluation_set().version
         paths = [write_case(folder, case, version, body, material) for case in cases]
         print_json([str(path) for path in paths]) if self.json else self._say(

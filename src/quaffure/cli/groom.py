@@ -20,6 +20,7 @@ from quaffure.groom.registration import RegistrationReport, register_groom
 from quaffure.groom.resample import concatenate_strands, resample_by_arc_length, without_degenerate
 from quaffure.groom.scalp_texture import select_guides
 from quaffure.groom.strands import Strands
+from quaffure.io.atomic import check_folder_of
 from quaffure.io.groom_file import LONGEST_STRAND, write_groom
 from quaffure.io.load_groom import read_head
 from quaffure.io.read_strands import read_strands
@@ -113,8 +114,7 @@ def _check_out(path: Path, suffix: str) -> None:
     """Before the work and not after it."""
     if path.suffix.lower() != suffix:
         raise InputError(path, f"a name ending in {suffix}", path.suffix or "no suffix")
-    if not path.parent.is_dir():
-        raise InputError(path, "a path in an existing folder", f"no folder {path.parent}")
+    check_folder_of(path)
     if path.is_dir():
         raise InputError(path, "a file to write", "a folder")
 

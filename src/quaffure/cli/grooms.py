@@ -10,6 +10,7 @@ from quaffure.groom.clearance import rest_surface
 from quaffure.groom.hair_style import HELD_OUT, STYLES
 from quaffure.groom.procedural import LICENCE, make_groom
 from quaffure.groom.style_sizes import StyleSize, style_sizes
+from quaffure.io.atomic import check_folder_of
 
 
 @dataclass(frozen=True)
@@ -25,9 +26,8 @@ class GroomsCommand:
         # Growing takes a while: what cannot be written is refused before.
         if self.out is not None and self.out.suffix.lower() != ".png":
             raise InputError(self.out, "a picture's name ending in .png", f"{self.out.suffix or 'no suffix'}")
-        if self.out is not None and not self.out.parent.is_dir():
-            raise InputError(self.out, "a path in an existing folder", f"no folder {self.out.parent}")
         if self.out is not None:
+            check_folder_of(self.out)
             _draw(self.out)
         rows = [_row(name, size) for name, size in style_sizes().items()]
         print_json(rows) if self.json else print_rows(rows, "bundled grooms")

@@ -6,6 +6,7 @@ from pathlib import Path
 from quaffure.errors import InputError
 from quaffure.groom.drape_sequence import DrapeSequence
 from quaffure.groom.guide_interpolation import GuideInterpolation, with_strands
+from quaffure.io.atomic import check_folder_of
 
 Writer = Callable[[Path, DrapeSequence, GuideInterpolation | None], None]
 
@@ -23,8 +24,7 @@ def writer_for(path: Path) -> Writer:
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
         raise InputError(path, f"an output of suffix {', '.join(WRITERS)}", f"suffix '{path.suffix}'")
-    if not path.parent.is_dir():
-        raise InputError(path, "a path in an existing folder", f"no folder {path.parent}")
+    check_folder_of(path)
     if path.is_dir():
         raise InputError(path, "a file to write", "a folder")
     return writer

@@ -27,12 +27,12 @@ from quaffure.geometry.surface import Surface
 from quaffure.groom.clearance import rest_surface
 from quaffure.groom.groom import Groom
 from quaffure.groom.hair_style import HELD_OUT, STYLES
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import made_folder, replacing
 from quaffure.io.load_groom import load_groom
 from quaffure.networks.groom_autoencoder import GroomAutoencoder
 from quaffure.networks.groom_texture import GroomSample, sample_of
 from quaffure.training.groom_samples import Growing, family_growings, grow_samples, library_growings
-from quaffure.training.run_folder import made_folder
+from quaffure.training.run_folder import RUN
 from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeTraining, train
 
 TRAINED = [name for name in STYLES if name not in HELD_OUT]
@@ -80,7 +80,7 @@ class TrainCodeCommand:
     def run(self) -> None:
         refuse_evaluation_data(self.groom)
         body = load_body()
-        garden = Garden(body, rest_surface(body), made_folder(self.out / "grooms"))
+        garden = Garden(body, rest_surface(body), made_folder(self.out / "grooms", RUN))
         own, unseen = self._own(body), _samples([load_groom(name, body) for name in self.unseen], body)
         library = garden.grow(library_growings(TRAINED, range(self.config.library_seeds)), "growing the library")
         family = garden.grow(family_growings(range(self.config.family)), "growing the family")

@@ -53,10 +53,7 @@ class AdamDraper:
         energy = HairEnergy(scene.groom, self.material, self.elastic)
         directions = Directions(energy, scene)
         descent = Descent(energy, scene, directions, limited=True)
-        for optimizer in _annealed(descent, self.steps, self.learning_rate, self.learning_rate):
-            optimizer.step()
-            with torch.no_grad():
-                directions.values.copy_(torch.nn.functional.normalize(directions.values, dim=-1))
+        descend_directions(descent, directions, self.steps, self.learning_rate)
         return descent.finish()
 
 
@@ -95,6 +92,18 @@ class AdamPositionsDraper:
         for optimizer in _annealed(descent, self.steps, self.learning_rate, self.learning_rate / edge):
             optimizer.step()
         return descent.finish()
+
+
+def descend_directions(descent: Descent, directions: Directions, steps: int, learning_rate: float) -> None:
+    """Steps of Adam from where the directions are; they stay of unit length.
+
+    Args:
+        directions: the variables of `descent`.
+        learning_rate: at the start [dimensionless change of a unit direction]; falls to a hundredth along a cosine.
+    """
+    for optimizer in _annealed(descent, steps, learning_rate, learning_rate):
+        optimizer.step()
+        directions.turn_to(directions.values)
 
 
 def _annealed(descent: Descent, steps: int, rate: float, turning_rate: float) -> Iterator[torch.optim.Optimizer]:

@@ -17,7 +17,7 @@ from quaffure.energies.elastic_model import ModifiedCosserat
 from quaffure.energies.force_limit import limit_forces
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.polyline import integrate_directions
-from quaffure.types import Positions, Tensor
+from quaffure.types import EdgeVectors, Positions, Tensor
 
 
 @runtime_checkable
@@ -48,6 +48,11 @@ class Directions:
         if isinstance(energy.elastic, ModifiedCosserat):
             start = sagged_vectors(start, self._rest_length, energy.rest.mass_beyond, energy.material.k_cosserat)
         self.values = torch.nn.functional.normalize(start, dim=-1).requires_grad_()
+
+    @torch.no_grad()
+    def turn_to(self, vectors: EdgeVectors) -> None:
+        """Point along vectors of any length but zero, from here on."""
+        self.values.copy_(torch.nn.functional.normalize(vectors, dim=-1))
 
     def positions(self) -> Positions:
         return integrate_directions(self._roots, self.values, self._rest_length)

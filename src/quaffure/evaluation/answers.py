@@ -1,6 +1,5 @@
 """Cases as files for a method from elsewhere, and its answers read back. Both are drape files (docs/evaluation.md)."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -15,8 +14,7 @@ from quaffure.errors import InputError
 from quaffure.evaluation.drape_cache import TimedDrape
 from quaffure.evaluation.evaluation_set import CaseEntry, EvaluationCase, EvaluationSet
 from quaffure.groom.drape_sequence import DrapeSequence
-from quaffure.io.atomic import replacing
-from quaffure.io.drape_file import read_drape
+from quaffure.io.drape_file import read_drape, write_drape
 
 ROOT_SLACK = 1e-3
 """A root may be so far from its place on the scalp [m]."""
@@ -39,25 +37,26 @@ def write_case(folder: Path, case: EvaluationCase, set_version: int, body: BodyM
         "frames": case.frames,
         "material": asdict(material),
     }
-    arrays = {
-        "strands": posed,
-        "posed": posed,
-        "rest_lengths": case.groom.rest_lengths.numpy(),
-        "body_vertices": scene.bodies.posed.vertices.numpy(),
-        "body_faces": body.faces.numpy().astype(np.int32),
-        "body_pose": case.motion.body_pose.numpy(),
-        "body_shape": case.body_shape.numpy(),
-        "fps": np.array(case.motion.fps),
+    posed_groom = DrapeSequence(
+        strands=posed,
+        posed=posed,
+        rest_lengths=case.groom.rest_lengths.numpy(),
+        body_vertices=scene.bodies.posed.vertices.numpy(),
+        body_faces=body.faces.numpy().astype(np.int32),
+        body_pose=case.motion.body_pose.numpy(),
+        body_shape=case.body_shape.numpy(),
+        fps=case.motion.fps,
+        meta=meta,
+    )
+    at_rest = {
         "rest_strands": case.groom.rest_strands.numpy(),
         "root_faces": case.groom.root_faces.numpy(),
         "root_barycentric": case.groom.root_barycentric.numpy(),
         "root_uv": case.groom.root_uv.numpy(),
         "rest_body_vertices": body.rest_vertices.numpy(),
-        "meta": np.array(json.dumps(meta, ensure_ascii=False)),
     }
     path = folder / f"{case.name}.npz"
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]  # taken for numpy's allow_pickle
+    write_drape(path, posed_groom, at_rest)
     return path
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from quaffure.errors import InputError
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import made_folder, replacing
 from quaffure.io.npz_strands import read_npz
 from quaffure.types import Float, Tensor
 
@@ -55,11 +55,7 @@ class DrapeCache:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(folder, "a folder for drapes", error.strerror or str(error)) from error
+        self.folder = made_folder(folder, "a folder for drapes")
 
     def get(self, key: str) -> TimedDrape | None:
         """The drape of a fingerprint; None where there is none, or where one of its files is lost or damaged."""

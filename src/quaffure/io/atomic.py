@@ -18,8 +18,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         InputError: the folder of `path` does not exist or is not writable.
     """
-    if not path.parent.is_dir():
-        raise InputError(path, "a path in an existing folder", f"no folder {path.parent}")
+    check_folder_of(path)
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
     except OSError as error:
@@ -35,3 +34,29 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_folder_of(path: Path) -> None:
+    """Refuse a file that could not be written later on, before any work is done for it.
+
+    Raises:
+        InputError: the folder of `path` does not exist.
+    """
+    if not path.parent.is_dir():
+        raise InputError(path, "a path in an existing folder", f"no folder {path.parent}")
+
+
+def made_folder(path: Path, what: str) -> Path:
+    """The folder, with those that it lies in, made where it does not exist.
+
+    Args:
+        what: what it is, for the error: `a folder for drapes`.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(path, what, error.strerror or str(error)) from error
+    return path

@@ -5,6 +5,7 @@ import math
 import struct
 import zipfile
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,11 @@ SHAPES = {
 LARGEST_COMPRESSION = 1032
 
 
-def write_drape(path: Path, seq: DrapeSequence) -> None:
+def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] | None = None) -> None:
     """Write a drape file, whole or not at all.
+
+    Args:
+        more: further arrays for the file, which `read_drape` passes over.
 
     Raises:
         InputError: `path` cannot be written, or the sequence breaks the contract of the file.
@@ -40,7 +44,7 @@ def write_drape(path: Path, seq: DrapeSequence) -> None:
     meta = np.array(json.dumps(seq.meta, ensure_ascii=False))
     with replacing(path) as temporary, temporary.open("wb") as file:
         # Not compressed: float positions shrink by a tenth at ten times the writing time.
-        np.savez(file, meta=meta, **arrays)  # type: ignore[arg-type]  # taken for numpy's allow_pickle
+        np.savez(file, meta=meta, **arrays, **(more or {}))  # type: ignore[arg-type]  # taken for numpy's allow_pickle
 
 
 def read_drape(path: Path) -> DrapeSequence:

@@ -1,11 +1,10 @@
 """A groom from whatever names one: a bundled style, a registered groom file, or strands of any supported format."""
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.body_model import BodyModel, shipped_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
 from quaffure.groom.groom import Groom
@@ -28,7 +27,7 @@ def load_groom(groom: str | Path, body: BodyModel | None = None, head: Path | No
     Raises:
         InputError: no such name or file, a broken file, or strands that cannot be registered.
     """
-    body = body or _shipped_body()
+    body = body or shipped_body()
     if isinstance(groom, str) and groom in STYLES:
         return make_groom(groom, body)
     path = Path(groom)
@@ -42,11 +41,6 @@ def load_groom(groom: str | Path, body: BodyModel | None = None, head: Path | No
         return select_guides(loaded)
     mesh = read_head(head) if head is not None else None
     return select_guides(register_groom(read_strands(path), body, path.stem, mesh)[0])
-
-
-@cache
-def _shipped_body() -> BodyModel:
-    return load_body()
 
 
 def read_head(path: Path) -> HeadMesh:

@@ -9,10 +9,10 @@ once as strands, and a few of them once more as guides, with the purpose `guide`
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 
 from quaffure.errors import InputError
+from quaffure.geometry.spread import spread_subset
 from quaffure.groom.drape_sequence import DrapeSequence
 from quaffure.groom.strands import Strands, checked_strands
 from quaffure.io.atomic import replacing
@@ -70,18 +70,6 @@ def read_usd_strands(path: Path) -> Strands:
         points.append(curve_points)
         counts.append(curve_counts)
     return checked_strands(np.concatenate(points), np.concatenate(counts), path)
-
-
-def spread_subset(roots: Float[np.ndarray, "s 3"], most: int) -> np.ndarray:
-    """Indices of up to `most` roots, each the farthest from those before it: an even cover of the scalp."""
-    chosen = [0]
-    distance = np.linalg.norm(roots - roots[0], axis=1)
-    distance[0] = -1.0  # two roots may lie in one point, and still count as two
-    while len(chosen) < min(most, len(roots)):
-        chosen.append(int(distance.argmax()))
-        distance = np.minimum(distance, np.linalg.norm(roots - roots[chosen[-1]], axis=1))
-        distance[chosen] = -1.0
-    return np.sort(chosen)
 
 
 def _set_stage(stage: Usd.Stage, seq: DrapeSequence) -> None:

@@ -15,9 +15,10 @@ import torch
 import quaffure
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import made_folder, replacing
 
 CHECKPOINT = "checkpoint.pt"
+RUN = "a folder for the run"
 Table = Literal["training", "validation"]
 
 
@@ -37,7 +38,7 @@ class RunFolder:
         Raises:
             InputError: it cannot be made.
         """
-        self.path = made_folder(path)
+        self.path = made_folder(path, RUN)
         self.version = code_version()
 
     def describe(self, description: Mapping[str, object]) -> None:
@@ -108,19 +109,6 @@ class RunFolder:
             kept = [row for row in whole if int(row["step"]) <= step]
             if len(kept) < len(rows):
                 _write_table(path, columns, kept)
-
-
-def made_folder(path: Path) -> Path:
-    """The folder, with those that it lies in, made where it does not exist.
-
-    Raises:
-        InputError: it cannot be made.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(path, "a folder for the run", error.strerror or str(error)) from error
-    return path
 
 
 def body_digest(body: BodyModel) -> str:

@@ -11,13 +11,13 @@ from quaffure.body.body_model import load_body
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.body.soft_body import soft_body
 from quaffure.config import HairMaterial
-from quaffure.drapers.neural import starting_margin
+from quaffure.drapers.fitted_groom import starting_margin
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.evaluation.figures import intersection_percent
 from quaffure.geometry.polyline import integrate_directions
-from quaffure.geometry.soft_surface import slide
+from quaffure.geometry.soft_surface import slide_reference
 from quaffure.io.load_groom import load_groom
 from quaffure.training.pose_sampler import PoseSampler
 
@@ -48,8 +48,9 @@ def _starts(scene: Scene, energy: HairEnergy) -> dict[str, torch.Tensor]:
     rest, body, root = energy.rest, scene.bodies.body, scene.posed[:, :, 0]
     sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
     surface = soft_body(body, scene.bodies.posed)
-    margins = {"slid": rest.collision_margin, "slid in layers": starting_margin(scene.groom, rest, body)}
-    slid = {name: slide(root, sag, rest.rest_length, margin, surface)[0] for name, margin in margins.items()}
+    layered = starting_margin(scene.groom, rest, body)
+    margins = {"slid": rest.collision_margin, "slid in layers": layered}
+    slid = {name: slide_reference(root, sag, rest.rest_length, margin, surface)[0] for name, margin in margins.items()}
     return {"posed": scene.director, "sag": sag, **slid}
 
 

@@ -18,12 +18,12 @@ HEAVY = ("pxr", "moderngl", "av", "anny", "igl", "trimesh", "PIL", "viser")
 
 # Numba compiles no structs of arrays, so a kernel takes its arrays one by one.
 KERNELS_WITH_MANY_PARAMETERS = {
+    "drapers/drape_kernels.py": {"grow", "finish"},
     "drapers/xpbd_kernels.py": {"find_planes", "sweep_strands"},
     "energies/density_hessian.py": {"_list", "_multiply"},
     "energies/fused_strand.py": {"_strands"},
     "energies/strand_hessian.py": {"_add_contact", "_add_edge", "strand_hessian"},
     "geometry/clear_cells.py": {"_outside"},
-    "geometry/soft_surface.py": {"_slide"},
     "geometry/surface.py": {"_fill"},
     "groom/guide_interpolation.py": {"_mix"},
 }

@@ -9,8 +9,9 @@ from quaffure.body.motion import Motion
 from quaffure.body.pose_features import FEATURE_COUNT, pose_features
 from quaffure.body.soft_body import soft_body
 from quaffure.config import HairMaterial
-from quaffure.drapers import neural
-from quaffure.drapers.neural import NeuralDraper, starting_margin
+from quaffure.drapers import fitted_groom
+from quaffure.drapers.fitted_groom import starting_margin
+from quaffure.drapers.neural import NeuralDraper
 from quaffure.drapers.quaffure_model import load_model
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.closed_form import sagged_vectors
@@ -141,8 +142,8 @@ def test_a_drape_does_not_depend_on_the_batch_or_the_order_of_strands(scene: Sce
 
 def test_a_groom_is_fitted_to_a_body_once(groom: Groom, body: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
     fitted: list[Groom] = []
-    at_rest = neural.rest_state
-    monkeypatch.setattr(neural, "rest_state", lambda *of: (fitted.append(groom), at_rest(*of))[1])
+    at_rest = fitted_groom.rest_state
+    monkeypatch.setattr(fitted_groom, "rest_state", lambda *of: (fitted.append(groom), at_rest(*of))[1])
     model = load_model()
     for _ in range(2):
         model.drape(groom, torch.zeros(1, 81), torch.zeros(1, 10))

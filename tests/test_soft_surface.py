@@ -4,7 +4,7 @@ from torch.nn.functional import normalize
 from quaffure.body.body_model import BodyModel
 from quaffure.body.soft_body import soft_body
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.geometry.soft_surface import LEAF, SoftSurface, slide, slide_reference, soft_views, soft_views_reference
+from quaffure.geometry.soft_surface import LEAF, SoftSurface, slide_reference, soft_views, soft_views_reference
 from quaffure.geometry.surface import posed_surface
 
 RADIUS = 0.3
@@ -47,21 +47,19 @@ def test_views_change_without_jumps() -> None:
     assert views.abs().max() > 0.9
 
 
-def test_sliding_matches_its_twin() -> None:
-    root, vectors, lengths = strands(300)
-    margin = torch.full((300, 13), 0.02)
-    edges, views = slide(root, vectors, lengths, margin, ball())
-    expected_edges, expected_views = slide_reference(root, vectors, lengths, margin, ball())
-    torch.testing.assert_close(edges, expected_edges, atol=1e-4, rtol=0)
-    torch.testing.assert_close(views, expected_views, atol=1e-4, rtol=0)
-    points = torch.cat([root + 0.1 * vectors[:, :, -1], 3 * root], dim=1)  # near and far
-    torch.testing.assert_close(soft_views(points, ball()), soft_views_reference(points, ball()), atol=1e-4, rtol=0)
+def test_compiled_views_are_those_of_the_twin() -> None:
+    points = torch.randn(1, 2005, 3, generator=torch.Generator().manual_seed(0))
+    points = points[:, points[0].norm(dim=-1).argsort()]
+    views = soft_views(points, ball())
+    torch.testing.assert_close(views, soft_views_reference(points, ball()), atol=1e-5, rtol=0)
+    assert (views[..., 4] > 0.9).any()
+    assert (views[..., 4] == 0).any()
 
 
 def test_strands_slide_out_of_the_way_and_nowhere_else() -> None:
     root, vectors, lengths = strands(300)
     margin = torch.full((300, 13), 0.02)
-    edges, _ = slide(root, vectors, lengths, margin, ball())
+    edges, _ = slide_reference(root, vectors, lengths, margin, ball())
     ends = root[:, :, None] + (lengths[..., None] * edges).cumsum(2)
     merely = root[:, :, None] + (lengths[..., None] * normalize(vectors, dim=-1)).cumsum(2)
     assert (merely.norm(dim=-1) < 0.9).any()

@@ -24,7 +24,7 @@ NEAR_HAIR = (
 
 FEATURE_COUNT = 3 + len(NEAR_HAIR) * 9
 
-_OFFSET_SCALE = 0.25  # metres: brings the offsets of joints near the head to about one
+OFFSET_SCALE = 0.25  # metres: brings the offsets of joints near the head to about one
 
 
 def world_from_head(body: BodyModel, joint_rotations: Float[Tensor, "b j 3 3"]) -> Float[Tensor, "b 3 3"]:
@@ -46,5 +46,5 @@ def pose_features(
     head_from_world = joint_rotations[:, head].mT
     down = -head_from_world[:, :, 2]
     rotations = head_from_world[:, None] @ joint_rotations[:, near]
-    offsets = (joint_positions[:, near] - joint_positions[:, head, None]) @ head_from_world.mT / _OFFSET_SCALE
+    offsets = (joint_positions[:, near] - joint_positions[:, head, None]) @ head_from_world.mT / OFFSET_SCALE
     return torch.cat([down, rotations[..., :2].flatten(1), offsets.flatten(1)], dim=1)

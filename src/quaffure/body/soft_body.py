@@ -20,7 +20,7 @@ SIGHT = 0.07
 
 def soft_body(body: BodyModel, posed: PosedBody) -> SoftSurface:
     """Head, trunk and arms of posed bodies, softened."""
-    vertices, normals, weights = _skin_points(body)
+    vertices, normals, weights = skin_points(body)
     rotations = (weights @ posed.joint_rotations.flatten(2)).unflatten(-1, (3, 3))
     turned = normalize((rotations @ normals[..., None])[..., 0], dim=-1)
     points = posed.vertices[:, vertices]
@@ -28,7 +28,7 @@ def soft_body(body: BodyModel, posed: PosedBody) -> SoftSurface:
 
 
 @lru_cache(maxsize=4)
-def _skin_points(body: BodyModel) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 3"], Float[Tensor, "k 27"]]:
+def skin_points(body: BodyModel) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 3"], Float[Tensor, "k 27"]]:
     """Vertices spread evenly over the skin, leaf after leaf, their normals at rest and their skin weights."""
     near = torch.tensor([body.joint_names.index(name) for name in (HEAD, *NEAR_HAIR)], device=body.faces.device)
     weights = body.dense_skin_weights

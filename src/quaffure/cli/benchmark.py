@@ -1,11 +1,11 @@
-"""`quaffure benchmark solvers`: energy against time for every solver on the same drapes."""
+"""`quaffure benchmark`: solvers, energy against time on the same drapes; inference, see `benchmark_inference`."""
 
 import importlib.util
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import torch
 import tyro
@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
+from quaffure.cli.benchmark_inference import InferenceCommand, check_out
 from quaffure.cli.console import console, print_json, print_rows
 from quaffure.cli.inputs import motion_of
 from quaffure.drapers.scene import BodyBatch, Scene
@@ -26,11 +27,9 @@ QUICK_STRANDS = 100
 
 
 @dataclass(frozen=True)
-class BenchmarkCommand:
+class SolversCommand:
     """Drape the same frames by every solver with several budgets; print, write and plot energy against time."""
 
-    what: Annotated[tyro.conf.Positional[Literal["solvers"]], tyro.conf.arg(metavar="{solvers}")]
-    """What to compare."""
     out: Path
     """The .json file to write; a plot goes beside it as .png."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
@@ -50,7 +49,9 @@ class BenchmarkCommand:
 
     def run(self) -> None:
         chosen = self._budgets()
-        self._check_out()
+        check_out(self.out)
+        if self.strands is not None and self.strands < 1:
+            raise InputError("--strands", "1 or more", f"{self.strands}")
         body = load_body()
         cases = self._cases(body)
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -84,15 +85,6 @@ class BenchmarkCommand:
                 raise InputError("--solver", f"one of {', '.join(known)}", f"'{name}'")
         return [budget for budget in every if not self.solver or budget.solver in self.solver]
 
-    def _check_out(self) -> None:
-        """Before the work and not after it."""
-        if self.out.suffix.lower() != ".json":
-            raise InputError(self.out, "an output of suffix .json", f"suffix '{self.out.suffix}'")
-        if not self.out.parent.is_dir():
-            raise InputError(self.out, "a path in an existing folder", f"no folder {self.out.parent}")
-        if self.strands is not None and self.strands < 1:
-            raise InputError("--strands", "1 or more", f"{self.strands}")
-
     def _cases(self, body: BodyModel) -> list[Case]:
         motions = [motion_of(name, body) for name in self.motion or (("neck_turn",) if self.quick else _CLIPS)]
         strands = self.strands if self.strands is not None else (QUICK_STRANDS if self.quick else None)
@@ -112,6 +104,19 @@ class BenchmarkCommand:
         picture = self.out.with_suffix(".png")
         plot_runs(picture, runs)
         return f"written: {self.out}, {picture}"
+
+
+@dataclass(frozen=True)
+class BenchmarkCommand:
+    """Measure solvers against each other, or what a drape by the network costs."""
+
+    what: (
+        Annotated[SolversCommand, tyro.conf.subcommand("solvers")]
+        | Annotated[InferenceCommand, tyro.conf.subcommand("inference")]
+    )
+
+    def run(self) -> None:
+        self.what.run()
 
 
 _CLIPS = ("neck_turn", "bow", "shrug")

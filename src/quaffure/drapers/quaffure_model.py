@@ -1,12 +1,15 @@
 """The shipped network on its body, ready to drape."""
 
+from collections.abc import Iterable, Iterator
 from importlib.resources import files
+from itertools import islice
 from pathlib import Path
 
 import torch
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import VERTICES_PER_STRAND
+from quaffure.drapers.compiled_drape import BATCH
 from quaffure.drapers.neural import NeuralDraper
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.errors import InputError
@@ -44,22 +47,61 @@ class Quaffure:
         Raises:
             InputError: an array of another shape, or a groom that is not laid out for the network.
         """
-        self._check(groom, body_pose, body_shape)
-        device = self.body.rest_vertices.device
-        bodies = BodyBatch(self.body, body_pose.to(device), body_shape.to(device))
-        return self.draper.drape(Scene(groom.to(device), bodies))
+        body_pose, body_shape = self._check(groom, body_pose, body_shape)
+        bodies = BodyBatch(self.body, body_pose, body_shape)
+        return self.draper.drape(Scene(groom.to(body_pose.device), bodies))
 
-    @staticmethod
-    def _check(groom: Groom, body_pose: Tensor, body_shape: Tensor) -> None:
-        batch = len(body_pose)
-        if body_pose.shape != (batch, POSE_SIZE):
-            raise InputError("body_pose", f"[batch, {POSE_SIZE}]", f"{list(body_pose.shape)}")
-        if body_shape.shape != (batch, SHAPE_SIZE):
-            raise InputError("body_shape", f"[{batch}, {SHAPE_SIZE}]", f"{list(body_shape.shape)}")
-        if groom.rest_strands.shape[1] != VERTICES_PER_STRAND:
-            raise InputError(groom.name, f"{VERTICES_PER_STRAND} vertices a strand", f"{groom.rest_strands.shape[1]}")
-        if groom.texels().unique().numel() != len(groom):
-            raise InputError(groom.name, "one strand a texel (`select_guides`)", "several in one")
+    def drape_many(self, grooms: Iterable[Groom], body_pose: Tensor, body_shape: Tensor) -> Iterator[Tensor]:
+        """Many hairstyles, one after another, each as soon as its batch is done: memory does not grow with them.
+
+        Args:
+            grooms: as for `drape`.
+            body_pose, body_shape: a row for each groom, or one that all of them share.
+
+        Yields:
+            Draped vertices of each groom in turn, [strand, vertex, 3] [m, world].
+
+        Raises:
+            InputError: an array of another shape, fewer rows than grooms, or a groom that is not laid out for the
+                network.
+        """
+        poses, shapes = self._rows("body_pose", body_pose, POSE_SIZE), self._rows("body_shape", body_shape, SHAPE_SIZE)
+        device, first, waiting = poses.device, 0, iter(grooms)
+        while batch := list(islice(waiting, BATCH)):
+            for groom in batch:
+                _check_groom(groom)
+            rows = range(first, first + len(batch))
+            bodies = BodyBatch(self.body, _taken("body_pose", poses, rows), _taken("body_shape", shapes, rows))
+            yield from self.draper.drape_grooms([groom.to(device) for groom in batch], bodies)
+            first += len(batch)
+
+    def _rows(self, name: str, values: Tensor, size: int) -> Tensor:
+        if values.ndim != 2 or values.shape[1] != size:
+            raise InputError(name, f"[batch, {size}]", f"{list(values.shape)}")
+        return values.to(self.body.rest_vertices.device)
+
+    def _check(self, groom: Groom, body_pose: Tensor, body_shape: Tensor) -> tuple[Tensor, Tensor]:
+        body_pose = self._rows("body_pose", body_pose, POSE_SIZE)
+        body_shape = self._rows("body_shape", body_shape, SHAPE_SIZE)
+        if len(body_shape) != len(body_pose):
+            raise InputError("body_shape", f"[{len(body_pose)}, {SHAPE_SIZE}]", f"{list(body_shape.shape)}")
+        _check_groom(groom)
+        return body_pose, body_shape
+
+
+def _taken(name: str, values: Tensor, rows: range) -> Tensor:
+    if len(values) == 1:
+        return values.expand(len(rows), -1)
+    if len(values) < rows.stop:
+        raise InputError(name, f"a row for each groom, {rows.stop} or more, or a single one", f"{len(values)}")
+    return values[rows.start : rows.stop]
+
+
+def _check_groom(groom: Groom) -> None:
+    if groom.rest_strands.shape[1] != VERTICES_PER_STRAND:
+        raise InputError(groom.name, f"{VERTICES_PER_STRAND} vertices a strand", f"{groom.rest_strands.shape[1]}")
+    if groom.texels().unique().numel() != len(groom):
+        raise InputError(groom.name, "one strand a texel (`select_guides`)", "several in one")
 
 
 def load_model(path: str | Path | None = None, device: torch.device | str = "cpu") -> Quaffure:

@@ -15,13 +15,26 @@ from numba import njit, prange
 from quaffure.types import EdgeVectors, Float, RestLengths, Tensor
 
 LEAF = 8
-"""Points of a leaf: one look at its bounding sphere spares all of them."""
+"""Points that are near each other and listed together."""
 VIEW_CHANNELS = 5
 """What a vertex sees: mean distance over the radius, mean normal, and how much there is to see."""
-# Sum of weights at which a view counts half: far from all points every channel fades to zero.
-_FAINT = 0.02
-# Edges for which the leaves in reach are listed at once.
-_STRIDE = 4
+FAINT = 0.02
+"""Sum of weights at which a view counts half: far from all points every channel fades to zero."""
+LOOKS = 2
+"""Times that an edge looks and turns."""
+LANES = 16
+"""Places that look at once."""
+# Rows of a look, each of `LANES` numbers: place [radii], and what is seen: sum of weights, weighted sum of normals,
+# weighted sum of the points' heights along their own normals.
+PLACE, WEIGHT, NORMAL, HEIGHT = 0, 3 * LANES, 4 * LANES, 7 * LANES
+LOOK_SIZE = 8 * LANES
+AT_ONCE = 2
+"""Points whose sums stay in registers."""
+_NOWHERE = np.float32(1e9)  # where the point is that weighs nothing anywhere
+
+
+FAST = {"contract", "nnan", "ninf", "nsz", "arcp"}
+"""Fast arithmetic but for `reassoc`: a sum does not depend on where in the list its points stand."""
 
 
 class SoftSurface(NamedTuple):
@@ -38,58 +51,36 @@ class SoftSurface(NamedTuple):
     radius: float
 
 
-def soft_views(points: Float[Tensor, "b p 3"], surface: SoftSurface) -> Float[Tensor, "b p 5"]:
-    """What oriented points of a surface say of places near it.
+def soft_views_reference(points: Float[Tensor, "b p 3"], surface: SoftSurface) -> Float[Tensor, "b p 5"]:
+    """What oriented points of a surface say of places near it: the torch twin of `soft_views`.
 
     Returns:
         Mean signed distance over the radius, mean normal, and how much there is to see; all 0 far away.
     """
-    # A strand of one edge without length looks from where it begins, and turns nowhere.
-    nowhere = points.new_zeros(points.shape[1], 1)
-    margin = points.new_full((points.shape[1], 2), -1e3)
-    return slide(points, torch.ones_like(points)[:, :, None], nowhere, margin, surface)[1][:, :, 0]
-
-
-def soft_views_reference(points: Float[Tensor, "b p 3"], surface: SoftSurface) -> Float[Tensor, "b p 5"]:
-    """Torch twin of `soft_views`."""
     offset = points[:, :, None] - surface.points.flatten(1, 2)[:, None]
     weight = (1 - offset.square().sum(-1) / surface.radius**2).clamp(min=0) ** 4
     normals = surface.normals.flatten(1, 2)
     height = (offset * normals[:, None]).sum(-1)
     whole = weight.sum(-1, keepdim=True)
     parts = [(weight * height).sum(-1, keepdim=True) / surface.radius, weight @ normals, whole]
-    return torch.cat(parts, dim=-1) / (whole + _FAINT)
+    return torch.cat(parts, dim=-1) / (whole + FAINT)
+
+
+def soft_views(points: Float[Tensor, "b p 3"], surface: SoftSurface) -> Float[Tensor, "b p 5"]:
+    """What oriented points of a surface say of places near it; fastest where neighbours in the list are near.
+
+    Returns:
+        Mean signed distance over the radius, mean normal, and how much there is to see; all 0 far away.
+    """
+    if points.device.type != "cpu" or points.dtype != torch.float32:
+        return soft_views_reference(points, surface)
+    views, records = torch.empty(*points.shape[:2], VIEW_CHANNELS), point_records(surface)
+    scaled = (points.detach() / surface.radius).contiguous()
+    _views(scaled.numpy(), *records, views.numpy())
+    return views
 
 
 def slide_reference(
-    root: Float[Tensor, "b s 3"],
-    vectors: EdgeVectors,
-    rest_length: RestLengths,
-    margin: Float[Tensor, "s n"],
-    surface: SoftSurface,
-) -> tuple[EdgeVectors, Float[Tensor, "b s e 5"]]:
-    """Torch twin of `slide`."""
-    place, edges, views = root, [], []
-    for edge in range(vectors.shape[2]):
-        length = rest_length[:, edge, None]
-        direction = torch.nn.functional.normalize(vectors[:, :, edge], dim=-1)
-        for _ in range(2):
-            view = soft_views_reference(place + length * direction, surface)
-            direction = _deflected(direction, view, length, margin[:, edge + 1, None], surface.radius)
-        place = place + length * direction
-        edges.append(direction)
-        views.append(view)
-    return torch.stack(edges, dim=2), torch.stack(views, dim=2)
-
-
-def _deflected(
-    direction: Float[Tensor, "b s 3"], view: Float[Tensor, "b s 5"], length: Tensor, margin: Tensor, radius: float
-) -> Float[Tensor, "b s 3"]:
-    short = (margin * view[..., 4:] - radius * view[..., :1]).clamp(min=0)
-    return torch.nn.functional.normalize(direction + short / length * view[..., 1:4], dim=-1)
-
-
-def slide(
     root: Float[Tensor, "b s 3"],
     vectors: EdgeVectors,
     rest_length: RestLengths,
@@ -107,106 +98,161 @@ def slide(
         margin: distance that each vertex is to keep [m].
 
     Returns:
-        Unit edges, and what the end of each sees of the surface. No gradient flows.
+        Unit edges, and what the end of each sees of the surface.
     """
-    if vectors.device.type != "cpu" or vectors.dtype != torch.float32:
-        return slide_reference(root, vectors, rest_length, margin, surface)
-    edges = torch.empty_like(vectors, memory_format=torch.contiguous_format)
-    views = torch.empty(*vectors.shape[:3], VIEW_CHANNELS)
-    centres = surface.points.mean(dim=2)
-    reach = (surface.points - centres[:, :, None]).norm(dim=-1).amax(dim=2) + surface.radius
-    leaves = torch.cat([surface.points, surface.normals], dim=-1).mT.contiguous()
-    _slide(
-        root.detach().contiguous().numpy(), vectors.detach().contiguous().numpy(), rest_length.contiguous().numpy(),
-        margin.contiguous().numpy(), leaves.detach().numpy(),
-        torch.cat([centres, reach[..., None]], dim=-1).detach().numpy(), np.float32(surface.radius),
-        edges.numpy(), views.numpy(),
-    )  # fmt: skip
-    return edges, views
+    place, edges, views = root, [], []
+    for edge in range(vectors.shape[2]):
+        length = rest_length[:, edge, None]
+        direction = torch.nn.functional.normalize(vectors[:, :, edge], dim=-1)
+        for _ in range(LOOKS):
+            view = soft_views_reference(place + length * direction, surface)
+            direction = _deflected(direction, view, length, margin[:, edge + 1, None], surface.radius)
+        place = place + length * direction
+        edges.append(direction)
+        views.append(view)
+    return torch.stack(edges, dim=2), torch.stack(views, dim=2)
 
 
-@njit(cache=True, parallel=True, fastmath=True)
-def _slide(
-    root: np.ndarray,
-    vectors: np.ndarray,
-    rest_length: np.ndarray,
-    margin: np.ndarray,
-    leaves: np.ndarray,
-    spheres: np.ndarray,
-    radius: np.float32,
-    edges: np.ndarray,
-    views: np.ndarray,
+def _deflected(
+    direction: Float[Tensor, "b s 3"], view: Float[Tensor, "b s 5"], length: Tensor, margin: Tensor, radius: float
+) -> Float[Tensor, "b s 3"]:
+    short = (margin * view[..., 4:] - radius * view[..., :1]).clamp(min=0)
+    return torch.nn.functional.normalize(direction + short / length * view[..., 1:4], dim=-1)
+
+
+class PointRecords(NamedTuple):
+    """A `SoftSurface` as `look` reads it, lengths in units of its radius.
+
+    Attributes:
+        points: a point's position, normal, height along its normal, and a zero; leaf after leaf, and at the end a
+            point that weighs nothing anywhere.
+        places: x of all points but the last, then y, then z.
+    """
+
+    points: Float[np.ndarray, "b p 8"]
+    places: Float[np.ndarray, "b 3 q"]
+
+
+def point_records(surface: SoftSurface) -> PointRecords:
+    """Lay a surface out for `look`; float32, on the CPU."""
+    batch, count = len(surface.points), LEAF * surface.points.shape[1]
+    records = PointRecords(np.zeros((batch, count + 1, 8), np.float32), np.empty((batch, 3, count), np.float32))
+    positions, normals = surface.points.detach().flatten(1, 2), surface.normals.detach().flatten(1, 2)
+    _record(positions.numpy(), normals.numpy(), np.float32(1 / surface.radius), *records)
+    return records
+
+
+@njit(cache=True, error_model="numpy")
+def _record(
+    positions: np.ndarray, normals: np.ndarray, per_radius: np.float32, points: np.ndarray, places: np.ndarray
 ) -> None:
-    batch, strands, count, _ = vectors.shape
-    tiny = np.float32(1e-24)
-    for index in prange(batch * strands):
-        sample, strand = index // strands, index % strands
-        near, seen = np.empty((6, len(spheres[sample]) * LEAF), np.float32), 0
-        x, y, z = root[sample, strand, 0], root[sample, strand, 1], root[sample, strand, 2]
-        for edge in range(count):
-            if edge % _STRIDE == 0:
-                reach = np.float32(0.0)
-                for ahead in range(edge, min(edge + _STRIDE, count)):
-                    reach += rest_length[strand, ahead]
-                seen = _gather(x, y, z, reach, leaves[sample], spheres[sample], near)
-            length = rest_length[strand, edge]
-            ux, uy, uz = (
-                vectors[sample, strand, edge, 0],
-                vectors[sample, strand, edge, 1],
-                vectors[sample, strand, edge, 2],
-            )
-            scale = np.float32(1.0) / np.sqrt(ux * ux + uy * uy + uz * uz + tiny)
-            ux, uy, uz = ux * scale, uy * scale, uz * scale
-            view = views[sample, strand, edge]
-            for _ in range(2):
-                _look(x + length * ux, y + length * uy, z + length * uz, near, seen, radius, view)
-                short = margin[strand, edge + 1] * view[4] - radius * view[0]
-                if short <= np.float32(0.0):
-                    break
-                turn = short / length
-                ux, uy, uz = ux + turn * view[1], uy + turn * view[2], uz + turn * view[3]
-                scale = np.float32(1.0) / np.sqrt(ux * ux + uy * uy + uz * uz + tiny)
-                ux, uy, uz = ux * scale, uy * scale, uz * scale
-            x, y, z = x + length * ux, y + length * uy, z + length * uz
-            edges[sample, strand, edge, 0] = ux
-            edges[sample, strand, edge, 1] = uy
-            edges[sample, strand, edge, 2] = uz
+    for sample in range(len(positions)):
+        for index in range(positions.shape[1]):
+            for axis in range(3):
+                place, normal = positions[sample, index, axis] * per_radius, normals[sample, index, axis]
+                places[sample, axis, index] = place
+                points[sample, index, axis] = place
+                points[sample, index, 3 + axis] = normal
+                points[sample, index, 6] += place * normal
+        points[sample, -1] = _NOWHERE
 
 
-@njit(cache=True, fastmath=True, inline="always")
-def _gather(
-    x: float, y: float, z: float, way: np.float32, leaves: np.ndarray, spheres: np.ndarray, near: np.ndarray
-) -> int:
-    """Copy the points that may be seen on a way of this length [m] side by side; their number."""
-    count = 0
-    for leaf in range(len(spheres)):
-        dx, dy, dz = x - spheres[leaf, 0], y - spheres[leaf, 1], z - spheres[leaf, 2]
-        reach = way + spheres[leaf, 3]
-        if dx * dx + dy * dy + dz * dz < reach * reach:
-            for row in range(6):
-                for k in range(LEAF):
-                    near[row, count + k] = leaves[leaf, row, k]
-            count += LEAF
-    return count
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def list_near(centre: np.ndarray, reach: np.float32, places: np.ndarray, inside: np.ndarray, near: np.ndarray) -> int:
+    """List the points within `reach` of a centre, then the one that weighs nothing up to a multiple of `AT_ONCE`.
+
+    Args:
+        inside: room for a byte a point.
+        near: filled with indices.
+
+    Returns:
+        How many are listed.
+    """
+    count, listed = places.shape[1], 0
+    cx, cy, cz, square = centre[0], centre[1], centre[2], reach * reach
+    for k in range(count):
+        dx, dy, dz = places[0, k] - cx, places[1, k] - cy, places[2, k] - cz
+        inside[k] = dx * dx + dy * dy + dz * dz < square
+    leaves = inside.view(np.uint64)
+    for leaf in range(count // LEAF):
+        if leaves[leaf] != 0:
+            for k in range(leaf * LEAF, (leaf + 1) * LEAF):
+                near[listed] = k  # kept by the count alone: cheaper than a branch that cannot be foretold
+                listed += inside[k]
+    while listed % AT_ONCE != 0:
+        near[listed] = count
+        listed += 1
+    return listed
 
 
-@njit(cache=True, fastmath=True, inline="always")
-def _look(px: float, py: float, pz: float, near: np.ndarray, seen: int, radius: np.float32, view: np.ndarray) -> None:
-    one, none = np.float32(1.0), np.float32(0.0)
-    per_square = one / (radius * radius)
-    whole, height, mx, my, mz = none, none, none, none, none
-    for k in range(seen):
-        ox, oy, oz = px - near[0, k], py - near[1, k], pz - near[2, k]
-        t = max(one - (ox * ox + oy * oy + oz * oz) * per_square, none)
-        weight = t * t * t * t
-        whole += weight
-        height += weight * (ox * near[3, k] + oy * near[4, k] + oz * near[5, k])
-        mx += weight * near[3, k]
-        my += weight * near[4, k]
-        mz += weight * near[5, k]
-    scale = one / (whole + np.float32(_FAINT))
-    view[0] = height * scale / radius
-    view[1] = mx * scale
-    view[2] = my * scale
-    view[3] = mz * scale
-    view[4] = whole * scale
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def look(points: np.ndarray, near: np.ndarray, listed: int, lanes: np.ndarray) -> None:
+    """Sum up what `LANES` places see of the first `listed` points in `near`: fills the rows from `WEIGHT` on.
+
+    Args:
+        near: indices; `listed` is a multiple of `AT_ONCE`.
+        lanes: a place in each lane of the rows from `PLACE` on.
+    """
+    none, one = np.float32(0.0), np.float32(1.0)
+    for i in range(5 * LANES):
+        lanes[WEIGHT + i] = none
+    for first in range(0, listed, AT_ONCE):
+        a, b = near[first], near[first + 1]
+        # Read here, or the compiler has to make sure before every loop that no lane is part of a point.
+        ax, ay, az, bx, by, bz = points[a, 0], points[a, 1], points[a, 2], points[b, 0], points[b, 1], points[b, 2]
+        au, av, aw, bu, bv, bw = points[a, 3], points[a, 4], points[a, 5], points[b, 3], points[b, 4], points[b, 5]
+        ah, bh = points[a, 6], points[b, 6]
+        for i in range(LANES):
+            x, y, z = lanes[PLACE + i], lanes[PLACE + LANES + i], lanes[PLACE + 2 * LANES + i]
+            dx, dy, dz = x - ax, y - ay, z - az
+            p = max(one - dx * dx - dy * dy - dz * dz, none)
+            p *= p
+            p *= p
+            dx, dy, dz = x - bx, y - by, z - bz
+            q = max(one - dx * dx - dy * dy - dz * dz, none)
+            q *= q
+            q *= q
+            lanes[WEIGHT + i] = lanes[WEIGHT + i] + p + q
+            lanes[NORMAL + i] = lanes[NORMAL + i] + p * au + q * bu
+            lanes[NORMAL + LANES + i] = lanes[NORMAL + LANES + i] + p * av + q * bv
+            lanes[NORMAL + 2 * LANES + i] = lanes[NORMAL + 2 * LANES + i] + p * aw + q * bw
+            lanes[HEIGHT + i] = lanes[HEIGHT + i] + p * ah + q * bh
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def mean_view(lanes: np.ndarray) -> None:
+    """Make means of what `look` has summed up: `HEIGHT` is then above the surface, `WEIGHT` how much is to be seen."""
+    for i in range(LANES):
+        whole = lanes[WEIGHT + i]
+        scale = np.float32(1.0) / (whole + np.float32(FAINT))
+        mx, my, mz = lanes[NORMAL + i], lanes[NORMAL + LANES + i], lanes[NORMAL + 2 * LANES + i]
+        x, y, z = lanes[PLACE + i], lanes[PLACE + LANES + i], lanes[PLACE + 2 * LANES + i]
+        lanes[HEIGHT + i] = (x * mx + y * my + z * mz - lanes[HEIGHT + i]) * scale
+        lanes[WEIGHT + i] = whole * scale
+        lanes[NORMAL + i], lanes[NORMAL + LANES + i], lanes[NORMAL + 2 * LANES + i] = mx * scale, my * scale, mz * scale
+
+
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def _views(seers: np.ndarray, points: np.ndarray, places: np.ndarray, views: np.ndarray) -> None:
+    batch, count = seers.shape[:2]
+    runs = (count + LANES - 1) // LANES
+    for index in prange(batch * runs):
+        sample, first = index // runs, (index % runs) * LANES
+        lanes, centre, farthest = np.empty(LOOK_SIZE, np.float32), np.zeros(3, np.float32), np.float32(0.0)
+        inside, near = np.empty(places.shape[2], np.uint8), np.empty(points.shape[1] + AT_ONCE, np.uint32)
+        for i in range(LANES):
+            place = seers[sample, min(first + i, count - 1)]
+            for axis in range(3):
+                lanes[PLACE + axis * LANES + i] = place[axis]
+                centre[axis] += place[axis] / np.float32(LANES)
+        for i in range(LANES):
+            dx, dy, dz = lanes[i] - centre[0], lanes[LANES + i] - centre[1], lanes[2 * LANES + i] - centre[2]
+            farthest = max(farthest, np.sqrt(dx * dx + dy * dy + dz * dz))
+        reach = np.float32(1.001) + farthest
+        look(points[sample], near, list_near(centre, reach, places[sample], inside, near), lanes)
+        mean_view(lanes)
+        for i in range(min(LANES, count - first)):
+            view = views[sample, first + i]
+            view[0], view[4] = lanes[HEIGHT + i], lanes[WEIGHT + i]
+            for axis in range(3):
+                view[1 + axis] = lanes[NORMAL + axis * LANES + i]

@@ -17,7 +17,7 @@ from quaffure.networks.deformation_decoder import DeformationDecoder
 from quaffure.networks.groom_encoder import CODE_SIZE, GroomEncoder
 from quaffure.networks.groom_texture import TEXTURE_CHANNELS
 from quaffure.networks.weights_file import MAX_WIDTH
-from quaffure.types import BodyPose, BodyShape, Float, Int, Tensor
+from quaffure.types import Float, Int, Tensor
 
 POSE_SIZE, SHAPE_SIZE = 81, 10
 MAX_LAYERS = 64
@@ -59,20 +59,12 @@ class NetworkInputs:
     Attributes:
         groom_code: of the groom, from the frozen encoder.
         texels: flat index of every strand's texel.
-        body_pose, body_shape: theta [rad] and beta.
-        pose_features: see `quaffure.body.pose_features`.
-        undeformed: positions of all vertices but the root where the drape would be without contact, relative to the
-            head and in its frame [m].
-        views: what their vertices see of the skin (`quaffure.geometry.soft_surface`), in the head's frame.
+        pose_code: beta, theta [rad] without heading, and the pose features (`quaffure.body.head_view`).
     """
 
     groom_code: Float[Tensor, "16"]
     texels: Int[Tensor, " s"]
-    body_pose: BodyPose
-    body_shape: BodyShape
-    pose_features: Float[Tensor, "b features"]
-    undeformed: Float[Tensor, "b s e 3"]
-    views: Float[Tensor, "b s e 5"]
+    pose_code: Float[Tensor, "b code"]
 
 
 class DisplacementNetwork(nn.Module):
@@ -113,14 +105,23 @@ class DirectionNetwork(nn.Module):
         self.strand = nn.Sequential(nn.SiLU(), *between, nn.Linear(width, 3 * EDGES_PER_STRAND))
         _start_at_zero(self.strand[-1])
 
-    def forward(self, inputs: NetworkInputs) -> Float[Tensor, "b s e 3"]:
+    def forward(self, inputs: NetworkInputs, seen: Float[Tensor, "b s columns"]) -> Float[Tensor, "b s e 3"]:
+        """Change of every edge.
+
+        Args:
+            seen: of every strand where it would be without the network: positions of all vertices but the root relative
+                to the head and in its frame [m], then what they see of the skin (`quaffure.geometry.soft_surface`).
+        """
         texture = self.decoder(_code(self.config, inputs))
         texels = texture.index_select(2, inputs.texels).mT
-        own = inputs.undeformed.flatten(2) / self._METRES
-        if self.config.views:
-            own = torch.cat([own, inputs.views.flatten(2)], dim=2)
-        own = self.from_strand(own)
+        weight = self.strand_weight()
+        own = torch.nn.functional.linear(seen[..., : weight.shape[1]], weight)
         return self.strand(self.from_texel(texels) + own).float().unflatten(-1, (EDGES_PER_STRAND, 3))
+
+    def strand_weight(self) -> Float[Tensor, "width columns"]:
+        """`from_strand` for positions in metres."""
+        weight = self.from_strand.weight
+        return torch.cat([weight[:, : 3 * EDGES_PER_STRAND] / self._METRES, weight[:, 3 * EDGES_PER_STRAND :]], dim=1)
 
 
 QuaffureNetwork = DirectionNetwork | DisplacementNetwork
@@ -132,10 +133,8 @@ def build_network(config: NetworkConfig) -> QuaffureNetwork:
 
 def _code(config: NetworkConfig, inputs: NetworkInputs) -> Float[Tensor, "b inputs"]:
     """The paper's R^107, groom code, beta and theta, followed by the pose features where they are used."""
-    parts = [inputs.groom_code.expand(len(inputs.body_pose), -1), inputs.body_shape, inputs.body_pose]
-    if config.pose_features:
-        parts.append(inputs.pose_features)
-    return torch.cat(parts, dim=1)
+    pose_code = inputs.pose_code[:, : SHAPE_SIZE + POSE_SIZE + config.pose_features]
+    return torch.cat([inputs.groom_code.expand(len(pose_code), -1), pose_code], dim=1)
 
 
 def _start_at_zero(layer: nn.Module) -> None:

@@ -1,0 +1,118 @@
+"""`quaffure benchmark inference`: what a drape by the network costs."""
+
+import importlib.util
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from quaffure.cli.console import console, print_json, print_rows
+from quaffure.drapers.quaffure_model import Quaffure, load_model
+from quaffure.errors import InputError
+from quaffure.evaluation.inference_benchmark import (
+    COUNTS,
+    QUICK_COUNTS,
+    Floor,
+    Timing,
+    floor,
+    report,
+    time_grooms,
+    time_parts,
+    time_strands,
+)
+from quaffure.io.atomic import replacing
+from quaffure.io.load_groom import load_groom
+
+
+@dataclass(frozen=True)
+class InferenceCommand:
+    """Drape ever more hairstyles by the network; print, write and plot time and memory, and what each part takes."""
+
+    out: Path
+    """The .json file to write; a plot goes beside it as .png."""
+    groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """A bundled groom or a file; may be given several times, and they are taken in turn. Without it, long_straight."""
+    weights: Path | None = None
+    """A checkpoint; without it, the shipped one."""
+    quick: bool = False
+    """Only a few grooms: some seconds."""
+    json: bool = False
+    """Print the file's content instead of a table."""
+
+    def run(self) -> None:
+        check_out(self.out)
+        model = load_model(self.weights)
+        if not model.draper.is_compiled(model.body):
+            raise InputError(self.weights or "weights", "a network that is compiled to drape", "another configuration")
+        grooms = [load_groom(name, model.body) for name in self.groom or ("long_straight",)]
+        counts = QUICK_COUNTS if self.quick else COUNTS
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=console, transient=True, disable=self.json) as progress:
+            task = progress.add_task("preparing", total=len(counts))
+
+            def on_count(count: int) -> None:
+                progress.update(task, description=f"{count} grooms", completed=counts.index(count))
+
+            timings = time_grooms(model, grooms, counts, on_count)
+            strands = time_strands(model, grooms[0])
+            parts = time_parts(model, grooms[0])
+            least = floor(model.draper.compiled(), model.draper.packed(grooms[0], model.body))
+        written = report(model, timings, strands, parts, least)
+        with replacing(self.out) as beside:
+            beside.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
+        drawn = self._plot(timings, least)
+        if self.json:
+            print_json(written)
+            return
+        _print(model, timings, parts, least)
+        console.print(drawn)
+
+    def _plot(self, timings: Sequence[Timing], least: Floor) -> str:
+        if importlib.util.find_spec("matplotlib") is None:
+            return f"written: {self.out}; no plot without matplotlib: pip install 'quaffure\\[docs]'"
+        from quaffure.evaluation.inference_plot import plot_timings
+
+        picture = self.out.with_suffix(".png")
+        plot_timings(picture, timings, least)
+        return f"written: {self.out}, {picture}"
+
+
+def check_out(out: Path) -> None:
+    """Before the work and not after it.
+
+    Raises:
+        InputError: no .json, or its folder is missing.
+    """
+    if out.suffix.lower() != ".json":
+        raise InputError(out, "an output of suffix .json", f"suffix '{out.suffix}'")
+    if not out.parent.is_dir():
+        raise InputError(out, "a path in an existing folder", f"no folder {out.parent}")
+
+
+def _print(model: Quaffure, timings: Sequence[Timing], parts: dict[str, float], least: Floor) -> None:
+    print_rows([_row(timing) for timing in timings], f"drapes in {model.draper.compiled().network.dtype}")
+    whole = sum(parts.values())
+    rows: list[dict[str, object]] = [
+        {"part of a drape": name.replace("_", " "), "CPU ms": 1000 * seconds, "share %": 100 * seconds / whole}
+        for name, seconds in parts.items()
+    ]
+    print_rows(rows, "in a full batch")
+    console.print(
+        f"floor of the network's arithmetic: {1000 * least.seconds:.2f} ms a groom "
+        f"({least.operations / 1e9:.2f} G operations at {least.operations_per_second / 1e9:.0f} G/s, "
+        f"{least.bytes_moved / 1e6:.1f} MB at {least.bytes_per_second / 1e9:.1f} GB/s)"
+    )
+
+
+def _row(timing: Timing) -> dict[str, object]:
+    return {
+        "grooms": timing.grooms,
+        "wall s": timing.seconds,
+        "CPU s": timing.cpu_seconds,
+        "wall ms a groom": 1000 * timing.seconds / timing.grooms,
+        "CPU ms a groom": 1000 * timing.cpu_seconds / timing.grooms,
+        "peak MB": timing.peak_megabytes,
+    }

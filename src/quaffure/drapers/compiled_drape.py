@@ -1,0 +1,98 @@
+"""Drapes without gradient on the CPU: compiled kernels before and after the network, many grooms in one batch of it."""
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numba import get_num_threads
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.head_view import HeadView, head_view
+from quaffure.config import EDGES_PER_STRAND, HairMaterial
+from quaffure.drapers.drape_kernels import finish
+from quaffure.drapers.fitted_groom import PackedGroom
+from quaffure.drapers.undeformed import Undeformed, bits, fill_undeformed
+from quaffure.geometry.soft_surface import PointRecords, point_records
+from quaffure.networks.inference_network import InferenceNetwork
+from quaffure.networks.quaffure_network import POSE_SIZE, SHAPE_SIZE
+from quaffure.types import BodyPose, BodyShape, Float, Tensor
+
+BATCH = 8
+"""Drapes whose textures the decoder makes at once; more are not faster, and take more memory."""
+
+
+class CompiledDrape:
+    """`NeuralDraper.deform` as kernels.
+
+    Attributes:
+        network: laid out for speed.
+        material: the one that the network was trained for.
+        network_seconds: wall time of the network alone in the last `drape`.
+    """
+
+    def __init__(self, network: InferenceNetwork, material: HairMaterial) -> None:
+        self.network, self.material, self.network_seconds = network, material, 0.0
+
+    def drape(
+        self,
+        grooms: Sequence[PackedGroom],
+        body: BodyModel,
+        body_pose: BodyPose,
+        body_shape: BodyShape,
+        draped: Sequence[Tensor],
+    ) -> None:
+        """Drape each groom on the body of its row.
+
+        Args:
+            draped: [strand, vertex, 3] for each groom, filled [m, world].
+        """
+        view = head_view(body, body_pose, body_shape)
+        records = point_records(view.surface)
+        begun = time.perf_counter()
+        textures = self.textures(grooms, view)
+        self.network_seconds = time.perf_counter() - begun
+        room = self.room(max(len(groom.texels) for groom in grooms))
+        for sample, (groom, out) in enumerate(zip(grooms, draped)):
+            one = slice(sample, sample + 1)
+            seen = PointRecords(records.points[one], records.places[one])
+            start = self.start(groom, view.sample(sample), seen, room)
+            begun = time.perf_counter()
+            answers = self.network.answers(textures[sample], groom.texels, start.seen[0])
+            self.network_seconds += time.perf_counter() - begun
+            self.end(groom, start, answers, view.sample(sample), out)
+
+    def textures(self, grooms: Sequence[PackedGroom], view: HeadView) -> Float[Tensor, "b texels channels"]:
+        """What the decoder says of each groom on its body."""
+        pose_code = view.pose_code[:, : SHAPE_SIZE + POSE_SIZE + self.network.config.pose_features]
+        return self.network.textures(
+            torch.cat([torch.stack([groom.fitted.code for groom in grooms]), pose_code], dim=1)
+        )
+
+    def room(self, rows: int) -> Undeformed:
+        """Where grooms of up to so many rows can start, one after another: memory in use is still in the cache."""
+        seen = self.network.inputs(rows)[None]
+        return Undeformed(torch.empty(1, rows, 3), torch.empty(1, rows, EDGES_PER_STRAND, 3), seen)
+
+    def start(self, groom: PackedGroom, view: HeadView, records: PointRecords, room: Undeformed) -> Undeformed:
+        """A groom before the network, row by row, on the one body of `view`; lies in `room`."""
+        rows = len(groom.texels)
+        start = Undeformed(*(field[:, :rows] for field in room))
+        place = np.arange(rows, dtype=np.int32).reshape(groom.packets.strand.shape)
+        fill_undeformed(groom.packets, place, view, records, self.material, start)
+        return start
+
+    @staticmethod
+    def end(
+        groom: PackedGroom,
+        start: Undeformed,
+        answers: Float[Tensor, "row answers"],
+        view: HeadView,
+        draped: Float[Tensor, "s n 3"],
+    ) -> None:
+        """Answers to vertices in the world."""
+        finish(
+            start.edges[0].numpy(), bits(answers), groom.fitted.rest_length.numpy(), start.roots[0].numpy(),
+            groom.packets.strand.reshape(-1), view.world_from_head[0].numpy(), view.head[0].numpy(),
+            get_num_threads(), draped.numpy(),
+        )  # fmt: skip

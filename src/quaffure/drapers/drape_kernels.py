@@ -1,0 +1,289 @@
+"""The kernels of a drape without gradient, a packet of strands in the lanes of the processor's vectors.
+
+`grow` is everything before the network, with its torch twin in `quaffure.drapers.undeformed`; `finish` is everything
+after it, which `NeuralDraper.deform` does in torch. Shapes cannot be checked at run time inside compiled code, hence
+`no_type_check`.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit, prange
+
+from quaffure.geometry.soft_surface import (
+    AT_ONCE,
+    FAST,
+    HEIGHT,
+    LANES,
+    LOOK_SIZE,
+    LOOKS,
+    NORMAL,
+    PLACE,
+    WEIGHT,
+    list_near,
+    look,
+    mean_view,
+)
+
+# How much farther than needed a packet's list of skin points reaches, and how far ahead its centre is [radii].
+_SLACK, _AHEAD = 0.1, 0.15
+
+# Rows of a packet after those of `look`.
+_VERTEX = LOOK_SIZE
+_DIRECTION = _VERTEX + 3 * LANES
+_LENGTH = _DIRECTION + 3 * LANES
+_BEYOND = _LENGTH + LANES
+_FRAME = _BEYOND + LANES
+_TOLD = _FRAME + 9 * LANES  # as many as before `_DIRECTION`, as the network is told them
+_ROWS = _TOLD + _DIRECTION
+
+
+@no_type_check
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def grow(
+    rest_edges: np.ndarray, offset: np.ndarray, corners: np.ndarray, barycentric: np.ndarray, margin: np.ndarray,
+    place: np.ndarray, scalp: np.ndarray, down: np.ndarray, points: np.ndarray, places: np.ndarray,
+    radius: float, weight: float, threads: int, roots: np.ndarray, edges: np.ndarray, seen: np.ndarray,
+) -> None:  # fmt: skip
+    """Fill roots, edges and what the network is told, see `quaffure.drapers.undeformed.Undeformed`.
+
+    Args:
+        place: [packet, lane], where in the results each strand goes.
+        down: unit, in the head's frame.
+        radius: of the softened body's points [m].
+        weight: of a strand over k_Cosserat [1/m^2].
+        seen: the bits of float32, or of bfloat16.
+    """
+    batch, packets, count = len(scalp), len(place), rest_edges.shape[1]
+    # Made outside of the parallel loop, where arrays are not counted: counting costs as much as looking.
+    room, centres = np.empty((threads, _ROWS), np.float32), np.empty((threads, 3), np.float32)
+    flags, lists = (
+        np.empty((threads, places.shape[2]), np.uint8),
+        np.empty((threads, points.shape[1] + AT_ONCE), np.uint32),
+    )
+    for thread in prange(threads):
+        rows, centre, inside, near = room[thread], centres[thread], flags[thread], lists[thread]
+        for item in range(thread, batch * packets, threads):
+            sample, packet = item // packets, item % packets
+            own_place, own_points, own_places, own_seen = place[packet], points[sample], places[sample], seen[sample]
+            own_edges, own_margin, own_down, out = rest_edges[packet], margin[packet], down[sample], edges[sample]
+            _place_roots(corners[packet], barycentric[packet], offset[packet], scalp[sample], rows)
+            for i in range(LANES):
+                for axis in range(3):
+                    roots[sample, own_place[i], axis] = rows[_VERTEX + axis * LANES + i]
+            _measure(own_edges, rows)
+            cover, listed = np.float32(-1.0), 0
+            for edge in range(count):
+                _aim(own_edges, edge, own_down, weight, rows)
+                for _ in range(LOOKS):
+                    _step(radius, rows)
+                    if _outside(centre, cover, rows):
+                        _recentre(centre, rows)
+                        cover = _farthest(centre, rows) + np.float32(_SLACK)
+                        listed = list_near(centre, np.float32(1.0) + cover, own_places, inside, near)
+                    look(own_points, near, listed, rows)
+                    mean_view(rows)
+                    if not _turn(own_margin, edge, radius, rows):
+                        break
+                _advance(rows)
+                for i in range(LANES):
+                    for axis in range(3):
+                        out[own_place[i], edge, axis] = rows[_DIRECTION + axis * LANES + i]
+                _tell(rows, own_place, edge, count, own_seen)
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _place_roots(
+    corners: np.ndarray, barycentric: np.ndarray, offset: np.ndarray, scalp: np.ndarray, rows: np.ndarray
+) -> None:
+    """Frames of the scalp triangles (`triangle_frames`) and first vertices."""
+    for i in range(LANES):
+        a, b, c = scalp[corners[0, i]], scalp[corners[1, i]], scalp[corners[2, i]]
+        ax, ay, az = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        bx, by, bz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        along = np.float32(1.0) / np.sqrt(ax * ax + ay * ay + az * az)
+        out = np.float32(1.0) / np.sqrt(nx * nx + ny * ny + nz * nz)
+        ax, ay, az, nx, ny, nz = ax * along, ay * along, az * along, nx * out, ny * out, nz * out
+        tx, ty, tz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
+        ox, oy, oz = offset[0, i], offset[1, i], offset[2, i]
+        u, v, w = barycentric[0, i], barycentric[1, i], barycentric[2, i]
+        rows[_VERTEX + i] = u * a[0] + v * b[0] + w * c[0] + ax * ox + tx * oy + nx * oz
+        rows[_VERTEX + LANES + i] = u * a[1] + v * b[1] + w * c[1] + ay * ox + ty * oy + ny * oz
+        rows[_VERTEX + 2 * LANES + i] = u * a[2] + v * b[2] + w * c[2] + az * ox + tz * oy + nz * oz
+        rows[_FRAME + i], rows[_FRAME + LANES + i], rows[_FRAME + 2 * LANES + i] = ax, tx, nx
+        rows[_FRAME + 3 * LANES + i], rows[_FRAME + 4 * LANES + i], rows[_FRAME + 5 * LANES + i] = ay, ty, ny
+        rows[_FRAME + 6 * LANES + i], rows[_FRAME + 7 * LANES + i], rows[_FRAME + 8 * LANES + i] = az, tz, nz
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _measure(rest_edges: np.ndarray, rows: np.ndarray) -> None:
+    """Length of whole strands [m], as what is beyond their roots."""
+    for i in range(LANES):
+        rows[_BEYOND + i] = np.float32(0.0)
+    for edge in range(len(rest_edges)):
+        for i in range(LANES):
+            x, y, z = rest_edges[edge, 0, i], rest_edges[edge, 1, i], rest_edges[edge, 2, i]
+            rows[_BEYOND + i] += np.sqrt(x * x + y * y + z * z)
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _aim(rest_edges: np.ndarray, edge: int, down: np.ndarray, weight: float, rows: np.ndarray) -> None:
+    """Directions of the next edges, posed and sagged (`sagged_vectors`), and their lengths."""
+    half, one = np.float32(0.5), np.float32(1.0)
+    gx, gy, gz = down[0], down[1], down[2]
+    for i in range(LANES):
+        ex, ey, ez = rest_edges[edge, 0, i], rest_edges[edge, 1, i], rest_edges[edge, 2, i]
+        length = np.sqrt(ex * ex + ey * ey + ez * ez)
+        inverse = one / length
+        ex, ey, ez = ex * inverse, ey * inverse, ez * inverse
+        beyond = rows[_BEYOND + i] - length
+        pull = weight * length * (beyond + half * length)
+        x = rows[_FRAME + i] * ex + rows[_FRAME + LANES + i] * ey + rows[_FRAME + 2 * LANES + i] * ez
+        y = rows[_FRAME + 3 * LANES + i] * ex + rows[_FRAME + 4 * LANES + i] * ey + rows[_FRAME + 5 * LANES + i] * ez
+        z = rows[_FRAME + 6 * LANES + i] * ex + rows[_FRAME + 7 * LANES + i] * ey + rows[_FRAME + 8 * LANES + i] * ez
+        x, y, z = x + pull * gx, y + pull * gy, z + pull * gz
+        scale = one / np.sqrt(x * x + y * y + z * z + np.float32(1e-24))
+        rows[_DIRECTION + i], rows[_DIRECTION + LANES + i], rows[_DIRECTION + 2 * LANES + i] = (
+            x * scale,
+            y * scale,
+            z * scale,
+        )
+        rows[_LENGTH + i], rows[_BEYOND + i] = length, beyond
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _step(radius: float, rows: np.ndarray) -> None:
+    """Where the edges would end."""
+    per_radius = np.float32(1.0) / radius
+    for i in range(LANES):
+        length = rows[_LENGTH + i]
+        x, y, z = rows[_DIRECTION + i], rows[_DIRECTION + LANES + i], rows[_DIRECTION + 2 * LANES + i]
+        rows[PLACE + i] = (rows[_VERTEX + i] + length * x) * per_radius
+        rows[PLACE + LANES + i] = (rows[_VERTEX + LANES + i] + length * y) * per_radius
+        rows[PLACE + 2 * LANES + i] = (rows[_VERTEX + 2 * LANES + i] + length * z) * per_radius
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _outside(centre: np.ndarray, radius: float, rows: np.ndarray) -> bool:
+    """Whether any place is farther from the centre than `radius`; always if that is negative."""
+    cx, cy, cz, square, outside = centre[0], centre[1], centre[2], radius * radius, 0
+    for i in range(LANES):
+        x, y, z = rows[PLACE + i] - cx, rows[PLACE + LANES + i] - cy, rows[PLACE + 2 * LANES + i] - cz
+        outside += x * x + y * y + z * z > square
+    return outside > 0 or radius < np.float32(0.0)
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _farthest(centre: np.ndarray, rows: np.ndarray) -> float:
+    """How far away the farthest place is."""
+    cx, cy, cz, farthest = centre[0], centre[1], centre[2], np.float32(0.0)
+    for i in range(LANES):
+        x, y, z = rows[PLACE + i] - cx, rows[PLACE + LANES + i] - cy, rows[PLACE + 2 * LANES + i] - cz
+        farthest = max(farthest, x * x + y * y + z * z)
+    return np.sqrt(farthest)
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _recentre(centre: np.ndarray, rows: np.ndarray) -> None:
+    """Move the centre amid the places and a little on, the way that the strand in the middle goes."""
+    for axis in range(3):
+        low, high = rows[PLACE + axis * LANES], rows[PLACE + axis * LANES]
+        for i in range(1, LANES):
+            low, high = min(low, rows[PLACE + axis * LANES + i]), max(high, rows[PLACE + axis * LANES + i])
+        ahead = np.float32(_AHEAD) * rows[_DIRECTION + axis * LANES + LANES // 2]
+        centre[axis] = np.float32(0.5) * (low + high) + ahead
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _turn(margin: np.ndarray, edge: int, radius: float, rows: np.ndarray) -> bool:
+    """Turn edges out of the skin; whether any turned."""
+    one, none, turned = np.float32(1.0), np.float32(0.0), 0
+    for i in range(LANES):
+        mx, my, mz = rows[NORMAL + i], rows[NORMAL + LANES + i], rows[NORMAL + 2 * LANES + i]
+        ux, uy, uz = rows[_DIRECTION + i], rows[_DIRECTION + LANES + i], rows[_DIRECTION + 2 * LANES + i]
+        short = max(margin[edge, i] * rows[WEIGHT + i] - radius * rows[HEIGHT + i], none)
+        turn = short / rows[_LENGTH + i]
+        ux, uy, uz = ux + turn * mx, uy + turn * my, uz + turn * mz
+        norm = one / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
+        rows[_DIRECTION + i], rows[_DIRECTION + LANES + i] = ux * norm, uy * norm
+        rows[_DIRECTION + 2 * LANES + i] = uz * norm
+        turned += short > none
+    return turned > 0
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _advance(rows: np.ndarray) -> None:
+    for i in range(LANES):
+        length = rows[_LENGTH + i]
+        rows[_VERTEX + i] += length * rows[_DIRECTION + i]
+        rows[_VERTEX + LANES + i] += length * rows[_DIRECTION + LANES + i]
+        rows[_VERTEX + 2 * LANES + i] += length * rows[_DIRECTION + 2 * LANES + i]
+
+
+@no_type_check
+@njit(cache=True)
+def _tell(rows: np.ndarray, place: np.ndarray, edge: int, count: int, seen: np.ndarray) -> None:
+    """Write where the vertices beyond the edges are and what they see."""
+    bits, at, view, told = rows.view(np.uint32), 3 * edge, 3 * count + 5 * edge, 0
+    if seen.itemsize == 2:
+        told = _TOLD
+        _round(bits)
+    for i in range(LANES):
+        own = place[i]
+        for axis in range(3):
+            seen[own, at + axis] = bits[told + _VERTEX + axis * LANES + i]
+            seen[own, view + 1 + axis] = bits[told + NORMAL + axis * LANES + i]
+        seen[own, view] = bits[told + HEIGHT + i]
+        seen[own, view + 4] = bits[told + WEIGHT + i]
+
+
+@no_type_check
+@njit(cache=True)
+def _round(bits: np.ndarray) -> None:
+    """float32 to bfloat16, to nearest even, in the lower half of each number of `_TOLD`."""
+    for i in range(_DIRECTION):
+        odd = (bits[i] >> np.uint32(16)) & np.uint32(1)
+        bits[_TOLD + i] = (bits[i] + np.uint32(0x7FFF) + odd) >> np.uint32(16)
+
+
+@no_type_check
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def finish(
+    edges: np.ndarray, answers: np.ndarray, rest_length: np.ndarray, roots: np.ndarray, strand: np.ndarray,
+    world_from_head: np.ndarray, head: np.ndarray, threads: int, draped: np.ndarray,
+) -> None:  # fmt: skip
+    """Turn edges by the network's answers, put them one after another and carry them into the world.
+
+    Args:
+        answers: the bits of float32, or of bfloat16.
+        strand: which strand of `rest_length` and `draped` each row of the others is.
+    """
+    count, columns = edges.shape[1], answers.shape[1]
+    room, shift = np.empty((threads, columns), np.uint32), np.uint32(32 - 8 * answers.itemsize)
+    a, b, c = world_from_head[0], world_from_head[1], world_from_head[2]
+    for thread in prange(threads):
+        bits, answer = room[thread], room[thread].view(np.float32)
+        for row in range(thread, len(edges), threads):
+            for k in range(columns):
+                bits[k] = np.uint32(answers[row, k]) << shift
+            own, x, y, z = strand[row], roots[row, 0], roots[row, 1], roots[row, 2]
+            for vertex in range(count + 1):
+                draped[own, vertex, 0] = head[0] + a[0] * x + a[1] * y + a[2] * z
+                draped[own, vertex, 1] = head[1] + b[0] * x + b[1] * y + b[2] * z
+                draped[own, vertex, 2] = head[2] + c[0] * x + c[1] * y + c[2] * z
+                if vertex < count:
+                    ux = edges[row, vertex, 0] + answer[3 * vertex]
+                    uy = edges[row, vertex, 1] + answer[3 * vertex + 1]
+                    uz = edges[row, vertex, 2] + answer[3 * vertex + 2]
+                    scale = rest_length[own, vertex] / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
+                    x, y, z = x + scale * ux, y + scale * uy, z + scale * uz

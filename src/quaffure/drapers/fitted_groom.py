@@ -1,0 +1,99 @@
+"""What a drape needs of a groom on a body, whatever the pose."""
+
+from dataclasses import dataclass, fields
+
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.soft_body import soft_body
+from quaffure.config import TEXTURE_SIZE, HairMaterial
+from quaffure.energies.rest_state import RestState, rest_state
+from quaffure.geometry.soft_surface import soft_views
+from quaffure.groom.groom import Groom
+from quaffure.groom.strand_packets import StrandPackets, strand_packets
+from quaffure.networks.groom_code import groom_code
+from quaffure.networks.inference_network import texel_rows
+from quaffure.networks.quaffure_network import POSE_SIZE, SHAPE_SIZE, QuaffureNetwork
+from quaffure.types import Float, Int, RestLengths, Tensor
+
+THICKNESS, THICK_FROM = 0.015, 0.2
+"""How far above the lowest hair the uppermost starts, and after which length of strand all of it [m]."""
+ANY_DEPTH = -10.0
+"""A margin that no strand falls short of [m]."""
+SEEN = 0.05
+"""From which amount of a view on it tells a distance."""
+
+
+@dataclass(frozen=True)
+class FittedGroom:
+    """A groom on a body, made once for all poses.
+
+    Attributes:
+        code: of the frozen encoder.
+        rest_length: of every edge [m].
+        margin: see `starting_margin`; for networks whose strands do not slide, below whatever is met [m].
+    """
+
+    code: Float[Tensor, "16"]
+    rest_length: RestLengths
+    margin: Float[Tensor, "s n"]
+
+
+@dataclass(frozen=True)
+class PackedGroom:
+    """The same as the kernels read it: a row is a strand in the order of the packets.
+
+    Attributes:
+        texels: of every row, see `quaffure.networks.inference_network.texel_rows`.
+    """
+
+    fitted: FittedGroom
+    packets: StrandPackets
+    texels: Int[Tensor, " row"]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that it takes."""
+        arrays = [getattr(self.packets, field.name) for field in fields(self.packets)]
+        return sum(array.nbytes for array in (*arrays, self.texels, self.fitted.rest_length, self.fitted.margin))
+
+
+def fit_groom(groom: Groom, body: BodyModel, network: QuaffureNetwork, material: HairMaterial) -> FittedGroom:
+    """Fit a groom that is registered to `body`.
+
+    Raises:
+        InputError: it is not laid out for the network (`quaffure.networks.groom_code`).
+    """
+    rest = rest_state(groom.rest_strands, material)
+    slides = network.config.slides
+    margin = starting_margin(groom, rest, body) if slides else torch.full_like(groom.rest_strands[..., 0], ANY_DEPTH)
+    return FittedGroom(groom_code(groom, body, network.encoder), rest.rest_length, margin)
+
+
+def pack_groom(groom: Groom, body: BodyModel, fitted: FittedGroom) -> PackedGroom:
+    """Lay a fitted groom out for the kernels.
+
+    Raises:
+        InputError: a root that is not on the scalp.
+    """
+    packets = strand_packets(groom, body, fitted.margin)
+    strand = torch.from_numpy(packets.strand).flatten().long()
+    return PackedGroom(fitted, packets, texel_rows(groom.texels()[strand], TEXTURE_SIZE))
+
+
+def starting_margin(groom: Groom, rest: RestState, body: BodyModel) -> Float[Tensor, "s n"]:
+    """Distance from the softened body that strands start with [m].
+
+    Hair that roots higher lies on top: without it all hair would start in one layer, pressed to many times its density.
+    Nothing has to be further out than it is at rest, where hair may lie closer to the head than a softened body is
+    true.
+    """
+    height = groom.rest_strands[:, 0, 2].argsort().argsort() / len(groom)
+    arc = torch.nn.functional.pad(rest.rest_length.cumsum(dim=1), (1, 0))
+    layered = rest.collision_margin + THICKNESS * height[:, None] * (arc / THICK_FROM).clamp(max=1)
+    at_rest = body.pose(arc.new_zeros(1, POSE_SIZE), arc.new_zeros(1, SHAPE_SIZE))
+    surface = soft_body(body, at_rest)
+    views = soft_views(groom.rest_strands.flatten(0, 1)[None], surface).unflatten(1, layered.shape)[0]
+    seen = views[..., 4]
+    clearance = torch.where(seen > SEEN, surface.radius * views[..., 0] / seen.clamp(min=SEEN), torch.inf)
+    return torch.minimum(layered, clearance)

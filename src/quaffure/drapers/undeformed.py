@@ -1,0 +1,105 @@
+"""Where strands are before the network: carried by the scalp, bent by their weight, slid along the softened body."""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numba import get_num_threads
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.head_view import HeadView, scalp_vertices
+from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.drapers.drape_kernels import grow
+from quaffure.energies.closed_form import sagged_vectors
+from quaffure.energies.rest_state import rest_state
+from quaffure.geometry.soft_surface import (
+    VIEW_CHANNELS,
+    PointRecords,
+    point_records,
+    slide_reference,
+)
+from quaffure.groom.groom import Groom
+from quaffure.groom.pose_transform import triangle_frames
+from quaffure.groom.strand_packets import StrandPackets
+from quaffure.types import EdgeVectors, Float, Int, Tensor
+
+
+class Undeformed(NamedTuple):
+    """Strands before the network, in the head's frame and relative to the head joint.
+
+    Attributes:
+        roots: first vertices [m].
+        edges: unit vectors.
+        seen: what the network is told of each strand in its first 8 e columns: positions of all vertices but the root
+            [m], then what each of them sees of the skin (`quaffure.geometry.soft_surface`).
+    """
+
+    roots: Float[Tensor, "b s 3"]
+    edges: EdgeVectors
+    seen: Float[Tensor, "b s columns"]
+
+
+def undeformed_reference(
+    groom: Groom, body: BodyModel, view: HeadView, material: HairMaterial, margin: Float[Tensor, "s n"]
+) -> Undeformed:
+    """Torch twin of `undeformed`, for any device.
+
+    Args:
+        margin: see `quaffure.drapers.fitted_groom.starting_margin`.
+    """
+    rest = rest_state(groom.rest_strands, material)
+    corners = torch.searchsorted(scalp_vertices(body), body.faces[groom.root_faces])
+    carriers, weights = body.rest_vertices[body.faces[groom.root_faces]], groom.root_barycentric[..., None]
+    posed = view.scalp[:, corners]
+    rotation = triangle_frames(posed) @ triangle_frames(carriers).mT
+    offset = groom.rest_strands[:, 0] - (weights * carriers).sum(-2)
+    roots = (weights * posed).sum(-2) + (rotation @ offset[..., None])[..., 0]
+    director = torch.nn.functional.normalize(groom.rest_strands.diff(dim=1), dim=-1) @ rotation.mT
+    sag = sagged_vectors(
+        director @ view.world_from_head[:, None].mT, rest.rest_length, rest.mass_beyond, material.k_cosserat
+    )
+    edges, views = slide_reference(roots, sag @ view.world_from_head[:, None], rest.rest_length, margin, view.surface)
+    positions = roots[:, :, None] + (rest.rest_length[..., None] * edges).cumsum(dim=2)
+    return Undeformed(roots, edges, torch.cat([positions.flatten(2), views.flatten(2)], dim=2))
+
+
+def undeformed(packets: StrandPackets, view: HeadView, material: HairMaterial) -> Undeformed:
+    """A groom on a batch of bodies before the network, in the order of its strands; float32, on the CPU."""
+    batch, strands, edges = len(view.head), packets.strand.max() + 1, packets.edges.shape[1]
+    room = Undeformed(
+        torch.empty(batch, strands, 3),
+        torch.empty(batch, strands, edges, 3),
+        torch.empty(batch, strands, (3 + VIEW_CHANNELS) * edges),
+    )
+    fill_undeformed(packets, packets.strand, view, point_records(view.surface), material, room)
+    return room
+
+
+def fill_undeformed(
+    packets: StrandPackets,
+    place: Int[np.ndarray, "packet lane"],
+    view: HeadView,
+    records: PointRecords,
+    material: HairMaterial,
+    room: Undeformed,
+) -> None:
+    """Fill `room` with a groom before the network.
+
+    Args:
+        place: where in the room the strand in each lane goes.
+        room: its last field may be in bfloat16, and may have more columns.
+    """
+    weight = np.float32(material.linear_density * STANDARD_GRAVITY / material.k_cosserat)
+    grow(
+        packets.edges, packets.offset, packets.corners, packets.barycentric, packets.margin, place,
+        view.scalp.numpy(), -view.world_from_head[:, 2].numpy(), records.points, records.places,
+        np.float32(view.surface.radius), weight, get_num_threads(),
+        room.roots.numpy(), room.edges.numpy(), bits(room.seen),
+    )  # fmt: skip
+
+
+def bits(values: Tensor) -> np.ndarray:
+    """float32 or bfloat16 as the kernels take them: numpy knows no bfloat16."""
+    if values.dtype == torch.bfloat16:
+        return values.view(torch.int16).numpy().view(np.uint16)
+    return values.numpy().view(np.uint32)

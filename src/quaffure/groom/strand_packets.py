@@ -1,0 +1,91 @@
+"""A groom's rest strands in packets of sixteen neighbours, as compiled kernels read them.
+
+A kernel works on a packet at once, a strand in each lane of the processor's vectors, and neighbours look at the same
+skin. Edges are kept in the frame of the scalp triangle that carries the strand, where no pose changes them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.head_view import scalp_vertices
+from quaffure.errors import InputError
+from quaffure.geometry.soft_surface import LANES
+from quaffure.groom.groom import Groom
+from quaffure.groom.pose_transform import root_positions, triangle_frames
+from quaffure.types import Float, Int, Tensor
+
+
+@dataclass(frozen=True)
+class StrandPackets:
+    """The last packet repeats the last strand where the groom does not fill it.
+
+    Attributes:
+        strand: which strand of the groom each lane holds.
+        edges: rest edges in the frame of the strand's scalp triangle [m].
+        offset: of the first vertex from the place on the triangle, in its frame [m].
+        corners: of the triangle, as indices of `scalp_vertices`.
+        barycentric: of the place on the triangle.
+        margin: distance from the body that the far vertex of each edge is to keep [m].
+    """
+
+    strand: Int[np.ndarray, "packet lane"]
+    edges: Float[np.ndarray, "packet e 3 lane"]
+    offset: Float[np.ndarray, "packet 3 lane"]
+    corners: Int[np.ndarray, "packet 3 lane"]
+    barycentric: Float[np.ndarray, "packet 3 lane"]
+    margin: Float[np.ndarray, "packet e lane"]
+
+
+def strand_packets(groom: Groom, body: BodyModel, margin: Float[Tensor, "s n"]) -> StrandPackets:
+    """Pack a groom.
+
+    Args:
+        margin: distance from the body that each vertex is to keep [m].
+
+    Raises:
+        InputError: a root that is not on the scalp.
+    """
+    carriers = body.faces[groom.root_faces]
+    vertices = scalp_vertices(body)
+    corners = torch.searchsorted(vertices, carriers).clamp(max=len(vertices) - 1)
+    if not torch.equal(vertices[corners], carriers):
+        raise InputError(groom.name, "roots on the scalp", "roots elsewhere")
+    frames = triangle_frames(body.rest_vertices[carriers])
+    offset = (groom.rest_strands[:, 0] - root_positions(groom, body.rest_vertices[None], body)[0])[:, None] @ frames
+    order = _neighbours_together(groom)
+    order = torch.cat([order, order[-1:].expand(-len(order) % LANES)])
+    return StrandPackets(
+        _packed(order.int()),
+        _packed((groom.rest_strands.diff(dim=1) @ frames)[order]),
+        _packed(offset[order, 0]),
+        _packed(corners[order].int()),
+        _packed(groom.root_barycentric[order]),
+        _packed(margin[order, 1:]),
+    )
+
+
+def _packed(values: Tensor) -> np.ndarray:
+    """[strand, ...] to [packet, ..., lane]."""
+    return np.ascontiguousarray(values.unflatten(0, (-1, LANES)).movedim(1, -1).numpy())
+
+
+def _neighbours_together(groom: Groom) -> Int[Tensor, " s"]:
+    """Order of strands in which every `LANES` stay near: halved along their longest extent, over and over."""
+    strands = groom.rest_strands
+    middle = strands.shape[1] // 2
+    # The root counts most, for there the skin is.
+    place = torch.cat([strands[:, 0], 0.5 * strands[:, middle], 0.5 * strands[:, -1]], dim=1)
+    ordered, parts = [], [torch.arange(len(groom))]
+    while parts:
+        part = parts.pop()
+        if len(part) <= LANES:
+            ordered.append(part)
+            continue
+        extent = place[part].amax(0) - place[part].amin(0)
+        part = part[place[part, int(extent.argmax())].argsort(stable=True)]
+        packets = -(-len(part) // LANES)
+        parts += [part[packets // 2 * LANES :], part[: packets // 2 * LANES]]
+    return torch.cat(ordered)

@@ -1,0 +1,205 @@
+"""The compiled drape against its torch twins, and what a user relies on in it."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.head_view import head_view, head_view_reference
+from quaffure.body.pose_features import FEATURE_COUNT
+from quaffure.config import HairMaterial
+from quaffure.drapers.compiled_drape import BATCH
+from quaffure.drapers.fitted_groom import starting_margin
+from quaffure.drapers.neural import NeuralDraper
+from quaffure.drapers.quaffure_model import Quaffure
+from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.drapers.undeformed import Undeformed, fill_undeformed, undeformed, undeformed_reference
+from quaffure.energies.rest_state import rest_state
+from quaffure.errors import InputError
+from quaffure.geometry.soft_surface import point_records
+from quaffure.groom.groom import Groom
+from quaffure.groom.pose_transform import triangle_frames
+from quaffure.groom.procedural import make_groom
+from quaffure.groom.strand_packets import strand_packets
+from quaffure.networks.inference_network import InferenceNetwork, folded_doubling, texel_rows
+from quaffure.networks.quaffure_network import DirectionNetwork, NetworkConfig, NetworkInputs, build_network
+
+CONFIG = NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=16, strand_width=32)
+MATERIAL = HairMaterial()
+
+
+@pytest.fixture(scope="module")
+def groom(body: BodyModel) -> Groom:
+    return make_groom("bob", body).select(torch.arange(0, 2400, 30))  # 80 strands: no full last packet
+
+
+@pytest.fixture(scope="module")
+def bodies(body: BodyModel) -> BodyBatch:
+    generator = torch.Generator().manual_seed(0)
+    pose = 0.15 * torch.randn(3, 81, generator=generator)
+    return BodyBatch(body, pose, torch.randn(3, 10, generator=generator))
+
+
+@pytest.fixture(scope="module")
+def network() -> DirectionNetwork:
+    """As if it had learnt something."""
+    torch.manual_seed(0)
+    network = build_network(CONFIG)
+    assert isinstance(network, DirectionNetwork)
+    for parameter in network.parameters():
+        parameter.data += 0.06 * torch.randn_like(parameter)
+    return network.eval()
+
+
+@pytest.fixture
+def model(network: DirectionNetwork, body: BodyModel) -> Quaffure:
+    return Quaffure(body, NeuralDraper(network, MATERIAL, bf16=False), {})
+
+
+def test_packets_hold_every_strand(groom: Groom, body: BodyModel) -> None:
+    margin = torch.rand(groom.rest_strands.shape[:2])
+    packets = strand_packets(groom, body, margin)
+    strand = torch.from_numpy(packets.strand).long()
+    assert sorted(strand.flatten()[: len(groom)].tolist()) == list(range(len(groom)))
+    frames = triangle_frames(body.rest_vertices[body.faces[groom.root_faces]])[strand]
+    edges = torch.from_numpy(packets.edges).permute(0, 3, 1, 2) @ frames.mT
+    torch.testing.assert_close(edges, groom.rest_strands.diff(dim=1)[strand], atol=1e-7, rtol=1e-5)
+    assert torch.equal(torch.from_numpy(packets.margin).movedim(2, 1), margin[strand][..., 1:])
+
+
+def test_roots_off_the_scalp_are_refused(groom: Groom, body: BodyModel) -> None:
+    toe = body.faces[:, 0].new_full((len(groom),), int(body.rest_vertices[body.faces[:, 0], 2].argmin()))
+    with pytest.raises(InputError, match="roots on the scalp"):
+        strand_packets(replace(groom, root_faces=toe), body, torch.zeros(groom.rest_strands.shape[:2]))
+
+
+def test_compiled_start_is_that_of_the_twin(groom: Groom, bodies: BodyBatch) -> None:
+    body, arguments = bodies.body, (bodies.body_pose, bodies.body_shape)
+    margin = starting_margin(groom, rest_state(groom.rest_strands, MATERIAL), body)
+    compiled = undeformed(strand_packets(groom, body, margin), head_view(body, *arguments), MATERIAL)
+    expected = undeformed_reference(groom, body, head_view_reference(body, *arguments), MATERIAL, margin)
+    torch.testing.assert_close(compiled.roots, expected.roots, atol=2e-6, rtol=0)
+    # Views amplify what rounding there is: a strand that stands on its root bends to either side.
+    for one, other in zip(compiled[1:], expected[1:]):
+        assert (one - other).abs().quantile(0.99) < 1e-4
+        assert (one - other).abs().max() < 5e-3
+    lowest = margin[:, 12].min()
+    assert 0 < lowest < MATERIAL.collision_margin + 0.015
+
+
+def test_what_the_network_is_told_is_rounded_to_nearest(groom: Groom, bodies: BodyBatch) -> None:
+    view = head_view(bodies.body, bodies.body_pose, bodies.body_shape)
+    packets = strand_packets(groom, bodies.body, torch.full(groom.rest_strands.shape[:2], 0.004))
+    exact = undeformed(packets, view, MATERIAL)
+    rounded = Undeformed(exact.roots, exact.edges, torch.zeros(3, len(groom), 200, dtype=torch.bfloat16))
+    fill_undeformed(packets, packets.strand, view, point_records(view.surface), MATERIAL, rounded)
+    assert torch.equal(rounded.seen[..., :184], exact.seen.bfloat16())
+    assert rounded.seen[..., 184:].count_nonzero() == 0
+
+
+def test_a_folded_doubling_is_a_doubling_and_a_convolution() -> None:
+    torch.manual_seed(0)
+    texture, weight = torch.randn(2, 5, 8, 8), torch.randn(7, 5, 3, 3)
+    doubled = torch.nn.functional.interpolate(texture, scale_factor=2)
+    expected = torch.nn.functional.conv2d(doubled, weight, padding=1)
+    folded = torch.nn.functional.conv_transpose2d(texture, folded_doubling(weight), stride=2, padding=1)
+    torch.testing.assert_close(folded, expected, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-5), (torch.bfloat16, 0.03)])
+def test_the_network_laid_out_for_speed_answers_the_same(
+    network: DirectionNetwork, dtype: torch.dtype, tolerance: float
+) -> None:
+    torch.manual_seed(1)
+    inputs = NetworkInputs(torch.randn(16), torch.randperm(4096)[:50], torch.randn(2, 91 + FEATURE_COUNT))
+    seen = 0.1 * torch.randn(2, 50, 184)
+    fast = InferenceNetwork(network, dtype)
+    textures = fast.textures(torch.cat([inputs.groom_code.expand(2, -1), inputs.pose_code], dim=1))
+    for sample, expected in enumerate(network(inputs, seen)):
+        room = fast.inputs(50)
+        room[:, :184] = seen[sample]
+        answers = fast.answers(textures[sample], texel_rows(inputs.texels, 64), room)
+        assert expected.abs().mean() > 0.05
+        torch.testing.assert_close(answers.float(), expected.flatten(1), atol=tolerance, rtol=tolerance)
+
+
+def test_operations_are_those_of_the_layers(network: DirectionNetwork) -> None:
+    fast, (first, second, third) = InferenceNetwork(network, torch.float32), network.decoder.stages
+    dense = sum(layer.weight.numel() for layer in network.decoder.dense if isinstance(layer, torch.nn.Linear))
+    convolutions = 64 * (first[1].weight.numel() + first[3].weight.numel())
+    convolutions += 256 * (4 * second[1].weight.numel() // 9 + second[3].weight.numel())
+    convolutions += 1024 * (4 * third[1].weight.numel() // 9 + third[3].weight.numel())
+    convolutions += 1024 * network.decoder.to_texels[0].weight.numel()
+    assert fast.operations(0) == 2 * (dense + convolutions)
+    assert fast.operations(1) - fast.operations(0) == 2 * ((184 + 16) * 32 + 32 * 32 + 32 * 69)
+
+
+def test_drape_is_deform(model: Quaffure, groom: Groom, bodies: BodyBatch) -> None:
+    scene = Scene(groom, bodies)
+    with torch.no_grad():
+        expected = model.draper.deform(scene)
+    draped = model.drape(groom, bodies.body_pose, bodies.body_shape)
+    assert (draped - scene.posed).norm(dim=-1).max() > 0.01
+    torch.testing.assert_close(draped, expected, atol=2e-5, rtol=0)
+    torch.testing.assert_close(draped[:, :, 0], scene.posed[:, :, 0], atol=2e-6, rtol=0)
+
+
+def test_bfloat16_moves_vertices_by_fractions_of_a_millimetre(
+    network: DirectionNetwork, groom: Groom, bodies: BodyBatch
+) -> None:
+    exact, rounded = (NeuralDraper(network, MATERIAL, bf16).drape(Scene(groom, bodies)) for bf16 in (False, True))
+    moved = (exact - rounded).norm(dim=-1)
+    assert 0 < moved.mean() < 3e-4
+
+
+def test_a_drape_does_not_depend_on_what_else_is_draped(model: Quaffure, groom: Groom, bodies: BodyBatch) -> None:
+    fewer = groom.select(torch.arange(0, 80, 3))
+    grooms = [groom, fewer, groom]
+    mixed = list(model.drape_many(grooms, bodies.body_pose, bodies.body_shape))
+    for sample, (one, draped) in enumerate(zip(grooms, mixed)):
+        row = slice(sample, sample + 1)
+        alone = model.drape(one, bodies.body_pose[row], bodies.body_shape[row])[0]
+        torch.testing.assert_close(draped, alone, atol=1e-6, rtol=0)
+
+
+def test_many_grooms_are_draped_as_they_come(model: Quaffure, groom: Groom) -> None:
+    taken = []
+
+    def grooms() -> Iterator[Groom]:
+        for index in range(3 * BATCH):
+            taken.append(index)
+            yield groom
+
+    first = next(model.drape_many(grooms(), torch.zeros(1, 81), torch.zeros(1, 10)))
+    assert len(taken) == BATCH
+    torch.testing.assert_close(first, model.drape(groom, torch.zeros(1, 81), torch.zeros(1, 10))[0], atol=1e-6, rtol=0)
+
+
+def test_rows_that_do_not_fit_are_refused(model: Quaffure, groom: Groom) -> None:
+    with pytest.raises(InputError, match="a row for each groom, 3 or more, or a single one, found 2"):
+        list(model.drape_many([groom] * 3, torch.zeros(2, 81), torch.zeros(1, 10)))
+    with pytest.raises(InputError, match="body_shape"):
+        list(model.drape_many([groom], torch.zeros(1, 81), torch.zeros(1, 9)))
+    with pytest.raises(InputError, match="texel"):
+        list(model.drape_many([groom.select(torch.tensor([0, 0]))], torch.zeros(1, 81), torch.zeros(1, 10)))
+
+
+def test_drapes_can_be_worked_on_with_gradients(model: Quaffure, groom: Groom, bodies: BodyBatch) -> None:
+    draped = model.drape(groom, bodies.body_pose, bodies.body_shape).requires_grad_()
+    draped.square().sum().backward()
+    assert draped.grad is not None
+
+
+def test_training_on_is_seen_by_the_next_drape(network: DirectionNetwork, groom: Groom, bodies: BodyBatch) -> None:
+    draper, scene = NeuralDraper(network, MATERIAL, bf16=False), Scene(groom, bodies)
+    before = draper.drape(scene)
+    loss = draper.deform(scene).square().sum()
+    (slope,) = torch.autograd.grad(loss, [network.strand[-1].bias])
+    assert slope.abs().max() > 0
+    with torch.no_grad():
+        network.strand[-1].bias.add_(0.1)
+    assert (draper.drape(scene) - before).norm(dim=-1).mean() > 1e-3
+    with torch.no_grad():
+        network.strand[-1].bias.sub_(0.1)

@@ -11,11 +11,11 @@ from quaffure.body.head_view import head_view, head_view_reference
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.config import HairMaterial
 from quaffure.drapers.compiled_drape import BATCH
-from quaffure.drapers.fitted_groom import starting_margin
+from quaffure.drapers.fitted_groom import THICKNESS, starting_margin
 from quaffure.drapers.neural import NeuralDraper
 from quaffure.drapers.quaffure_model import Quaffure
 from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.drapers.undeformed import Undeformed, fill_undeformed, undeformed, undeformed_reference
+from quaffure.drapers.undeformed import fill_undeformed, undeformed, undeformed_reference
 from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
 from quaffure.geometry.soft_surface import point_records
@@ -85,15 +85,30 @@ def test_compiled_start_is_that_of_the_twin(groom: Groom, bodies: BodyBatch) -> 
     for one, other in zip(compiled[1:], expected[1:]):
         assert (one - other).abs().quantile(0.99) < 1e-4
         assert (one - other).abs().max() < 5e-3
-    lowest = margin[:, 12].min()
-    assert 0 < lowest < MATERIAL.collision_margin + 0.015
+    assert 0 < margin[:, 12].min() < MATERIAL.collision_margin + THICKNESS
+
+
+def test_edges_comply_with_the_weight_that_they_carry(groom: Groom, bodies: BodyBatch) -> None:
+    view = head_view(bodies.body, bodies.body_pose, bodies.body_shape)
+    sagged = undeformed(strand_packets(groom, bodies.body, torch.full(groom.rest_strands.shape[:2], -10.0)), view, MATERIAL)
+    rest = rest_state(groom.rest_strands, MATERIAL)
+    weight = 9.80665 * MATERIAL.linear_density * rest.rest_length.sum(1)
+    beyond = 1 - (rest.rest_length.cumsum(1) - rest.rest_length / 2) / rest.rest_length.sum(1, keepdim=True)
+    expected = rest.rest_length * weight[:, None] * (beyond + 0.2) / MATERIAL.k_cosserat
+    assert 0.1 < (expected < 1).float().mean() < 1
+    torch.testing.assert_close(sagged.compliance, expected.clamp(max=1).expand(3, -1, -1), rtol=1e-3, atol=1e-5)
+    slid = undeformed(strand_packets(groom, bodies.body, torch.full(groom.rest_strands.shape[:2], 0.02)), view, MATERIAL)
+    more = slid.compliance - sagged.compliance
+    turned = (slid.edges - sagged.edges).norm(dim=-1)
+    assert turned.max() > 0.1
+    torch.testing.assert_close(more, torch.minimum(turned, 1 - sagged.compliance), rtol=1e-3, atol=1e-3)
 
 
 def test_what_the_network_is_told_is_rounded_to_nearest(groom: Groom, bodies: BodyBatch) -> None:
     view = head_view(bodies.body, bodies.body_pose, bodies.body_shape)
     packets = strand_packets(groom, bodies.body, torch.full(groom.rest_strands.shape[:2], 0.004))
     exact = undeformed(packets, view, MATERIAL)
-    rounded = Undeformed(exact.roots, exact.edges, torch.zeros(3, len(groom), 200, dtype=torch.bfloat16))
+    rounded = exact._replace(seen=torch.zeros(3, len(groom), 200, dtype=torch.bfloat16))
     fill_undeformed(packets, packets.strand, view, point_records(view.surface), MATERIAL, rounded)
     assert torch.equal(rounded.seen[..., :184], exact.seen.bfloat16())
     assert rounded.seen[..., 184:].count_nonzero() == 0

@@ -72,7 +72,8 @@ class CompiledDrape:
     def room(self, rows: int) -> Undeformed:
         """Where grooms of up to so many rows can start, one after another: memory in use is still in the cache."""
         seen = self.network.inputs(rows)[None]
-        return Undeformed(torch.empty(1, rows, 3), torch.empty(1, rows, EDGES_PER_STRAND, 3), seen)
+        edges = torch.empty(1, rows, EDGES_PER_STRAND, 3)
+        return Undeformed(torch.empty(1, rows, 3), edges, torch.empty(1, rows, EDGES_PER_STRAND), seen)
 
     def start(self, groom: PackedGroom, view: HeadView, records: PointRecords, room: Undeformed) -> Undeformed:
         """A groom before the network, row by row, on the one body of `view`; lies in `room`."""
@@ -92,7 +93,7 @@ class CompiledDrape:
     ) -> None:
         """Answers to vertices in the world."""
         finish(
-            start.edges[0].numpy(), bits(answers), groom.fitted.rest_length.numpy(), start.roots[0].numpy(),
-            groom.packets.strand.reshape(-1), view.world_from_head[0].numpy(), view.head[0].numpy(),
+            start.edges[0].numpy(), start.compliance[0].numpy(), bits(answers), groom.fitted.rest_length.numpy(),
+            start.roots[0].numpy(), groom.packets.strand.reshape(-1), view.world_from_head[0].numpy(), view.head[0].numpy(),
             get_num_threads(), draped.numpy(),
         )  # fmt: skip

@@ -28,12 +28,18 @@ from quaffure.geometry.soft_surface import (
 # How much farther than needed a packet's list of skin points reaches, and how far ahead its centre is [radii].
 _SLACK, _AHEAD = 0.1, 0.15
 
+SHARE = 0.2
+"""Of a strand's weight that other hair or the skin may push an edge with, besides the weight beyond the edge."""
+
 # Rows of a packet after those of `look`.
 _VERTEX = LOOK_SIZE
 _DIRECTION = _VERTEX + 3 * LANES
 _LENGTH = _DIRECTION + 3 * LANES
 _BEYOND = _LENGTH + LANES
-_FRAME = _BEYOND + LANES
+_WHOLE = _BEYOND + LANES
+_SAG = _WHOLE + LANES
+_GIVE = _SAG + 3 * LANES
+_FRAME = _GIVE + LANES
 _TOLD = _FRAME + 9 * LANES  # as many as before `_DIRECTION`, as the network is told them
 _ROWS = _TOLD + _DIRECTION
 
@@ -43,9 +49,10 @@ _ROWS = _TOLD + _DIRECTION
 def grow(
     rest_edges: np.ndarray, offset: np.ndarray, corners: np.ndarray, barycentric: np.ndarray, margin: np.ndarray,
     place: np.ndarray, scalp: np.ndarray, down: np.ndarray, points: np.ndarray, places: np.ndarray,
-    radius: float, weight: float, threads: int, roots: np.ndarray, edges: np.ndarray, seen: np.ndarray,
+    radius: float, weight: float, threads: int,
+    roots: np.ndarray, edges: np.ndarray, compliance: np.ndarray, seen: np.ndarray,
 ) -> None:  # fmt: skip
-    """Fill roots, edges and what the network is told, see `quaffure.drapers.undeformed.Undeformed`.
+    """Fill roots, edges, their compliance and what the network is told, see `quaffure.drapers.undeformed.Undeformed`.
 
     Args:
         place: [packet, lane], where in the results each strand goes.
@@ -67,6 +74,7 @@ def grow(
             sample, packet = item // packets, item % packets
             own_place, own_points, own_places, own_seen = place[packet], points[sample], places[sample], seen[sample]
             own_edges, own_margin, own_down, out = rest_edges[packet], margin[packet], down[sample], edges[sample]
+            own_compliance = compliance[sample]
             _place_roots(corners[packet], barycentric[packet], offset[packet], scalp[sample], rows)
             for i in range(LANES):
                 for axis in range(3):
@@ -86,7 +94,9 @@ def grow(
                     if not _turn(own_margin, edge, radius, rows):
                         break
                 _advance(rows)
+                _comply(rows)
                 for i in range(LANES):
+                    own_compliance[own_place[i], edge] = rows[_GIVE + i]
                     for axis in range(3):
                         out[own_place[i], edge, axis] = rows[_DIRECTION + axis * LANES + i]
                 _tell(rows, own_place, edge, count, own_seen)
@@ -120,13 +130,15 @@ def _place_roots(
 @no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _measure(rest_edges: np.ndarray, rows: np.ndarray) -> None:
-    """Length of whole strands [m], as what is beyond their roots."""
+    """Length of whole strands [m], which is also what is beyond their roots."""
     for i in range(LANES):
         rows[_BEYOND + i] = np.float32(0.0)
     for edge in range(len(rest_edges)):
         for i in range(LANES):
             x, y, z = rest_edges[edge, 0, i], rest_edges[edge, 1, i], rest_edges[edge, 2, i]
             rows[_BEYOND + i] += np.sqrt(x * x + y * y + z * z)
+    for i in range(LANES):
+        rows[_WHOLE + i] = rows[_BEYOND + i]
 
 
 @no_type_check
@@ -147,11 +159,10 @@ def _aim(rest_edges: np.ndarray, edge: int, down: np.ndarray, weight: float, row
         z = rows[_FRAME + 6 * LANES + i] * ex + rows[_FRAME + 7 * LANES + i] * ey + rows[_FRAME + 8 * LANES + i] * ez
         x, y, z = x + pull * gx, y + pull * gy, z + pull * gz
         scale = one / np.sqrt(x * x + y * y + z * z + np.float32(1e-24))
-        rows[_DIRECTION + i], rows[_DIRECTION + LANES + i], rows[_DIRECTION + 2 * LANES + i] = (
-            x * scale,
-            y * scale,
-            z * scale,
-        )
+        x, y, z = x * scale, y * scale, z * scale
+        rows[_DIRECTION + i], rows[_DIRECTION + LANES + i], rows[_DIRECTION + 2 * LANES + i] = x, y, z
+        rows[_SAG + i], rows[_SAG + LANES + i], rows[_SAG + 2 * LANES + i] = x, y, z
+        rows[_GIVE + i] = pull + weight * length * np.float32(SHARE) * rows[_WHOLE + i]
         rows[_LENGTH + i], rows[_BEYOND + i] = length, beyond
 
 
@@ -222,6 +233,16 @@ def _turn(margin: np.ndarray, edge: int, radius: float, rows: np.ndarray) -> boo
 
 @no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
+def _comply(rows: np.ndarray) -> None:
+    """Add to the give of edges how far the skin has turned them; one at most."""
+    for i in range(LANES):
+        x, y = rows[_DIRECTION + i] - rows[_SAG + i], rows[_DIRECTION + LANES + i] - rows[_SAG + LANES + i]
+        z = rows[_DIRECTION + 2 * LANES + i] - rows[_SAG + 2 * LANES + i]
+        rows[_GIVE + i] = min(rows[_GIVE + i] + np.sqrt(x * x + y * y + z * z), np.float32(1.0))
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _advance(rows: np.ndarray) -> None:
     for i in range(LANES):
         length = rows[_LENGTH + i]
@@ -259,8 +280,8 @@ def _round(bits: np.ndarray) -> None:
 @no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def finish(
-    edges: np.ndarray, answers: np.ndarray, rest_length: np.ndarray, roots: np.ndarray, strand: np.ndarray,
-    world_from_head: np.ndarray, head: np.ndarray, threads: int, draped: np.ndarray,
+    edges: np.ndarray, compliance: np.ndarray, answers: np.ndarray, rest_length: np.ndarray, roots: np.ndarray,
+    strand: np.ndarray, world_from_head: np.ndarray, head: np.ndarray, threads: int, draped: np.ndarray,
 ) -> None:  # fmt: skip
     """Turn edges by the network's answers, put them one after another and carry them into the world.
 
@@ -282,8 +303,9 @@ def finish(
                 draped[own, vertex, 1] = head[1] + b[0] * x + b[1] * y + b[2] * z
                 draped[own, vertex, 2] = head[2] + c[0] * x + c[1] * y + c[2] * z
                 if vertex < count:
-                    ux = edges[row, vertex, 0] + answer[3 * vertex]
-                    uy = edges[row, vertex, 1] + answer[3 * vertex + 1]
-                    uz = edges[row, vertex, 2] + answer[3 * vertex + 2]
+                    give = compliance[row, vertex]
+                    ux = edges[row, vertex, 0] + give * answer[3 * vertex]
+                    uy = edges[row, vertex, 1] + give * answer[3 * vertex + 1]
+                    uz = edges[row, vertex, 2] + give * answer[3 * vertex + 2]
                     scale = rest_length[own, vertex] / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
                     x, y, z = x + scale * ux, y + scale * uy, z + scale * uz

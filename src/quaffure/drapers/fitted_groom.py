@@ -16,7 +16,7 @@ from quaffure.networks.inference_network import texel_rows
 from quaffure.networks.quaffure_network import POSE_SIZE, SHAPE_SIZE, QuaffureNetwork
 from quaffure.types import Float, Int, RestLengths, Tensor
 
-THICKNESS, THICK_FROM = 0.015, 0.2
+THICKNESS, THICK_FROM = 0.03, 0.1
 """How far above the lowest hair the uppermost starts, and after which length of strand all of it [m]."""
 ANY_DEPTH = -10.0
 """A margin that no strand falls short of [m]."""

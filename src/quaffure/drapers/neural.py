@@ -66,7 +66,7 @@ class NeuralDraper:
             start = self._start(scene, fitted, view)
         with self._layers_in_bfloat16(view):
             change = self.network(NetworkInputs(fitted.code, scene.groom.texels(), view.pose_code), start.seen)
-        edges = (start.edges + change) @ view.world_from_head[:, None].mT
+        edges = (start.edges + start.compliance[..., None] * change) @ view.world_from_head[:, None].mT
         return integrate_directions(scene.posed[:, :, 0], edges, fitted.rest_length)
 
     def is_compiled(self, body: BodyModel) -> bool:

@@ -9,7 +9,7 @@ from numba import get_num_threads
 from quaffure.body.body_model import BodyModel
 from quaffure.body.head_view import HeadView, scalp_vertices
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.drapers.drape_kernels import grow
+from quaffure.drapers.drape_kernels import SHARE, grow
 from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.rest_state import rest_state
 from quaffure.geometry.soft_surface import (
@@ -30,12 +30,15 @@ class Undeformed(NamedTuple):
     Attributes:
         roots: first vertices [m].
         edges: unit vectors.
+        compliance: how far each edge turns [rad] when it is pushed as hard as the strand beyond it weighs, and a part
+            of the whole strand (`SHARE`), and how far the skin has turned it already; one at most.
         seen: what the network is told of each strand in its first 8 e columns: positions of all vertices but the root
             [m], then what each of them sees of the skin (`quaffure.geometry.soft_surface`).
     """
 
     roots: Float[Tensor, "b s 3"]
     edges: EdgeVectors
+    compliance: Float[Tensor, "b s e"]
     seen: Float[Tensor, "b s columns"]
 
 
@@ -59,8 +62,11 @@ def undeformed_reference(
         director @ view.world_from_head[:, None].mT, rest.rest_length, rest.mass_beyond, material.k_cosserat
     )
     edges, views = slide_reference(roots, sag @ view.world_from_head[:, None], rest.rest_length, margin, view.surface)
+    turned = (edges - torch.nn.functional.normalize(sag, dim=-1) @ view.world_from_head[:, None]).norm(dim=-1)
+    load = STANDARD_GRAVITY * (rest.mass_beyond + SHARE * material.linear_density * rest.rest_length.sum(1, keepdim=True))
+    compliance = (rest.rest_length * load / material.k_cosserat + turned).clamp(max=1)
     positions = roots[:, :, None] + (rest.rest_length[..., None] * edges).cumsum(dim=2)
-    return Undeformed(roots, edges, torch.cat([positions.flatten(2), views.flatten(2)], dim=2))
+    return Undeformed(roots, edges, compliance, torch.cat([positions.flatten(2), views.flatten(2)], dim=2))
 
 
 def undeformed(packets: StrandPackets, view: HeadView, material: HairMaterial) -> Undeformed:
@@ -69,6 +75,7 @@ def undeformed(packets: StrandPackets, view: HeadView, material: HairMaterial) -
     room = Undeformed(
         torch.empty(batch, strands, 3),
         torch.empty(batch, strands, edges, 3),
+        torch.empty(batch, strands, edges),
         torch.empty(batch, strands, (3 + VIEW_CHANNELS) * edges),
     )
     fill_undeformed(packets, packets.strand, view, point_records(view.surface), material, room)
@@ -94,7 +101,7 @@ def fill_undeformed(
         packets.edges, packets.offset, packets.corners, packets.barycentric, packets.margin, place,
         view.scalp.numpy(), -view.world_from_head[:, 2].numpy(), records.points, records.places,
         np.float32(view.surface.radius), weight, get_num_threads(),
-        room.roots.numpy(), room.edges.numpy(), bits(room.seen),
+        room.roots.numpy(), room.edges.numpy(), room.compliance.numpy(), bits(room.seen),
     )  # fmt: skip
 
 

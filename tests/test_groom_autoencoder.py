@@ -214,6 +214,19 @@ def test_a_run_leaves_the_encoder_with_and_without_its_decoder(samples: list[Gro
     assert torch.allclose(codes_of(kept, samples), codes, atol=2e-2)
 
 
+def test_a_decoder_trained_on_leaves_all_codes_as_they_are(samples: list[GroomSample], tmp_path: Path) -> None:
+    GroomCodeTraining(TINY, samples, [], tmp_path).finish()
+    begun = load_groom_autoencoder(tmp_path / "groom_autoencoder.safetensors")
+    training = GroomCodeTraining(TINY, samples[:3], [], tmp_path / "on", begun)
+    finished = train(training, lambda step, loss: None)
+    kept = finished.encoder.state_dict()
+    assert all(torch.equal(kept[name], value) for name, value in begun.encoder.state_dict().items())
+    assert not torch.equal(finished.decoder.texture.dense[0].weight, begun.decoder.texture.dense[0].weight)
+    other = replace(TINY, widths=(32, 32, 32, 32))
+    with pytest.raises(InputError, match="as the decoder to be trained on"):
+        GroomCodeTraining(other, samples[:3], [], tmp_path / "other", begun)
+
+
 def test_the_command_grows_trains_and_measures(
     grooms: dict[str, Groom], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

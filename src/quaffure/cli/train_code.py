@@ -30,6 +30,7 @@ from quaffure.groom.hair_style import HELD_OUT, STYLES
 from quaffure.io.atomic import made_folder, replacing
 from quaffure.io.load_groom import load_groom
 from quaffure.networks.groom_autoencoder import GroomAutoencoder
+from quaffure.networks.groom_code import load_groom_autoencoder
 from quaffure.networks.groom_texture import GroomSample, sample_of
 from quaffure.training.groom_samples import Growing, family_growings, grow_samples, library_growings
 from quaffure.training.run_folder import RUN
@@ -73,18 +74,22 @@ class TrainCodeCommand:
     are held out for evaluation are refused."""
     unseen: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A groom to be measured on and not trained on, besides the held-out styles; may be given several times."""
+    keep_encoder: Path | None = None
+    """The `groom_autoencoder.safetensors` of an earlier run: its encoder stays as it is, and with it all codes; only its
+    decoder is trained on."""
     json: bool = False
     """Print the figures as JSON instead of tables."""
     config: GroomCodeConfig = field(default_factory=GroomCodeConfig)
 
     def run(self) -> None:
         refuse_evaluation_data(self.groom)
+        begun = load_groom_autoencoder(self.keep_encoder) if self.keep_encoder is not None else None
         body = load_body()
         garden = Garden(body, rest_surface(body), made_folder(self.out / "grooms", RUN))
         own, unseen = self._own(body), _samples([load_groom(name, body) for name in self.unseen], body)
         library = garden.grow(library_growings(TRAINED, range(self.config.library_seeds)), "growing the library")
         family = garden.grow(family_growings(range(self.config.family)), "growing the family")
-        network = self._train(GroomCodeTraining(self.config, library + own, family, self.out))
+        network = self._train(GroomCodeTraining(self.config, library + own, family, self.out, begun))
         first = [groom for index, groom in enumerate(library) if index % self.config.library_seeds == 0]
         figures = _figures(network, garden, {"library": first, "family": family[:SEEN_DRAWS], "own": own}, unseen)
         with replacing(self.out / "figures.json") as path:

@@ -80,13 +80,22 @@ class GroomCodeTraining:
     """State of a run: network, optimizer, random numbers and step, which `save` and `resume` keep."""
 
     def __init__(
-        self, config: GroomCodeConfig, library: list[GroomSample], family: list[GroomSample], folder: Path
+        self,
+        config: GroomCodeConfig,
+        library: list[GroomSample],
+        family: list[GroomSample],
+        folder: Path,
+        begun: GroomAutoencoder | None = None,
     ) -> None:
         """
         Args:
             library: grooms; two of one style are growings of it, of which one is encoded and the other asked for.
             family: grooms of one growing each; may be empty.
             folder: for checkpoints and weights; made where it does not exist.
+            begun: an autoencoder that is finished but for its decoder, which is trained on: codes stay what they are.
+
+        Raises:
+            InputError: `begun` is not of the configuration's widths.
         """
         torch.manual_seed(config.seed)
         self.config, self.library, self.family, self.folder = config, library, family, RunFolder(folder)
@@ -95,6 +104,12 @@ class GroomCodeTraining:
             self.styles.setdefault(groom.style, []).append(groom)
         self.network = GroomAutoencoder(config.widths)
         self.network.decoder.mean.data = mean_strands(library + family)
+        self.keeps_encoder = begun is not None
+        if begun is not None:
+            if begun.widths != config.widths:
+                raise InputError("--widths", f"{begun.widths}, as the decoder to be trained on", f"{config.widths}")
+            self.network.load_state_dict(begun.state_dict())
+            self.network.encoder.requires_grad_(False)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.optimizer = AveragedAdam(self.network, config.learning_rate, MEMORY)
         self.generator = torch.Generator().manual_seed(config.seed)
@@ -120,7 +135,9 @@ class GroomCodeTraining:
         for pair in (self._pair() for _ in range(self.config.batch)):
             flip, stretch, share = torch.rand(3, generator=self.generator).tolist()
             factor = math.exp(LENGTHENING * (2 * stretch - 1))
-            parts = zip(pair, (LEAST_SHOWN + (1 - LEAST_SHOWN) * share, ASKED))
+            # What an encoder does not learn any more only blurs what its decoder is asked for.
+            least = 1.0 if self.keeps_encoder else LEAST_SHOWN
+            parts = zip(pair, (least + (1 - least) * share, ASKED))
             first, second = (scaled(part_of(groom, kept, self.generator), factor) for groom, kept in parts)
             shown.append(mirrored(first) if flip < 0.5 else first)
             asked.append(mirrored(second) if flip < 0.5 else second)
@@ -148,9 +165,10 @@ class GroomCodeTraining:
     def finish(self) -> GroomAutoencoder:
         """The averaged network, its codes standardised over the grooms; written to the folder."""
         network = self.optimizer.averaged.eval()
-        with torch.no_grad():
-            codes = [network.encoder(batch_of([groom], [groom]).textures) for groom in self.library + self.family]
-        network.standardise(torch.cat(codes))
+        if not self.keeps_encoder:
+            with torch.no_grad():
+                codes = [network.encoder(batch_of([groom], [groom]).textures) for groom in self.library + self.family]
+            network.standardise(torch.cat(codes))
         notes = {"step": str(self.step), "grooms": f"{', '.join(self.styles)}; {len(self.family)} of the family"}
         with replacing(self.folder.path / "groom_autoencoder.safetensors") as path:
             save_autoencoder(path, network, notes)
@@ -184,7 +202,8 @@ class GroomCodeTraining:
         for groom in self.library + self.family:
             held.update(groom.style.encode() + groom.texels.numpy().tobytes() + groom.features[:, 3].numpy().tobytes())
         count = len(self.library) + len(self.family)
-        return f"{count} grooms {held.hexdigest()[:8]}, decoder {self.config.widths}, seed {self.config.seed}"
+        what = "decoder alone" if self.keeps_encoder else "decoder"
+        return f"{count} grooms {held.hexdigest()[:8]}, {what} {self.config.widths}, seed {self.config.seed}"
 
 
 def train(training: GroomCodeTraining, report: Callable[[int, float], None]) -> GroomAutoencoder:

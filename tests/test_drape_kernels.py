@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numba
 import pytest
 import torch
 
@@ -13,7 +14,7 @@ from quaffure.config import HairMaterial
 from quaffure.drapers.compiled_drape import BATCH
 from quaffure.drapers.fitted_groom import THICKNESS, starting_margin
 from quaffure.drapers.neural import NeuralDraper
-from quaffure.drapers.quaffure_model import Quaffure
+from quaffure.drapers.quaffure_model import Quaffure, load_model
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.drapers.undeformed import fill_undeformed, undeformed, undeformed_reference
 from quaffure.energies.rest_state import rest_state
@@ -23,11 +24,12 @@ from quaffure.groom.groom import Groom
 from quaffure.groom.pose_transform import triangle_frames
 from quaffure.groom.procedural import make_groom
 from quaffure.groom.strand_packets import strand_packets
-from quaffure.networks.inference_network import InferenceNetwork, folded_doubling, texel_rows
+from quaffure.networks.inference_network import InferenceNetwork, fast_bfloat16, folded_doubling, texel_rows
 from quaffure.networks.quaffure_network import DirectionNetwork, NetworkConfig, NetworkInputs, build_network
 
 CONFIG = NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=16, strand_width=32)
 MATERIAL = HairMaterial()
+ALL_FREE = torch.tensor(-10.0)  # a margin that no strand falls short of
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +77,37 @@ def test_roots_off_the_scalp_are_refused(groom: Groom, body: BodyModel) -> None:
         strand_packets(replace(groom, root_faces=toe), body, torch.zeros(groom.rest_strands.shape[:2]))
 
 
+def test_strands_that_meet_nothing_are_those_of_the_twin(groom: Groom, bodies: BodyBatch) -> None:
+    body, arguments = bodies.body, (bodies.body_pose, bodies.body_shape)
+    margin = ALL_FREE.expand(80, 24)
+    compiled = undeformed(strand_packets(groom, body, margin), head_view(body, *arguments), MATERIAL)
+    expected = undeformed_reference(groom, body, head_view_reference(body, *arguments), MATERIAL, margin)
+    for one, other in zip(compiled, expected):
+        # What a strand sees changes fast where it is deep inside.
+        torch.testing.assert_close(one, other, atol=1e-4 if one is not compiled.told else 1e-3, rtol=0)
+
+
+def test_threads_make_no_difference(model: Quaffure, groom: Groom, bodies: BodyBatch) -> None:
+    if numba.config.NUMBA_NUM_THREADS < 2:
+        pytest.skip("numba has one thread only")
+    drapes, before = [], numba.get_num_threads()
+    for threads in (1, 2):
+        numba.set_num_threads(threads)
+        try:
+            drapes.append(model.drape(groom, bodies.body_pose, bodies.body_shape))
+        finally:
+            numba.set_num_threads(before)
+    torch.testing.assert_close(*drapes, atol=1e-6, rtol=0)
+
+
+def test_two_vertices_in_one_place_stay_there(model: Quaffure, groom: Groom, bodies: BodyBatch) -> None:
+    strands = groom.rest_strands.clone()
+    strands[7, 12] = strands[7, 11]
+    draped = model.drape(replace(groom, rest_strands=strands), bodies.body_pose, bodies.body_shape)
+    assert draped.isfinite().all()
+    torch.testing.assert_close(draped[:, 7, 12], draped[:, 7, 11])
+
+
 def test_compiled_start_is_that_of_the_twin(groom: Groom, bodies: BodyBatch) -> None:
     body, arguments = bodies.body, (bodies.body_pose, bodies.body_shape)
     margin = starting_margin(groom, rest_state(groom.rest_strands, MATERIAL), body)
@@ -90,14 +123,16 @@ def test_compiled_start_is_that_of_the_twin(groom: Groom, bodies: BodyBatch) -> 
 
 def test_edges_comply_with_the_weight_that_they_carry(groom: Groom, bodies: BodyBatch) -> None:
     view = head_view(bodies.body, bodies.body_pose, bodies.body_shape)
-    sagged = undeformed(strand_packets(groom, bodies.body, torch.full(groom.rest_strands.shape[:2], -10.0)), view, MATERIAL)
+    sagged, slid = (
+        undeformed(strand_packets(groom, bodies.body, margin), view, MATERIAL)
+        for margin in (ALL_FREE.expand(80, 24), torch.full((80, 24), 0.02))
+    )
     rest = rest_state(groom.rest_strands, MATERIAL)
     weight = 9.80665 * MATERIAL.linear_density * rest.rest_length.sum(1)
     beyond = 1 - (rest.rest_length.cumsum(1) - rest.rest_length / 2) / rest.rest_length.sum(1, keepdim=True)
     expected = rest.rest_length * weight[:, None] * (beyond + 0.2) / MATERIAL.k_cosserat
     assert 0.1 < (expected < 1).float().mean() < 1
     torch.testing.assert_close(sagged.compliance, expected.clamp(max=1).expand(3, -1, -1), rtol=1e-3, atol=1e-5)
-    slid = undeformed(strand_packets(groom, bodies.body, torch.full(groom.rest_strands.shape[:2], 0.02)), view, MATERIAL)
     more = slid.compliance - sagged.compliance
     turned = (slid.edges - sagged.edges).norm(dim=-1)
     assert turned.max() > 0.1
@@ -108,10 +143,10 @@ def test_what_the_network_is_told_is_rounded_to_nearest(groom: Groom, bodies: Bo
     view = head_view(bodies.body, bodies.body_pose, bodies.body_shape)
     packets = strand_packets(groom, bodies.body, torch.full(groom.rest_strands.shape[:2], 0.004))
     exact = undeformed(packets, view, MATERIAL)
-    rounded = exact._replace(seen=torch.zeros(3, len(groom), 200, dtype=torch.bfloat16))
+    rounded = exact._replace(told=torch.zeros(3, len(groom), 200, dtype=torch.bfloat16))
     fill_undeformed(packets, packets.strand, view, point_records(view.surface), MATERIAL, rounded)
-    assert torch.equal(rounded.seen[..., :184], exact.seen.bfloat16())
-    assert rounded.seen[..., 184:].count_nonzero() == 0
+    assert torch.equal(rounded.told[..., :184], exact.told.bfloat16())
+    assert rounded.told[..., 184:].count_nonzero() == 0
 
 
 def test_a_folded_doubling_is_a_doubling_and_a_convolution() -> None:
@@ -166,7 +201,7 @@ def test_bfloat16_moves_vertices_by_fractions_of_a_millimetre(
 ) -> None:
     exact, rounded = (NeuralDraper(network, MATERIAL, bf16).drape(Scene(groom, bodies)) for bf16 in (False, True))
     moved = (exact - rounded).norm(dim=-1)
-    assert 0 < moved.mean() < 3e-4
+    assert 0 < moved.mean() < 1e-4
 
 
 def test_a_drape_does_not_depend_on_what_else_is_draped(model: Quaffure, groom: Groom, bodies: BodyBatch) -> None:
@@ -195,8 +230,12 @@ def test_many_grooms_are_draped_as_they_come(model: Quaffure, groom: Groom) -> N
 def test_rows_that_do_not_fit_are_refused(model: Quaffure, groom: Groom) -> None:
     with pytest.raises(InputError, match="a row for each groom, 3 or more, or a single one, found 2"):
         list(model.drape_many([groom] * 3, torch.zeros(2, 81), torch.zeros(1, 10)))
+    with pytest.raises(InputError, match="a row for each groom, 1, or a single one, found 5"):
+        list(model.drape_many([groom], torch.zeros(5, 81), torch.zeros(1, 10)))
     with pytest.raises(InputError, match="body_shape"):
-        list(model.drape_many([groom], torch.zeros(1, 81), torch.zeros(1, 9)))
+        model.drape_many([groom], torch.zeros(1, 81), torch.zeros(1, 9))
+    with pytest.raises(InputError, match="float32"):
+        model.drape(replace(groom, rest_strands=groom.rest_strands.double()), torch.zeros(1, 81), torch.zeros(1, 10))
     with pytest.raises(InputError, match="texel"):
         list(model.drape_many([groom.select(torch.tensor([0, 0]))], torch.zeros(1, 81), torch.zeros(1, 10)))
 
@@ -207,14 +246,37 @@ def test_drapes_can_be_worked_on_with_gradients(model: Quaffure, groom: Groom, b
     assert draped.grad is not None
 
 
-def test_training_on_is_seen_by_the_next_drape(network: DirectionNetwork, groom: Groom, bodies: BodyBatch) -> None:
-    draper, scene = NeuralDraper(network, MATERIAL, bf16=False), Scene(groom, bodies)
-    before = draper.drape(scene)
-    loss = draper.deform(scene).square().sum()
-    (slope,) = torch.autograd.grad(loss, [network.strand[-1].bias])
-    assert slope.abs().max() > 0
+def test_whatever_changes_is_seen_by_the_next_drape(groom: Groom, bodies: BodyBatch) -> None:
+    torch.manual_seed(3)
+    network = build_network(CONFIG)
+    draper, scene = NeuralDraper(network, MATERIAL), Scene(groom, bodies)
+    drapes = [draper.drape(scene)]
+
+    def moved() -> float:
+        drapes.append(draper.drape(scene))
+        with torch.no_grad():
+            torch.testing.assert_close(drapes[-1], draper.deform(scene), atol=2e-5, rtol=0)
+        return float((drapes[-1] - drapes[-2]).norm(dim=-1).mean())
+
     with torch.no_grad():
         network.strand[-1].bias.add_(0.1)
-    assert (draper.drape(scene) - before).norm(dim=-1).mean() > 1e-3
-    with torch.no_grad():
-        network.strand[-1].bias.sub_(0.1)
+    assert moved() > 1e-3
+    halved = 0.5 * torch.nn.utils.parameters_to_vector(network.parameters())
+    torch.nn.utils.vector_to_parameters(halved, network.parameters())
+    assert moved() > 1e-3
+    before = draper.drape(scene)
+    draper.bf16 = True
+    assert (draper.drape(scene) - before).norm(dim=-1).max() > 1e-6
+
+
+def test_a_network_made_for_inference_drapes(groom: Groom, bodies: BodyBatch) -> None:
+    with torch.inference_mode():
+        draper = NeuralDraper(build_network(CONFIG), MATERIAL)
+        inside = draper.drape(Scene(groom, bodies))
+    torch.testing.assert_close(draper.drape(Scene(groom, bodies)), inside)
+
+
+def test_a_torch_that_cannot_tell_of_amx_drapes_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(torch.cpu, "_is_amx_tile_supported", raising=False)
+    assert not fast_bfloat16()
+    assert load_model().draper.bf16 is False

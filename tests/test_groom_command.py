@@ -125,7 +125,7 @@ def test_bad_settings_are_named(setting: str, said: str) -> None:
 
 def test_bad_new_grooms(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     new = ("groom", "new", "--out")
-    assert "mine.hair: expected a name ending in .npz" in refused(capfd, *new, tmp_path / "mine.hair")
+    assert "mine.hair: expected an output of suffix .npz" in refused(capfd, *new, tmp_path / "mine.hair")
     assert "found no folder" in refused(capfd, *new, tmp_path / "absent" / "mine.npz")
     line = refused(capfd, *new, tmp_path / "mine.npz", "--style", "beehive")
     assert "--style: expected one of " in line
@@ -181,7 +181,7 @@ def test_bad_imports(tmp_path: Path, capfd: pytest.CaptureFixture[str], foreign:
     assert f"{cut}: expected" in refused(capfd, "groom", "import", cut, *out)
     cut.unlink()
     line = refused(capfd, "groom", "import", foreign / "a.npz", *out, "--picture", tmp_path / "x.jpg")
-    assert "x.jpg: expected a name ending in .png" in line
+    assert "x.jpg: expected an output of suffix .png" in line
     line = refused(capfd, "groom", "import", foreign / "a.npz", *out, "--head", tmp_path / "head.obj")
     assert "head.obj: expected a head mesh" in line
     assert "FILE" in refused(capfd, "groom", "import", *out)

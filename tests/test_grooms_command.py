@@ -39,7 +39,7 @@ def test_the_list_is_that_of_the_styles(body: BodyModel) -> None:
     assert style_sizes()["pixie"] == StyleSize(len(groom), round(float(groom.strand_lengths.mean()), 3))
 
 
-@pytest.mark.parametrize(("name", "expected"), [("grooms.jpg", "ending in .png"), ("missing/grooms.png", "no folder")])
+@pytest.mark.parametrize(("name", "expected"), [("grooms.jpg", "suffix .png"), ("missing/grooms.png", "no folder")])
 def test_a_bad_out_costs_no_growing(
     name: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

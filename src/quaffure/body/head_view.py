@@ -20,7 +20,7 @@ from quaffure.body.soft_body import SIGHT, skin_points, soft_body
 from quaffure.geometry.soft_surface import LEAF, SoftSurface
 from quaffure.types import BodyPose, BodyShape, Float, Int, Tensor
 
-POSE_CODE = 10 + 81 + FEATURE_COUNT
+POSE_CODE_SIZE = 10 + 81 + FEATURE_COUNT
 """Length of what the network is told of shape and pose: beta, theta without heading, pose features."""
 
 
@@ -79,14 +79,16 @@ def head_view(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> He
     batch, vertices = len(body_pose), len(skin.rest)
     transforms = np.empty((batch, len(body.joint_parents), 3, 4), np.float32)
     rotation, head = torch.empty(batch, 3, 3), torch.empty(batch, 3)
-    code = torch.empty(batch, POSE_CODE)
+    code = torch.empty(batch, POSE_CODE_SIZE)
     pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
     _pose_joints(pose.numpy(), shape.numpy(), skeleton, transforms, rotation.numpy(), head.numpy(), code.numpy())
     positions, normals = torch.empty(batch, vertices, 3), torch.empty(batch, len(skin.normals), 3)
-    _pose_skin(shape.numpy(), skin, transforms.reshape(batch, -1, 12), positions.numpy(), normals.numpy())
+    _pose_skin(
+        shape.numpy(), skin, transforms.reshape(batch, len(body.joint_parents), 12), positions.numpy(), normals.numpy()
+    )
     points = positions[:, : len(skin.normals)].unflatten(1, (-1, LEAF))
     surface = SoftSurface(points, normals.unflatten(1, (-1, LEAF)), SIGHT)
-    return HeadView(rotation, head, code, positions[:, len(skin.normals) :], surface)
+    return HeadView(rotation, head, code, positions[:, len(skin.normals) :].contiguous(), surface)
 
 
 class _Skeleton(NamedTuple):
@@ -258,9 +260,9 @@ def _pose_skin(
     body_shape: np.ndarray, skin: _Skin, transforms: np.ndarray, positions: np.ndarray, normals: np.ndarray
 ) -> None:
     batch, vertices = positions.shape[:2]
-    room = np.empty((batch, 15), np.float32)
+    scratch = np.empty((batch, 32), np.float32)  # rows so long that threads do not write into one line of the cache
     for sample in prange(batch):
-        place, blend = room[sample, :3], room[sample, 3:]
+        place, blend = scratch[sample, :3], scratch[sample, 3:15]
         for vertex in range(vertices):
             for axis in range(3):
                 place[axis] = skin.rest[vertex, axis]

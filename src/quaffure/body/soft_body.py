@@ -9,7 +9,7 @@ from quaffure.body.body_model import BodyModel, PosedBody
 from quaffure.body.pose_features import HEAD, NEAR_HAIR
 from quaffure.geometry.mesh import angle_weighted_vertex_normals
 from quaffure.geometry.soft_surface import LEAF, SoftSurface
-from quaffure.geometry.spread import spread_subset
+from quaffure.geometry.spread import neighbours_together, spread_subset
 from quaffure.types import Float, Int, Tensor
 
 LEAVES = 128
@@ -35,19 +35,6 @@ def skin_points(body: BodyModel) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 3"
     reachable = (weights[:, near].sum(1) > 0.5).nonzero()[:, 0]
     spread = spread_subset(body.rest_vertices[reachable].cpu().numpy(), LEAVES * LEAF)
     vertices = reachable[torch.from_numpy(spread).to(reachable.device)]
-    vertices = vertices[_leaf_order(body.rest_vertices[vertices])]
+    vertices = vertices[neighbours_together(body.rest_vertices[vertices], LEAF)]
     normals = angle_weighted_vertex_normals(body.rest_vertices[None], body.faces)[0, vertices]
     return vertices, normalize(normals, dim=-1), weights[vertices]
-
-
-def _leaf_order(points: Float[Tensor, "p 3"]) -> Int[Tensor, " p"]:
-    """Order in which every `LEAF` points are near each other: halves along the longest side, again and again."""
-    parts = [torch.arange(len(points), device=points.device)]
-    while len(parts[0]) > LEAF:
-        halved = []
-        for part in parts:
-            extent = points[part].amax(0) - points[part].amin(0)
-            ordered = part[points[part][:, int(extent.argmax())].argsort()]
-            halved += list(ordered.chunk(2))
-        parts = halved
-    return torch.cat(parts)

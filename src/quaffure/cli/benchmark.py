@@ -13,9 +13,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
-from quaffure.cli.benchmark_inference import InferenceCommand, check_out
+from quaffure.cli.benchmark_inference import InferenceCommand
 from quaffure.cli.console import console, print_json, print_rows
 from quaffure.cli.inputs import motion_of
+from quaffure.cli.outputs import check_out
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.errors import InputError
 from quaffure.evaluation.solver_benchmark import Budget, Case, Run, budgets, report, run_benchmark
@@ -49,7 +50,8 @@ class SolversCommand:
 
     def run(self) -> None:
         chosen = self._budgets()
-        check_out(self.out)
+        check_out(self.out, ".json")
+        check_out(self.out.with_suffix(".png"), ".png")
         if self.strands is not None and self.strands < 1:
             raise InputError("--strands", "1 or more", f"{self.strands}")
         body = load_body()

@@ -10,6 +10,7 @@ import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from quaffure.cli.console import console, print_json, print_rows
+from quaffure.cli.outputs import check_out
 from quaffure.drapers.quaffure_model import Quaffure, load_model
 from quaffure.errors import InputError
 from quaffure.evaluation.inference_benchmark import (
@@ -19,6 +20,7 @@ from quaffure.evaluation.inference_benchmark import (
     Timing,
     floor,
     report,
+    time_fitting,
     time_grooms,
     time_parts,
     time_strands,
@@ -43,7 +45,8 @@ class InferenceCommand:
     """Print the file's content instead of a table."""
 
     def run(self) -> None:
-        check_out(self.out)
+        check_out(self.out, ".json")
+        check_out(self.out.with_suffix(".png"), ".png")
         model = load_model(self.weights)
         if not model.draper.is_compiled(model.body):
             raise InputError(self.weights or "weights", "a network that is compiled to drape", "another configuration")
@@ -59,15 +62,17 @@ class InferenceCommand:
             timings = time_grooms(model, grooms, counts, on_count)
             strands = time_strands(model, grooms[0])
             parts = time_parts(model, grooms[0])
+            fitting = time_fitting(model, grooms[0])
             least = floor(model.draper.compiled(), model.draper.packed(grooms[0], model.body))
-        written = report(model, timings, strands, parts, least)
+        written = report(model, timings, strands, parts, fitting, least)
         with replacing(self.out) as beside:
             beside.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
         drawn = self._plot(timings, least)
         if self.json:
             print_json(written)
             return
-        _print(model, timings, parts, least)
+        _print(model, timings + strands, parts, least)
+        console.print(f"once for a new groom: {1000 * fitting:.0f} ms of processor time")
         console.print(drawn)
 
     def _plot(self, timings: Sequence[Timing], least: Floor) -> str:
@@ -78,18 +83,6 @@ class InferenceCommand:
         picture = self.out.with_suffix(".png")
         plot_timings(picture, timings, least)
         return f"written: {self.out}, {picture}"
-
-
-def check_out(out: Path) -> None:
-    """Before the work and not after it.
-
-    Raises:
-        InputError: no .json, or its folder is missing.
-    """
-    if out.suffix.lower() != ".json":
-        raise InputError(out, "an output of suffix .json", f"suffix '{out.suffix}'")
-    if not out.parent.is_dir():
-        raise InputError(out, "a path in an existing folder", f"no folder {out.parent}")
 
 
 def _print(model: Quaffure, timings: Sequence[Timing], parts: dict[str, float], least: Floor) -> None:
@@ -110,6 +103,7 @@ def _print(model: Quaffure, timings: Sequence[Timing], parts: dict[str, float], 
 def _row(timing: Timing) -> dict[str, object]:
     return {
         "grooms": timing.grooms,
+        "strands": timing.strands,
         "wall s": timing.seconds,
         "CPU s": timing.cpu_seconds,
         "wall ms a groom": 1000 * timing.seconds / timing.grooms,

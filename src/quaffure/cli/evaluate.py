@@ -16,6 +16,7 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.cli.console import console, print_json, print_rows
 from quaffure.cli.inputs import body_shape_of, motion_of
+from quaffure.cli.outputs import check_out
 from quaffure.errors import InputError
 from quaffure.evaluation.answers import write_case
 from quaffure.evaluation.comparison import DrapeFrame, compare
@@ -25,7 +26,7 @@ from quaffure.evaluation.draping import CaseDraper
 from quaffure.evaluation.evaluation_set import DataFolders, EvaluationCase, load_cases, load_evaluation_set
 from quaffure.evaluation.report import mean_rows, worst_rows, write_report
 from quaffure.evaluation.results import Results, results_of
-from quaffure.io.atomic import check_folder_of, made_folder, replacing
+from quaffure.io.atomic import made_folder, replacing
 from quaffure.io.load_groom import load_groom
 
 OWN_FRAMES = 3
@@ -115,10 +116,8 @@ class EvaluateCommand:
         """Before the work and not after it."""
         if self.out is None and self.write_cases is None:
             raise InputError("--out", "a .json file to write", "none")
-        if self.out is not None and self.out.suffix.lower() != ".json":
-            raise InputError(self.out, "an output of suffix .json", f"suffix '{self.out.suffix}'")
         if self.out is not None:
-            check_folder_of(self.out)
+            check_out(self.out, ".json")
         own = {"--groom": self.groom, "--motion": self.motion}
         given = next((name for name, value in own.items() if value), None)
         if given and (self.quick or self.write_cases is not None):

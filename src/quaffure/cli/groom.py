@@ -10,6 +10,7 @@ import tyro
 
 from quaffure.body.body_model import load_body
 from quaffure.cli.console import console
+from quaffure.cli.outputs import check_out
 from quaffure.cli.style_settings import with_settings
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
@@ -20,7 +21,6 @@ from quaffure.groom.registration import RegistrationReport, register_groom
 from quaffure.groom.resample import concatenate_strands, resample_by_arc_length, without_degenerate
 from quaffure.groom.scalp_texture import select_guides
 from quaffure.groom.strands import Strands
-from quaffure.io.atomic import check_folder_of
 from quaffure.io.groom_file import LONGEST_STRAND, write_groom
 from quaffure.io.load_groom import read_head
 from quaffure.io.read_strands import read_strands
@@ -43,7 +43,7 @@ class NewGroom:
     """Of all that is random: another seed, other strands of the same style."""
 
     def run(self) -> None:
-        _check_out(self.out, ".npz")
+        check_out(self.out, ".npz")
         if self.style not in STYLES:
             raise InputError("--style", f"one of {', '.join(sorted(STYLES))}", repr(self.style))
         if not 0 <= self.seed < 2**63:
@@ -76,9 +76,9 @@ class ImportGroom:
     """Terms of the groom, kept in the file."""
 
     def run(self) -> None:
-        _check_out(self.out, ".npz")
+        check_out(self.out, ".npz")
         if self.picture is not None:
-            _check_out(self.picture, ".png")
+            check_out(self.picture, ".png")
         if not self.files:
             raise InputError("FILE", "at least one file of strands", "none")
         body = load_body()
@@ -108,15 +108,6 @@ class GroomCommand:
 
     def run(self) -> None:
         self.action.run()
-
-
-def _check_out(path: Path, suffix: str) -> None:
-    """Before the work and not after it."""
-    if path.suffix.lower() != suffix:
-        raise InputError(path, f"a name ending in {suffix}", path.suffix or "no suffix")
-    check_folder_of(path)
-    if path.is_dir():
-        raise InputError(path, "a file to write", "a folder")
 
 
 def _summary(groom: Groom) -> str:

@@ -5,12 +5,11 @@ from pathlib import Path
 
 from quaffure.body.body_model import load_body
 from quaffure.cli.console import console, print_json, print_rows
-from quaffure.errors import InputError
+from quaffure.cli.outputs import check_out
 from quaffure.groom.clearance import rest_surface
 from quaffure.groom.hair_style import HELD_OUT, STYLES
 from quaffure.groom.procedural import LICENCE, make_groom
 from quaffure.groom.style_sizes import StyleSize, style_sizes
-from quaffure.io.atomic import check_folder_of
 
 
 @dataclass(frozen=True)
@@ -24,10 +23,8 @@ class GroomsCommand:
 
     def run(self) -> None:
         # Growing takes a while: what cannot be written is refused before.
-        if self.out is not None and self.out.suffix.lower() != ".png":
-            raise InputError(self.out, "a picture's name ending in .png", f"{self.out.suffix or 'no suffix'}")
         if self.out is not None:
-            check_folder_of(self.out)
+            check_out(self.out, ".png")
             _draw(self.out)
         rows = [_row(name, size) for name, size in style_sizes().items()]
         print_json(rows) if self.json else print_rows(rows, "bundled grooms")

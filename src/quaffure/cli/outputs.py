@@ -25,9 +25,18 @@ def writer_for(path: Path) -> Writer:
     if writer is None:
         raise InputError(path, f"an output of suffix {', '.join(WRITERS)}", f"suffix '{path.suffix}'")
     check_folder_of(path)
-    if path.is_dir():
-        raise InputError(path, "a file to write", "a folder")
     return writer
+
+
+def check_out(path: Path, suffix: str) -> None:
+    """Refuse an output before the work and not after it.
+
+    Raises:
+        InputError: another suffix, no folder to write into, or a folder of that name.
+    """
+    if path.suffix.lower() != suffix:
+        raise InputError(path, f"an output of suffix {suffix}", f"suffix '{path.suffix}'")
+    check_folder_of(path)
 
 
 def _write_npz(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:

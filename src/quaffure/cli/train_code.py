@@ -75,8 +75,8 @@ class TrainCodeCommand:
     unseen: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A groom to be measured on and not trained on, besides the held-out styles; may be given several times."""
     keep_encoder: Path | None = None
-    """The `groom_autoencoder.safetensors` of an earlier run: its encoder stays as it is, and with it all codes; only its
-    decoder is trained on."""
+    """The `groom_autoencoder.safetensors` of an earlier run: its encoder stays as it is, and with it all codes; only
+    its decoder is trained on."""
     json: bool = False
     """Print the figures as JSON instead of tables."""
     config: GroomCodeConfig = field(default_factory=GroomCodeConfig)

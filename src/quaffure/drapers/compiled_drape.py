@@ -28,7 +28,7 @@ class CompiledDrape:
     Attributes:
         network: laid out for speed.
         material: the one that the network was trained for.
-        network_seconds: wall time of the network alone in the last `drape`.
+        network_seconds: wall time of the network alone, of all drapes so far.
     """
 
     def __init__(self, network: InferenceNetwork, material: HairMaterial) -> None:
@@ -51,34 +51,32 @@ class CompiledDrape:
         records = point_records(view.surface)
         begun = time.perf_counter()
         textures = self.textures(grooms, view)
-        self.network_seconds = time.perf_counter() - begun
-        room = self.room(max(len(groom.texels) for groom in grooms))
+        self.network_seconds += time.perf_counter() - begun
+        buffers = self.buffers(max(len(groom.texels) for groom in grooms))
         for sample, (groom, out) in enumerate(zip(grooms, draped)):
             one = slice(sample, sample + 1)
             seen = PointRecords(records.points[one], records.places[one])
-            start = self.start(groom, view.sample(sample), seen, room)
+            start = self.start(groom, view.sample(sample), seen, buffers)
             begun = time.perf_counter()
-            answers = self.network.answers(textures[sample], groom.texels, start.seen[0])
+            answers = self.network.answers(textures[sample], groom.texels, start.told[0])
             self.network_seconds += time.perf_counter() - begun
             self.end(groom, start, answers, view.sample(sample), out)
 
     def textures(self, grooms: Sequence[PackedGroom], view: HeadView) -> Float[Tensor, "b texels channels"]:
         """What the decoder says of each groom on its body."""
         pose_code = view.pose_code[:, : SHAPE_SIZE + POSE_SIZE + self.network.config.pose_features]
-        return self.network.textures(
-            torch.cat([torch.stack([groom.fitted.code for groom in grooms]), pose_code], dim=1)
-        )
+        return self.network.textures(torch.cat([torch.stack([groom.code for groom in grooms]), pose_code], dim=1))
 
-    def room(self, rows: int) -> Undeformed:
+    def buffers(self, rows: int) -> Undeformed:
         """Where grooms of up to so many rows can start, one after another: memory in use is still in the cache."""
-        seen = self.network.inputs(rows)[None]
+        told = self.network.inputs(rows)[None]
         edges = torch.empty(1, rows, EDGES_PER_STRAND, 3)
-        return Undeformed(torch.empty(1, rows, 3), edges, torch.empty(1, rows, EDGES_PER_STRAND), seen)
+        return Undeformed(torch.empty(1, rows, 3), edges, torch.empty(1, rows, EDGES_PER_STRAND), told)
 
-    def start(self, groom: PackedGroom, view: HeadView, records: PointRecords, room: Undeformed) -> Undeformed:
-        """A groom before the network, row by row, on the one body of `view`; lies in `room`."""
+    def start(self, groom: PackedGroom, view: HeadView, records: PointRecords, buffers: Undeformed) -> Undeformed:
+        """A groom before the network, row by row, on the one body of `view`; lies in `buffers`."""
         rows = len(groom.texels)
-        start = Undeformed(*(field[:, :rows] for field in room))
+        start = Undeformed(*(field[:, :rows] for field in buffers))
         place = np.arange(rows, dtype=np.int32).reshape(groom.packets.strand.shape)
         fill_undeformed(groom.packets, place, view, records, self.material, start)
         return start
@@ -93,7 +91,7 @@ class CompiledDrape:
     ) -> None:
         """Answers to vertices in the world."""
         finish(
-            start.edges[0].numpy(), start.compliance[0].numpy(), bits(answers), groom.fitted.rest_length.numpy(),
-            start.roots[0].numpy(), groom.packets.strand.reshape(-1), view.world_from_head[0].numpy(), view.head[0].numpy(),
-            get_num_threads(), draped.numpy(),
+            start.edges[0].numpy(), start.compliance[0].numpy(), bits(answers), groom.rest_length.numpy(),
+            start.roots[0].numpy(), groom.packets.strand.reshape(-1), view.world_from_head[0].numpy(),
+            view.head[0].numpy(), get_num_threads(), draped.numpy(),
         )  # fmt: skip

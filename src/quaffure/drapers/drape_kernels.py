@@ -19,6 +19,7 @@ from quaffure.geometry.soft_surface import (
     LOOKS,
     NORMAL,
     PLACE,
+    SHORTEST,
     WEIGHT,
     list_near,
     look,
@@ -38,8 +39,8 @@ _LENGTH = _DIRECTION + 3 * LANES
 _BEYOND = _LENGTH + LANES
 _WHOLE = _BEYOND + LANES
 _SAG = _WHOLE + LANES
-_GIVE = _SAG + 3 * LANES
-_FRAME = _GIVE + LANES
+_COMPLIANCE = _SAG + 3 * LANES
+_FRAME = _COMPLIANCE + LANES
 _TOLD = _FRAME + 9 * LANES  # as many as before `_DIRECTION`, as the network is told them
 _ROWS = _TOLD + _DIRECTION
 
@@ -48,20 +49,20 @@ _ROWS = _TOLD + _DIRECTION
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def grow(
     rest_edges: np.ndarray, offset: np.ndarray, corners: np.ndarray, barycentric: np.ndarray, margin: np.ndarray,
-    place: np.ndarray, scalp: np.ndarray, down: np.ndarray, points: np.ndarray, places: np.ndarray,
+    row_of: np.ndarray, scalp: np.ndarray, down: np.ndarray, points: np.ndarray, places: np.ndarray,
     radius: float, weight: float, threads: int,
-    roots: np.ndarray, edges: np.ndarray, compliance: np.ndarray, seen: np.ndarray,
+    roots: np.ndarray, edges: np.ndarray, compliance: np.ndarray, told: np.ndarray,
 ) -> None:  # fmt: skip
     """Fill roots, edges, their compliance and what the network is told, see `quaffure.drapers.undeformed.Undeformed`.
 
     Args:
-        place: [packet, lane], where in the results each strand goes.
+        row_of: [packet, lane], of the results for each strand.
         down: unit, in the head's frame.
         radius: of the softened body's points [m].
         weight: of a strand over k_Cosserat [1/m^2].
-        seen: the bits of float32, or of bfloat16.
+        told: the bits of float32, or of bfloat16.
     """
-    batch, packets, count = len(scalp), len(place), rest_edges.shape[1]
+    batch, packets, count = len(scalp), len(row_of), rest_edges.shape[1]
     # Made outside of the parallel loop, where arrays are not counted: counting costs as much as looking.
     room, centres = np.empty((threads, _ROWS), np.float32), np.empty((threads, 3), np.float32)
     flags, lists = (
@@ -72,13 +73,13 @@ def grow(
         rows, centre, inside, near = room[thread], centres[thread], flags[thread], lists[thread]
         for item in range(thread, batch * packets, threads):
             sample, packet = item // packets, item % packets
-            own_place, own_points, own_places, own_seen = place[packet], points[sample], places[sample], seen[sample]
+            own_rows, own_points, own_places, own_told = row_of[packet], points[sample], places[sample], told[sample]
             own_edges, own_margin, own_down, out = rest_edges[packet], margin[packet], down[sample], edges[sample]
             own_compliance = compliance[sample]
             _place_roots(corners[packet], barycentric[packet], offset[packet], scalp[sample], rows)
             for i in range(LANES):
                 for axis in range(3):
-                    roots[sample, own_place[i], axis] = rows[_VERTEX + axis * LANES + i]
+                    roots[sample, own_rows[i], axis] = rows[_VERTEX + axis * LANES + i]
             _measure(own_edges, rows)
             cover, listed = np.float32(-1.0), 0
             for edge in range(count):
@@ -96,10 +97,10 @@ def grow(
                 _advance(rows)
                 _comply(rows)
                 for i in range(LANES):
-                    own_compliance[own_place[i], edge] = rows[_GIVE + i]
+                    own_compliance[own_rows[i], edge] = rows[_COMPLIANCE + i]
                     for axis in range(3):
-                        out[own_place[i], edge, axis] = rows[_DIRECTION + axis * LANES + i]
-                _tell(rows, own_place, edge, count, own_seen)
+                        out[own_rows[i], edge, axis] = rows[_DIRECTION + axis * LANES + i]
+                _tell(rows, own_rows, edge, count, own_told)
 
 
 @no_type_check
@@ -150,7 +151,7 @@ def _aim(rest_edges: np.ndarray, edge: int, down: np.ndarray, weight: float, row
     for i in range(LANES):
         ex, ey, ez = rest_edges[edge, 0, i], rest_edges[edge, 1, i], rest_edges[edge, 2, i]
         length = np.sqrt(ex * ex + ey * ey + ez * ez)
-        inverse = one / length
+        inverse = one / max(length, np.float32(SHORTEST))
         ex, ey, ez = ex * inverse, ey * inverse, ez * inverse
         beyond = rows[_BEYOND + i] - length
         pull = weight * length * (beyond + half * length)
@@ -162,7 +163,7 @@ def _aim(rest_edges: np.ndarray, edge: int, down: np.ndarray, weight: float, row
         x, y, z = x * scale, y * scale, z * scale
         rows[_DIRECTION + i], rows[_DIRECTION + LANES + i], rows[_DIRECTION + 2 * LANES + i] = x, y, z
         rows[_SAG + i], rows[_SAG + LANES + i], rows[_SAG + 2 * LANES + i] = x, y, z
-        rows[_GIVE + i] = pull + weight * length * np.float32(SHARE) * rows[_WHOLE + i]
+        rows[_COMPLIANCE + i] = pull + weight * length * np.float32(SHARE) * rows[_WHOLE + i]
         rows[_LENGTH + i], rows[_BEYOND + i] = length, beyond
 
 
@@ -222,7 +223,7 @@ def _turn(margin: np.ndarray, edge: int, radius: float, rows: np.ndarray) -> boo
         mx, my, mz = rows[NORMAL + i], rows[NORMAL + LANES + i], rows[NORMAL + 2 * LANES + i]
         ux, uy, uz = rows[_DIRECTION + i], rows[_DIRECTION + LANES + i], rows[_DIRECTION + 2 * LANES + i]
         short = max(margin[edge, i] * rows[WEIGHT + i] - radius * rows[HEIGHT + i], none)
-        turn = short / rows[_LENGTH + i]
+        turn = short / max(rows[_LENGTH + i], np.float32(SHORTEST))
         ux, uy, uz = ux + turn * mx, uy + turn * my, uz + turn * mz
         norm = one / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
         rows[_DIRECTION + i], rows[_DIRECTION + LANES + i] = ux * norm, uy * norm
@@ -234,11 +235,11 @@ def _turn(margin: np.ndarray, edge: int, radius: float, rows: np.ndarray) -> boo
 @no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _comply(rows: np.ndarray) -> None:
-    """Add to the give of edges how far the skin has turned them; one at most."""
+    """Add to the compliance of edges how far the skin has turned them; one at most."""
     for i in range(LANES):
         x, y = rows[_DIRECTION + i] - rows[_SAG + i], rows[_DIRECTION + LANES + i] - rows[_SAG + LANES + i]
         z = rows[_DIRECTION + 2 * LANES + i] - rows[_SAG + 2 * LANES + i]
-        rows[_GIVE + i] = min(rows[_GIVE + i] + np.sqrt(x * x + y * y + z * z), np.float32(1.0))
+        rows[_COMPLIANCE + i] = min(rows[_COMPLIANCE + i] + np.sqrt(x * x + y * y + z * z), np.float32(1.0))
 
 
 @no_type_check
@@ -253,19 +254,19 @@ def _advance(rows: np.ndarray) -> None:
 
 @no_type_check
 @njit(cache=True)
-def _tell(rows: np.ndarray, place: np.ndarray, edge: int, count: int, seen: np.ndarray) -> None:
+def _tell(rows: np.ndarray, row_of: np.ndarray, edge: int, count: int, told: np.ndarray) -> None:
     """Write where the vertices beyond the edges are and what they see."""
-    bits, at, view, told = rows.view(np.uint32), 3 * edge, 3 * count + 5 * edge, 0
-    if seen.itemsize == 2:
-        told = _TOLD
+    bits, at, view, source = rows.view(np.uint32), 3 * edge, 3 * count + 5 * edge, 0
+    if told.itemsize == 2:
+        source = _TOLD
         _round(bits)
     for i in range(LANES):
-        own = place[i]
+        row = row_of[i]
         for axis in range(3):
-            seen[own, at + axis] = bits[told + _VERTEX + axis * LANES + i]
-            seen[own, view + 1 + axis] = bits[told + NORMAL + axis * LANES + i]
-        seen[own, view] = bits[told + HEIGHT + i]
-        seen[own, view + 4] = bits[told + WEIGHT + i]
+            told[row, at + axis] = bits[source + _VERTEX + axis * LANES + i]
+            told[row, view + 1 + axis] = bits[source + NORMAL + axis * LANES + i]
+        told[row, view] = bits[source + HEIGHT + i]
+        told[row, view + 4] = bits[source + WEIGHT + i]
 
 
 @no_type_check
@@ -294,7 +295,7 @@ def finish(
     a, b, c = world_from_head[0], world_from_head[1], world_from_head[2]
     for thread in prange(threads):
         bits, answer = room[thread], room[thread].view(np.float32)
-        for row in range(thread, len(edges), threads):
+        for row in range(thread, len(rest_length), threads):  # the rows after these repeat the last strand
             for k in range(columns):
                 bits[k] = np.uint32(answers[row, k]) << shift
             own, x, y, z = strand[row], roots[row, 0], roots[row, 1], roots[row, 2]
@@ -303,9 +304,9 @@ def finish(
                 draped[own, vertex, 1] = head[1] + b[0] * x + b[1] * y + b[2] * z
                 draped[own, vertex, 2] = head[2] + c[0] * x + c[1] * y + c[2] * z
                 if vertex < count:
-                    give = compliance[row, vertex]
-                    ux = edges[row, vertex, 0] + give * answer[3 * vertex]
-                    uy = edges[row, vertex, 1] + give * answer[3 * vertex + 1]
-                    uz = edges[row, vertex, 2] + give * answer[3 * vertex + 2]
+                    yielding = compliance[row, vertex]
+                    ux = edges[row, vertex, 0] + yielding * answer[3 * vertex]
+                    uy = edges[row, vertex, 1] + yielding * answer[3 * vertex + 1]
+                    uz = edges[row, vertex, 2] + yielding * answer[3 * vertex + 2]
                     scale = rest_length[own, vertex] / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
                     x, y, z = x + scale * ux, y + scale * uy, z + scale * uz

@@ -24,7 +24,7 @@ SEEN = 0.05
 """From which amount of a view on it tells a distance."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FittedGroom:
     """A groom on a body, made once for all poses.
 
@@ -39,23 +39,22 @@ class FittedGroom:
     margin: Float[Tensor, "s n"]
 
 
-@dataclass(frozen=True)
-class PackedGroom:
-    """The same as the kernels read it: a row is a strand in the order of the packets.
+@dataclass(frozen=True, eq=False)
+class PackedGroom(FittedGroom):
+    """The same laid out for the kernels: a row is a strand in the order of the packets.
 
     Attributes:
         texels: of every row, see `quaffure.networks.inference_network.texel_rows`.
     """
 
-    fitted: FittedGroom
     packets: StrandPackets
     texels: Int[Tensor, " row"]
 
     @property
     def nbytes(self) -> int:
-        """Memory that it takes."""
+        """Memory that the kernels read of it."""
         arrays = [getattr(self.packets, field.name) for field in fields(self.packets)]
-        return sum(array.nbytes for array in (*arrays, self.texels, self.fitted.rest_length, self.fitted.margin))
+        return sum(array.nbytes for array in (*arrays, self.texels, self.rest_length))
 
 
 def fit_groom(groom: Groom, body: BodyModel, network: QuaffureNetwork, material: HairMaterial) -> FittedGroom:
@@ -78,7 +77,8 @@ def pack_groom(groom: Groom, body: BodyModel, fitted: FittedGroom) -> PackedGroo
     """
     packets = strand_packets(groom, body, fitted.margin)
     strand = torch.from_numpy(packets.strand).flatten().long()
-    return PackedGroom(fitted, packets, texel_rows(groom.texels()[strand], TEXTURE_SIZE))
+    texels = texel_rows(groom.texels()[strand], TEXTURE_SIZE)
+    return PackedGroom(fitted.code, fitted.rest_length.detach(), fitted.margin, packets, texels)
 
 
 def starting_margin(groom: Groom, rest: RestState, body: BodyModel) -> Float[Tensor, "s n"]:

@@ -14,7 +14,7 @@ from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.drapers.undeformed import Undeformed, undeformed, undeformed_reference
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.groom.groom import Groom
-from quaffure.networks.inference_network import InferenceNetwork, fast_bfloat16
+from quaffure.networks.inference_network import InferenceNetwork
 from quaffure.networks.quaffure_network import DirectionNetwork, DisplacementNetwork, NetworkInputs, QuaffureNetwork
 from quaffure.types import Positions, Tensor
 
@@ -23,20 +23,18 @@ class NeuralDraper:
     """hair = posed + deformation, the deformation from a network.
 
     Attributes:
-        network: either configuration.
+        network: either configuration. Its weights may change between drapes, but not in place behind the back of
+            autograd (`.data`), which nobody notices.
         material: the one that the network was trained for.
-        bf16: run the network's layers in bfloat16; all geometry stays in float32. None: only to drape, and where the
-            processor multiplies such matrices in hardware. Vertices move by some hundredths of a millimetre.
+        bf16: run the network's layers in bfloat16; all geometry stays in float32.
     """
 
     name = "neural"
 
-    def __init__(self, network: QuaffureNetwork, material: HairMaterial, bf16: bool | None = None) -> None:
+    def __init__(self, network: QuaffureNetwork, material: HairMaterial, bf16: bool = False) -> None:
         self.network, self.material, self.bf16 = network, material, bf16
         self._fitted: WeakKeyDictionary[Groom, WeakKeyDictionary[BodyModel, FittedGroom]] = WeakKeyDictionary()
-        self._packed: WeakKeyDictionary[Groom, WeakKeyDictionary[BodyModel, PackedGroom]] = WeakKeyDictionary()
-        self._parameters = list(network.parameters())
-        self._compiled: tuple[list[int], CompiledDrape] | None = None
+        self._compiled: tuple[object, CompiledDrape] | None = None
 
     def drape(self, scene: Scene) -> Positions:
         bodies, groom = scene.bodies, scene.groom
@@ -65,7 +63,7 @@ class NeuralDraper:
         with torch.no_grad():
             start = self._start(scene, fitted, view)
         with self._layers_in_bfloat16(view):
-            change = self.network(NetworkInputs(fitted.code, scene.groom.texels(), view.pose_code), start.seen)
+            change = self.network(NetworkInputs(fitted.code, scene.groom.texels(), view.pose_code), start.told)
         edges = (start.edges + start.compliance[..., None] * change) @ view.world_from_head[:, None].mT
         return integrate_directions(scene.posed[:, :, 0], edges, fitted.rest_length)
 
@@ -74,27 +72,31 @@ class NeuralDraper:
         return isinstance(self.network, DirectionNetwork) and self.network.config.views and _on_cpu(body)
 
     def compiled(self) -> CompiledDrape:
-        """The network as kernels; made anew when it has been trained on since."""
-        version = [parameter._version for parameter in self._parameters]
-        if self._compiled is None or self._compiled[0] != version:
+        """The network as kernels; made anew when anything that decides a drape has changed."""
+        weights = [(p.data_ptr(), None if p.is_inference() else p._version) for p in self.network.parameters()]
+        state = (weights, self.material, self.bf16)
+        if self._compiled is None or self._compiled[0] != state:
             assert isinstance(self.network, DirectionNetwork)
-            bf16 = fast_bfloat16() if self.bf16 is None else self.bf16
-            network = InferenceNetwork(self.network, torch.bfloat16 if bf16 else torch.float32)
-            self._compiled = version, CompiledDrape(network, self.material)
+            network = InferenceNetwork(self.network, torch.bfloat16 if self.bf16 else torch.float32)
+            self._compiled = state, CompiledDrape(network, self.material)
         return self._compiled[1]
 
     def packed(self, groom: Groom, body: BodyModel) -> PackedGroom:
-        """What the kernels need of a groom; kept as long as groom and body are."""
-        on_bodies = self._packed.setdefault(groom, WeakKeyDictionary())
-        if body not in on_bodies:
-            on_bodies[body] = pack_groom(groom, body, self._fit(groom, body))
-        return on_bodies[body]
+        """What the kernels need of a groom on the CPU; kept as long as groom and body are.
+
+        Raises:
+            InputError: the groom is not laid out for the network, or a root is not on the scalp.
+        """
+        fitted = self._fit(groom, body)
+        assert isinstance(fitted, PackedGroom)
+        return fitted
 
     def _fit(self, groom: Groom, body: BodyModel) -> FittedGroom:
         on_bodies = self._fitted.setdefault(groom, WeakKeyDictionary())
         if body not in on_bodies:
             with torch.no_grad():
-                on_bodies[body] = fit_groom(groom, body, self.network, self.material)
+                fitted = fit_groom(groom, body, self.network, self.material)
+            on_bodies[body] = pack_groom(groom, body, fitted) if _on_cpu(body) else fitted
         return on_bodies[body]
 
     def _drape_compiled(self, grooms: Sequence[Groom], bodies: BodyBatch, draped: Sequence[Tensor]) -> None:
@@ -104,16 +106,14 @@ class NeuralDraper:
             packed = [self.packed(groom, body) for groom in grooms[part]]
             compiled.drape(packed, body, bodies.body_pose[part], bodies.body_shape[part], draped[part])
 
-    def _displaced(
-        self, scene: Scene, fitted: FittedGroom, view: HeadView, network: DisplacementNetwork
-    ) -> Positions:
+    def _displaced(self, scene: Scene, fitted: FittedGroom, view: HeadView, network: DisplacementNetwork) -> Positions:
         with self._layers_in_bfloat16(view):
             moved = network(NetworkInputs(fitted.code, scene.groom.texels(), view.pose_code))
         moved = torch.cat([torch.zeros_like(moved[:, :, :1]), moved[:, :, 1:]], dim=2)  # roots do not move
         return scene.posed + moved @ view.world_from_head[:, None].mT
 
     def _layers_in_bfloat16(self, view: HeadView) -> torch.autocast:
-        return torch.autocast(view.head.device.type, torch.bfloat16, enabled=bool(self.bf16))
+        return torch.autocast(view.head.device.type, torch.bfloat16, enabled=self.bf16)
 
     def _start(self, scene: Scene, fitted: FittedGroom, view: HeadView) -> Undeformed:
         body = scene.bodies.body

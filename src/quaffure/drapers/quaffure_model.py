@@ -15,6 +15,7 @@ from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.errors import InputError
 from quaffure.groom.groom import Groom
 from quaffure.networks.checkpoint import load_network
+from quaffure.networks.inference_network import fast_bfloat16
 from quaffure.networks.quaffure_network import POSE_SIZE, SHAPE_SIZE
 from quaffure.types import Positions, Tensor
 
@@ -52,20 +53,26 @@ class Quaffure:
         return self.draper.drape(Scene(groom.to(body_pose.device), bodies))
 
     def drape_many(self, grooms: Iterable[Groom], body_pose: Tensor, body_shape: Tensor) -> Iterator[Tensor]:
-        """Many hairstyles, one after another, each as soon as its batch is done: memory does not grow with them.
+        """Many hairstyles, one after another, each as soon as its batch is done.
+
+        Memory does not grow with them where `grooms` makes them as they are asked for: what is prepared for a groom,
+        some 600 bytes a strand, is kept as long as somebody holds the groom.
 
         Args:
             grooms: as for `drape`.
             body_pose, body_shape: a row for each groom, or one that all of them share.
 
-        Yields:
-            Draped vertices of each groom in turn, [strand, vertex, 3] [m, world].
+        Returns:
+            Iterator of the draped vertices of each groom in turn, [strand, vertex, 3] [m, world].
 
         Raises:
-            InputError: an array of another shape, fewer rows than grooms, or a groom that is not laid out for the
-                network.
+            InputError: an array of another shape; while iterating, other numbers of rows than of grooms, or a groom
+                that is not laid out for the network.
         """
         poses, shapes = self._rows("body_pose", body_pose, POSE_SIZE), self._rows("body_shape", body_shape, SHAPE_SIZE)
+        return self._drape_many(grooms, poses, shapes)
+
+    def _drape_many(self, grooms: Iterable[Groom], poses: Tensor, shapes: Tensor) -> Iterator[Tensor]:
         device, first, waiting = poses.device, 0, iter(grooms)
         while batch := list(islice(waiting, BATCH)):
             for groom in batch:
@@ -74,6 +81,9 @@ class Quaffure:
             bodies = BodyBatch(self.body, _taken("body_pose", poses, rows), _taken("body_shape", shapes, rows))
             yield from self.draper.drape_grooms([groom.to(device) for groom in batch], bodies)
             first += len(batch)
+        for name, values in (("body_pose", poses), ("body_shape", shapes)):
+            if len(values) not in (1, first):
+                raise InputError(name, f"a row for each groom, {first}, or a single one", f"{len(values)}")
 
     def _rows(self, name: str, values: Tensor, size: int) -> Tensor:
         if values.ndim != 2 or values.shape[1] != size:
@@ -98,17 +108,27 @@ def _taken(name: str, values: Tensor, rows: range) -> Tensor:
 
 
 def _check_groom(groom: Groom) -> None:
+    if groom.rest_strands.dtype != torch.float32:
+        raise InputError(groom.name, "vertices in torch.float32", f"{groom.rest_strands.dtype}")
     if groom.rest_strands.shape[1] != VERTICES_PER_STRAND:
         raise InputError(groom.name, f"{VERTICES_PER_STRAND} vertices a strand", f"{groom.rest_strands.shape[1]}")
     if groom.texels().unique().numel() != len(groom):
         raise InputError(groom.name, "one strand a texel (`select_guides`)", "several in one")
 
 
-def load_model(path: str | Path | None = None, device: torch.device | str = "cpu") -> Quaffure:
+def load_model(
+    path: str | Path | None = None, device: torch.device | str = "cpu", bf16: bool | None = None
+) -> Quaffure:
     """The shipped weights, or those of a training run.
+
+    Args:
+        bf16: run the network's layers in bfloat16, which moves vertices by some hundredths of a millimetre; None:
+            where the CPU multiplies such matrices in hardware.
 
     Raises:
         InputError: `path` is no checkpoint of this package.
     """
     network, material, notes = load_network(path or WEIGHTS)
-    return Quaffure(load_body().to(device), NeuralDraper(network.to(device), material), notes)
+    if bf16 is None:
+        bf16 = torch.device(device).type == "cpu" and fast_bfloat16()
+    return Quaffure(load_body().to(device), NeuralDraper(network.to(device), material, bf16), notes)

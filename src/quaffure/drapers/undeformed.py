@@ -7,7 +7,7 @@ import torch
 from numba import get_num_threads
 
 from quaffure.body.body_model import BodyModel
-from quaffure.body.head_view import HeadView, scalp_vertices
+from quaffure.body.head_view import HeadView
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.drapers.drape_kernels import SHARE, grow
 from quaffure.energies.closed_form import sagged_vectors
@@ -20,7 +20,7 @@ from quaffure.geometry.soft_surface import (
 )
 from quaffure.groom.groom import Groom
 from quaffure.groom.pose_transform import triangle_frames
-from quaffure.groom.strand_packets import StrandPackets
+from quaffure.groom.strand_packets import StrandPackets, scalp_corners
 from quaffure.types import EdgeVectors, Float, Int, Tensor
 
 
@@ -32,14 +32,14 @@ class Undeformed(NamedTuple):
         edges: unit vectors.
         compliance: how far each edge turns [rad] when it is pushed as hard as the strand beyond it weighs, and a part
             of the whole strand (`SHARE`), and how far the skin has turned it already; one at most.
-        seen: what the network is told of each strand in its first 8 e columns: positions of all vertices but the root
+        told: what the network is told of each strand in its first 8 e columns: positions of all vertices but the root
             [m], then what each of them sees of the skin (`quaffure.geometry.soft_surface`).
     """
 
     roots: Float[Tensor, "b s 3"]
     edges: EdgeVectors
     compliance: Float[Tensor, "b s e"]
-    seen: Float[Tensor, "b s columns"]
+    told: Float[Tensor, "b s columns"]
 
 
 def undeformed_reference(
@@ -49,9 +49,12 @@ def undeformed_reference(
 
     Args:
         margin: see `quaffure.drapers.fitted_groom.starting_margin`.
+
+    Raises:
+        InputError: a root that is not on the scalp.
     """
     rest = rest_state(groom.rest_strands, material)
-    corners = torch.searchsorted(scalp_vertices(body), body.faces[groom.root_faces])
+    corners = scalp_corners(groom, body)
     carriers, weights = body.rest_vertices[body.faces[groom.root_faces]], groom.root_barycentric[..., None]
     posed = view.scalp[:, corners]
     rotation = triangle_frames(posed) @ triangle_frames(carriers).mT
@@ -63,7 +66,9 @@ def undeformed_reference(
     )
     edges, views = slide_reference(roots, sag @ view.world_from_head[:, None], rest.rest_length, margin, view.surface)
     turned = (edges - torch.nn.functional.normalize(sag, dim=-1) @ view.world_from_head[:, None]).norm(dim=-1)
-    load = STANDARD_GRAVITY * (rest.mass_beyond + SHARE * material.linear_density * rest.rest_length.sum(1, keepdim=True))
+    load = STANDARD_GRAVITY * (
+        rest.mass_beyond + SHARE * material.linear_density * rest.rest_length.sum(1, keepdim=True)
+    )
     compliance = (rest.rest_length * load / material.k_cosserat + turned).clamp(max=1)
     positions = roots[:, :, None] + (rest.rest_length[..., None] * edges).cumsum(dim=2)
     return Undeformed(roots, edges, compliance, torch.cat([positions.flatten(2), views.flatten(2)], dim=2))
@@ -72,36 +77,36 @@ def undeformed_reference(
 def undeformed(packets: StrandPackets, view: HeadView, material: HairMaterial) -> Undeformed:
     """A groom on a batch of bodies before the network, in the order of its strands; float32, on the CPU."""
     batch, strands, edges = len(view.head), packets.strand.max() + 1, packets.edges.shape[1]
-    room = Undeformed(
+    start = Undeformed(
         torch.empty(batch, strands, 3),
         torch.empty(batch, strands, edges, 3),
         torch.empty(batch, strands, edges),
         torch.empty(batch, strands, (3 + VIEW_CHANNELS) * edges),
     )
-    fill_undeformed(packets, packets.strand, view, point_records(view.surface), material, room)
-    return room
+    fill_undeformed(packets, packets.strand, view, point_records(view.surface), material, start)
+    return start
 
 
 def fill_undeformed(
     packets: StrandPackets,
-    place: Int[np.ndarray, "packet lane"],
+    row_of: Int[np.ndarray, "packet lane"],
     view: HeadView,
     records: PointRecords,
     material: HairMaterial,
-    room: Undeformed,
+    into: Undeformed,
 ) -> None:
-    """Fill `room` with a groom before the network.
+    """Fill `into` with a groom before the network.
 
     Args:
-        place: where in the room the strand in each lane goes.
-        room: its last field may be in bfloat16, and may have more columns.
+        row_of: the row of `into` for the strand in each lane.
+        into: its last field may be in bfloat16, and may have more columns.
     """
     weight = np.float32(material.linear_density * STANDARD_GRAVITY / material.k_cosserat)
     grow(
-        packets.edges, packets.offset, packets.corners, packets.barycentric, packets.margin, place,
+        packets.edges, packets.offset, packets.corners, packets.barycentric, packets.margin, row_of,
         view.scalp.numpy(), -view.world_from_head[:, 2].numpy(), records.points, records.places,
         np.float32(view.surface.radius), weight, get_num_threads(),
-        room.roots.numpy(), room.edges.numpy(), room.compliance.numpy(), bits(room.seen),
+        into.roots.numpy(), into.edges.numpy(), into.compliance.numpy(), bits(into.told),
     )  # fmt: skip
 
 

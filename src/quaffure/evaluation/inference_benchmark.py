@@ -2,7 +2,6 @@
 
 import os
 import platform
-import resource
 import statistics
 import sys
 import time
@@ -37,14 +36,14 @@ class Timing:
     Attributes:
         strands: of all grooms together.
         seconds, cpu_seconds: wall and processor time of all of them.
-        peak_megabytes: memory of the whole process at its highest so far.
+        peak_megabytes: memory of the whole process at its highest so far; None where the system does not tell.
     """
 
     grooms: int
     strands: int
     seconds: float
     cpu_seconds: float
-    peak_megabytes: float
+    peak_megabytes: float | None
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ def time_grooms(
     counts: Sequence[int],
     on_count: Callable[[int], None] = lambda count: None,
 ) -> list[Timing]:
-    """Drape so many grooms, taken in turn from `grooms`, each in another pose.
+    """Drape so many grooms, taken in turn from `grooms` and known from before, in poses spread over a clip.
 
     Args:
         on_count: told what is about to run.
@@ -109,21 +108,26 @@ def time_parts(model: Quaffure, groom: Groom) -> dict[str, float]:
     batch, view = [packed] * BATCH, head_view(model.body, poses, shapes)
     one = head_view(model.body, poses[:1], shapes[:1])
     records, texture = point_records(one.surface), compiled.textures(batch, view)[0]
-    room = compiled.room(len(packed.texels))
-    start, draped = compiled.start(packed, one, records, room), torch.empty(groom.rest_strands.shape)
-    answers = compiled.network.answers(texture, packed.texels, start.seen[0])
+    buffers = compiled.buffers(len(packed.texels))
+    start, draped = compiled.start(packed, one, records, buffers), torch.empty(groom.rest_strands.shape)
+    answers = compiled.network.answers(texture, packed.texels, start.told[0])
     parts: dict[str, tuple[Callable[[], object], int]] = {
         "body": (lambda: point_records(head_view(model.body, poses, shapes).surface), BATCH),
         "texture": (lambda: compiled.textures(batch, view), BATCH),
-        "strands_before": (lambda: compiled.start(packed, one, records, room), 1),
-        "strand_layers": (lambda: compiled.network.answers(texture, packed.texels, start.seen[0]), 1),
+        "strands_before": (lambda: compiled.start(packed, one, records, buffers), 1),
+        "strand_layers": (lambda: compiled.network.answers(texture, packed.texels, start.told[0]), 1),
         "strands_after": (lambda: compiled.end(packed, start, answers, one, draped), 1),
     }
     return {name: _timed(part, repeats=20)[1] / drapes for name, (part, drapes) in parts.items()}
 
 
+def time_fitting(model: Quaffure, groom: Groom) -> float:
+    """Processor time [s] of what is done once for a groom, before its first drape."""
+    return _timed(lambda: model.draper.packed(groom.select(torch.arange(len(groom))), model.body), repeats=5)[1]
+
+
 def floor(compiled: CompiledDrape, groom: PackedGroom) -> Floor:
-    """See `Floor`."""
+    """See `Floor`; of one groom, which stands for all."""
     network, rows = compiled.network, len(groom.texels)
     dtype = network.dtype
     left, right = torch.randn(2, _MATRIX, _MATRIX, dtype=dtype)
@@ -137,7 +141,12 @@ def floor(compiled: CompiledDrape, groom: PackedGroom) -> Floor:
 
 
 def report(
-    model: Quaffure, timings: Sequence[Timing], strands: Sequence[Timing], parts: dict[str, float], least: Floor
+    model: Quaffure,
+    timings: Sequence[Timing],
+    strands: Sequence[Timing],
+    parts: dict[str, float],
+    fitting: float,
+    least: Floor,
 ) -> dict[str, object]:
     """What `bench.json` holds."""
     return {
@@ -153,6 +162,7 @@ def report(
         "grooms": [asdict(timing) for timing in timings],
         "strands": [asdict(timing) for timing in strands],
         "parts_cpu_milliseconds": {name: 1000 * seconds for name, seconds in parts.items()},
+        "fitting_cpu_milliseconds": 1000 * fitting,
         "floor": asdict(least) | {"milliseconds": 1000 * least.seconds},
     }
 
@@ -188,6 +198,10 @@ def _activation_bytes(network: InferenceNetwork, rows: int) -> int:
     return 2 * network.activations(rows) * network.dtype.itemsize
 
 
-def _peak_megabytes() -> float:
+def _peak_megabytes() -> float | None:
+    try:
+        import resource  # not on Windows
+    except ImportError:
+        return None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)

@@ -20,6 +20,8 @@ VIEW_CHANNELS = 5
 """What a vertex sees: mean distance over the radius, mean normal, and how much there is to see."""
 FAINT = 0.02
 """Sum of weights at which a view counts half: far from all points every channel fades to zero."""
+SHORTEST = 1e-12
+"""Length that an edge is taken to have at least [m]."""
 LOOKS = 2
 """Times that an edge looks and turns."""
 LANES = 16
@@ -102,7 +104,7 @@ def slide_reference(
     """
     place, edges, views = root, [], []
     for edge in range(vectors.shape[2]):
-        length = rest_length[:, edge, None]
+        length = rest_length[:, edge, None].clamp(min=SHORTEST)
         direction = torch.nn.functional.normalize(vectors[:, :, edge], dim=-1)
         for _ in range(LOOKS):
             view = soft_views_reference(place + length * direction, surface)

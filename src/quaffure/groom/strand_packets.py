@@ -13,12 +13,13 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.head_view import scalp_vertices
 from quaffure.errors import InputError
 from quaffure.geometry.soft_surface import LANES
+from quaffure.geometry.spread import neighbours_together
 from quaffure.groom.groom import Groom
 from quaffure.groom.pose_transform import root_positions, triangle_frames
 from quaffure.types import Float, Int, Tensor
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StrandPackets:
     """The last packet repeats the last strand where the groom does not fill it.
 
@@ -48,12 +49,8 @@ def strand_packets(groom: Groom, body: BodyModel, margin: Float[Tensor, "s n"]) 
     Raises:
         InputError: a root that is not on the scalp.
     """
-    carriers = body.faces[groom.root_faces]
-    vertices = scalp_vertices(body)
-    corners = torch.searchsorted(vertices, carriers).clamp(max=len(vertices) - 1)
-    if not torch.equal(vertices[corners], carriers):
-        raise InputError(groom.name, "roots on the scalp", "roots elsewhere")
-    frames = triangle_frames(body.rest_vertices[carriers])
+    corners = scalp_corners(groom, body)
+    frames = triangle_frames(body.rest_vertices[body.faces[groom.root_faces]])
     offset = (groom.rest_strands[:, 0] - root_positions(groom, body.rest_vertices[None], body)[0])[:, None] @ frames
     order = _neighbours_together(groom)
     order = torch.cat([order, order[-1:].expand(-len(order) % LANES)])
@@ -67,25 +64,26 @@ def strand_packets(groom: Groom, body: BodyModel, margin: Float[Tensor, "s n"]) 
     )
 
 
+def scalp_corners(groom: Groom, body: BodyModel) -> Int[Tensor, "s 3"]:
+    """Corners of the triangles that carry the roots, as indices of `scalp_vertices`.
+
+    Raises:
+        InputError: a root that is not on the scalp.
+    """
+    carriers, vertices = body.faces[groom.root_faces], scalp_vertices(body)
+    corners = torch.searchsorted(vertices, carriers).clamp(max=len(vertices) - 1)
+    if not torch.equal(vertices[corners], carriers):
+        raise InputError(groom.name, "roots on the scalp", "roots elsewhere")
+    return corners
+
+
 def _packed(values: Tensor) -> np.ndarray:
     """[strand, ...] to [packet, ..., lane]."""
-    return np.ascontiguousarray(values.unflatten(0, (-1, LANES)).movedim(1, -1).numpy())
+    return np.ascontiguousarray(values.detach().unflatten(0, (-1, LANES)).movedim(1, -1).numpy())
 
 
 def _neighbours_together(groom: Groom) -> Int[Tensor, " s"]:
-    """Order of strands in which every `LANES` stay near: halved along their longest extent, over and over."""
-    strands = groom.rest_strands
-    middle = strands.shape[1] // 2
+    """Order of strands in which those of a packet stay near each other."""
+    root, middle, tip = (groom.rest_strands[:, vertex] for vertex in (0, groom.rest_strands.shape[1] // 2, -1))
     # The root counts most, for there the skin is.
-    place = torch.cat([strands[:, 0], 0.5 * strands[:, middle], 0.5 * strands[:, -1]], dim=1)
-    ordered, parts = [], [torch.arange(len(groom))]
-    while parts:
-        part = parts.pop()
-        if len(part) <= LANES:
-            ordered.append(part)
-            continue
-        extent = place[part].amax(0) - place[part].amin(0)
-        part = part[place[part, int(extent.argmax())].argsort(stable=True)]
-        packets = -(-len(part) // LANES)
-        parts += [part[packets // 2 * LANES :], part[: packets // 2 * LANES]]
-    return torch.cat(ordered)
+    return neighbours_together(torch.cat([root, 0.5 * middle, 0.5 * tip], dim=1), LANES)

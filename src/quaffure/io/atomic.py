@@ -40,10 +40,12 @@ def check_folder_of(path: Path) -> None:
     """Refuse a file that could not be written later on, before any work is done for it.
 
     Raises:
-        InputError: the folder of `path` does not exist.
+        InputError: the folder of `path` does not exist, or `path` is a folder itself.
     """
     if not path.parent.is_dir():
         raise InputError(path, "a path in an existing folder", f"no folder {path.parent}")
+    if path.is_dir():
+        raise InputError(path, "a file to write", "a folder")
 
 
 def made_folder(path: Path, what: str) -> Path:

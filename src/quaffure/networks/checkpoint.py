@@ -9,10 +9,15 @@ from quaffure.errors import InputError
 from quaffure.networks.quaffure_network import NetworkConfig, QuaffureNetwork, build_network
 from quaffure.networks.weights_file import read_weights, save_weights
 
+FORMAT = "2"
+"""Changes whenever the same weights would come to mean something else: since 2, answers count in compliance
+(`quaffure.drapers.undeformed`)."""
+
 
 def save_network(path: Path, network: QuaffureNetwork, material: HairMaterial, notes: dict[str, str]) -> None:
     """Write half-precision weights, the network's configuration and the material that it was trained for."""
-    metadata = {"network": json.dumps(asdict(network.config)), "material": json.dumps(asdict(material)), **notes}
+    settings = {"network": json.dumps(asdict(network.config)), "material": json.dumps(asdict(material))}
+    metadata = {"format": FORMAT, **settings, **notes}
     save_weights(path, network, metadata)
 
 
@@ -20,10 +25,13 @@ def load_network(path: str | Path) -> tuple[QuaffureNetwork, HairMaterial, dict[
     """A network in evaluation mode, its material, and the notes saved with it.
 
     Raises:
-        InputError: the file is missing or not a checkpoint of this package.
+        InputError: the file is missing, not a checkpoint of this package, or of another version of it.
     """
     path = Path(path)
     weights, notes = read_weights(path, "a checkpoint (.safetensors)")
+    found = notes.pop("format", "1")
+    if "network" in notes and found != FORMAT:
+        raise InputError(path, f"weights of format {FORMAT}", f"format {found}, of another version of this package")
     try:
         config = NetworkConfig(**_known(json.loads(notes.pop("network")), NetworkConfig))
         material = HairMaterial(**_known(json.loads(notes.pop("material")), HairMaterial))

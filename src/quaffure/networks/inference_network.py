@@ -4,6 +4,8 @@ Doublings are folded into the convolutions that follow them, the two first stran
 stay next to their channels, so that a strand's is one row of memory.
 """
 
+from collections.abc import Callable
+
 import torch
 from torch import nn
 from torch.nn.functional import conv2d, conv_transpose2d, interpolate, linear, silu
@@ -19,7 +21,9 @@ _FOLD_FROM = 8
 
 def fast_bfloat16() -> bool:
     """Whether this processor multiplies matrices of bfloat16 in hardware (AMX)."""
-    return bool(torch.cpu._is_amx_tile_supported())
+    # Not public, and not in every torch; a miss costs time and nothing else.
+    probe: Callable[[], bool] = getattr(torch.cpu, "_is_amx_tile_supported", lambda: False)
+    return bool(probe())
 
 
 class InferenceNetwork:
@@ -27,13 +31,13 @@ class InferenceNetwork:
 
     Attributes:
         dtype: of weights and activations; sums are in float32.
-        seen_size: how many numbers a strand's own shape and views are.
+        told_size: how many numbers a strand's own shape and views are.
     """
 
     @torch.no_grad()
     def __init__(self, network: DirectionNetwork, dtype: torch.dtype) -> None:
         self.dtype, self.config = dtype, network.config
-        self.seen_size = network.from_strand.in_features
+        self.told_size = network.from_strand.in_features
         decoder = network.decoder
         self._dense = [self._affine(layer) for layer in decoder.dense if isinstance(layer, nn.Linear)]
         self._first_size = decoder.widths[0]
@@ -82,9 +86,9 @@ class InferenceNetwork:
         Args:
             texture: of one sample.
             rows: of the strands' texels, see `texel_rows`.
-            inputs: a strand's positions [m] and views in its first `seen_size` columns; the others are filled here.
+            inputs: a strand's positions [m] and views in its first `told_size` columns; the others are filled here.
         """
-        torch.index_select(texture, 0, rows, out=inputs[:, self.seen_size :])
+        torch.index_select(texture, 0, rows, out=inputs[:, self.told_size :])
         values = inputs
         for weight, bias in self._strand[:-1]:
             values = silu(linear(values, weight, bias), inplace=True)
@@ -126,7 +130,8 @@ class InferenceNetwork:
 
     def _stored(self, values: Tensor | None) -> Tensor:
         assert values is not None
-        return values.detach().to(self.dtype).contiguous()
+        # A copy in any case: half of the layers are, and changes of the others alone would be worse than of none.
+        return values.detach().to(self.dtype, copy=True).contiguous()
 
 
 def texel_rows(texels: Int[Tensor, " s"], size: int) -> Int[Tensor, " s"]:

@@ -105,17 +105,17 @@ class DirectionNetwork(nn.Module):
         self.strand = nn.Sequential(nn.SiLU(), *between, nn.Linear(width, 3 * EDGES_PER_STRAND))
         _start_at_zero(self.strand[-1])
 
-    def forward(self, inputs: NetworkInputs, seen: Float[Tensor, "b s columns"]) -> Float[Tensor, "b s e 3"]:
+    def forward(self, inputs: NetworkInputs, told: Float[Tensor, "b s columns"]) -> Float[Tensor, "b s e 3"]:
         """Change of every edge.
 
         Args:
-            seen: of every strand where it would be without the network: positions of all vertices but the root relative
+            told: of every strand where it would be without the network: positions of all vertices but the root relative
                 to the head and in its frame [m], then what they see of the skin (`quaffure.geometry.soft_surface`).
         """
         texture = self.decoder(_code(self.config, inputs))
         texels = texture.index_select(2, inputs.texels).mT
         weight = self.strand_weight()
-        own = torch.nn.functional.linear(seen[..., : weight.shape[1]], weight)
+        own = torch.nn.functional.linear(told[..., : weight.shape[1]], weight)
         return self.strand(self.from_texel(texels) + own).float().unflatten(-1, (EDGES_PER_STRAND, 3))
 
     def strand_weight(self) -> Float[Tensor, "width columns"]:

@@ -146,7 +146,7 @@ class DecoderTraining:
 
     def validate(self, validation: Validation) -> dict[str, float]:
         """Figures of the averaged network; logs them, and keeps the weights of the lowest energy so far."""
-        draper = NeuralDraper(self.optimizer.averaged, self.config.material)
+        draper = NeuralDraper(self.optimizer.averaged, self.config.material, self.config.bf16)
         device = self.worker.device
         bodies = BodyBatch(self.body, validation.body_pose.to(device), validation.body_shape.to(device))
         every = -(-len(self.grooms) // VALIDATED_GROOMS)

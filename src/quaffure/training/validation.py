@@ -23,14 +23,18 @@ class Validation:
     body_shape: BodyShape
 
 
+STIFF_SHARE = 0.1
+"""Of k_Cosserat, in the unit of the loss: as much as a strand of 9 cm weighs, in m g L of a vertex."""
+
+
 def loss_unit(energy: HairEnergy) -> float:
-    """The unit of a groom's loss [J]: m g L plus a tenth of k_Cosserat, a vertex.
+    """The unit of a groom's loss [J]: m g L plus a part of k_Cosserat, a vertex.
 
     For long hair the first is all; in stubble a bend costs a thousand times what its weight does, and short grooms
     would drown the others. With the whole of k_Cosserat the bends of short hair counted for so little that the
     network paid with them for everything else.
     """
-    return energy.per_vertex_unit + 0.1 * energy.rest.mass.numel() * energy.material.k_cosserat
+    return energy.per_vertex_unit + STIFF_SHARE * energy.rest.mass.numel() * energy.material.k_cosserat
 
 
 def validation_figures(draper: NeuralDraper, scenes: Iterable[tuple[Scene, HairEnergy]]) -> dict[str, float]:

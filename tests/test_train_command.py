@@ -12,6 +12,7 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.cli import train as train_cli
 from quaffure.cli.main import main
+from quaffure.drapers.quaffure_model import load_model
 from quaffure.errors import InputError
 from quaffure.evaluation.evaluation_set import load_evaluation_set, refuse_evaluation_data
 from quaffure.groom.groom import Groom
@@ -51,6 +52,23 @@ def test_a_killed_run_ends_like_an_unbroken_one_bit_for_bit(tiny_groom_file: Pat
             assert torch.equal(resumed[part][name], value), name
     assert torch.equal(resumed["counters"][:2], whole["counters"][:2])
     assert [row["loss"] for row in rows_of(log)] == [row["loss"] for row in rows_of(tmp_path / "whole/training.csv")]
+
+
+def test_a_run_from_the_shipped_weights_takes_their_network(
+    tiny_groom_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shipped = load_model().draper.network
+    command = ["train", "--out", str(tmp_path / "run"), "--groom", str(tiny_groom_file), "--weights", "shipped"]
+    small = ["--steps", "1", "--runs", "1", "--validate-every", "1", "--learning-rate", "1e-9"]
+    main([*command, *small])
+    trained, *_ = load_network(tmp_path / "run" / "best.safetensors")
+    assert trained.config == shipped.config
+    for name, value in shipped.state_dict().items():
+        torch.testing.assert_close(trained.state_dict()[name], value, atol=1e-4, rtol=1e-2)
+    with pytest.raises(SystemExit) as stop:
+        main([*command, *small, "--texel-channels", "7"])
+    assert stop.value.code == 2
+    assert "the options of their network" in capsys.readouterr().err
 
 
 def test_the_command_trains_on_a_body_of_ones_own(

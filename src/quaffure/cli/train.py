@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -15,12 +15,14 @@ from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.cli.console import console
 from quaffure.cli.inputs import motion_of
+from quaffure.drapers.quaffure_model import WEIGHTS
 from quaffure.errors import InputError
 from quaffure.evaluation.evaluation_set import refuse_evaluation_data
 from quaffure.groom.clearance import rest_surface
 from quaffure.groom.groom import Groom
 from quaffure.io.load_groom import load_groom
 from quaffure.networks.checkpoint import load_network
+from quaffure.networks.quaffure_network import QuaffureNetwork
 from quaffure.training.distributed import Device, Worker, joined_workers
 from quaffure.training.groom_samples import family_growings
 from quaffure.training.pose_sampler import PoseSampler
@@ -28,6 +30,7 @@ from quaffure.training.train_config import TrainConfig
 from quaffure.training.train_decoder import DecoderTraining, train
 from quaffure.training.validation import Validation
 
+SHIPPED = "shipped"
 VALIDATION_POSES = 16
 VALIDATION_SEED = 20_000
 
@@ -52,8 +55,8 @@ class TrainCommand:
     """Motion files to train on besides the pose prior; may be given several times. Evaluation clips are refused."""
     body: Path | None = None
     """A body file (.npz, as `scripts/bake_body.py` writes it) instead of the shipped body."""
-    weights: Path | None = None
-    """Weights to start from, of a network of the same configuration; fresh ones without it."""
+    weights: str | None = None
+    """Weights to start from: a file, or `shipped`. The network's options are then those of the weights."""
     device: Device = "auto"
     """`auto` is CUDA where there is a device, else the CPU."""
     config: TrainConfig = field(default_factory=TrainConfig)
@@ -61,9 +64,14 @@ class TrainCommand:
     def run(self) -> None:
         self._check()
         with joined_workers(self.device) as worker:
+            begun = self._weights()
+            config = self.config if begun is None else replace(self.config, network=begun.config)
             body = self._body()
-            training = DecoderTraining(self.config, body, self._grooms(body), self._sampler(body), self.out, worker)
-            self._start(training)
+            training = DecoderTraining(config, body, self._grooms(body), self._sampler(body), self.out, worker)
+            if training.resume():
+                _say(worker, f"carrying on from step {training.step}")
+            elif begun is not None:
+                training.start_from(begun)
             with Progress(*_columns(), console=console, disable=not worker.is_first) as progress:
                 train(training, _validation(), _report(training, progress))
 
@@ -99,11 +107,13 @@ class TrainCommand:
                 raise InputError(f"motion '{clip.name}'", f"at least {self.config.frames} frames", f"{len(clip)}")
         return PoseSampler(load_pose_prior(), clips)
 
-    def _start(self, training: DecoderTraining) -> None:
-        if training.resume():
-            _say(training.worker, f"carrying on from step {training.step}")
-        elif self.weights is not None:
-            training.start_from(load_network(self.weights)[0])
+    def _weights(self) -> QuaffureNetwork | None:
+        if self.weights is None:
+            return None
+        network, *_ = load_network(WEIGHTS if self.weights == SHIPPED else self.weights)
+        if self.config.network not in (TrainConfig().network, network.config):
+            raise InputError("--weights", f"the options of their network, {network.config}", f"{self.config.network}")
+        return network
 
 
 def _say(worker: Worker, text: str) -> None:

@@ -443,7 +443,7 @@ def test_missing_weights(refusal: Refusal) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["drape", "bob", "--draper", "magic"], "--draper: expected one of neural, adam"),
+        (["drape", "bob", "--draper", "magic"], "--draper: expected one of neural, groomgen, adam"),
         (["drape", "bob", "--draper", "adam", "--refine", "3"], "--refine: expected the draper neural, found 'adam'"),
         (["drape", "bob", "--colour", "red"], "--colour"),
         (["drape"], "GROOM"),

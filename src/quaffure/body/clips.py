@@ -15,6 +15,7 @@ from torch import Tensor
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.motion import Motion, pose_from_matrices
+from quaffure.body.neck import NECK_SHARES
 from quaffure.body.retarget import align_bone, body_bone
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
@@ -110,19 +111,18 @@ def _pitch(degrees: Float[np.ndarray, " k"]) -> Angles:
     return tuple((float(angle), 0.0, 0.0) for angle in degrees)
 
 
-_NECK = {"Neck": 0.28, "Neck1": 0.34, "Head": 0.38}
 _SPINE = {"LowerBack": 0.4, "Spine": 0.35, "Spine1": 0.25}
 
 
 def _neck_turn() -> KeyedClip:
     """From looking right to looking left and back, as in Fig. 6 of the paper."""
     turn = tuple((0.0, 0.0, -70.0 * float(np.cos(2 * np.pi * key / 8))) for key in range(8))
-    return KeyedClip(4.0, _spread(turn, _NECK))
+    return KeyedClip(4.0, _spread(turn, NECK_SHARES))
 
 
 def _nod() -> KeyedClip:
     """Two nods, the second one smaller, each with a look up before it."""
-    return KeyedClip(3.0, _spread(_pitch(np.array([-10.0, 15, 38, 15, -18, -2, 24, 5])), _NECK))
+    return KeyedClip(3.0, _spread(_pitch(np.array([-10.0, 15, 38, 15, -18, -2, 24, 5])), NECK_SHARES))
 
 
 def _bow() -> KeyedClip:
@@ -135,7 +135,7 @@ def _bow() -> KeyedClip:
             "Hips": _pitch(hips),
             **_both_sides("UpLeg", _pitch(-hips)),
             **_spread(_pitch(spine), _SPINE),
-            **_spread(_pitch(neck), _NECK),
+            **_spread(_pitch(neck), NECK_SHARES),
             **_both_sides("Arm", _pitch(-0.85 * (hips + spine))),
         },
     )
@@ -150,7 +150,7 @@ def _shrug() -> KeyedClip:
         {
             **_both_sides("Shoulder", tuple((0.0, -20.0 * up, 0.0) for up in lift)),
             **_both_sides("Arm", tuple((0.0, 12.0 * up, 30.0 * up) for up in lift)),
-            **_spread(tuple((4.0 * up, 12.0 * up, 0.0) for up in lift), _NECK),
+            **_spread(tuple((4.0 * up, 12.0 * up, 0.0) for up in lift), NECK_SHARES),
         },
         {"LeftForeArm": elbow, "RightForeArm": elbow},
     )
@@ -170,7 +170,7 @@ def _walk() -> KeyedClip:
         {
             "Hips": tuple((2.0, 0.0, -5.0 * z) for _, _, z in yaw),
             **_spread(tuple((2.0, 0.0, 10.0 * z) for _, _, z in yaw), _SPINE),
-            **_spread(tuple((-2.0, 0.0, -5.0 * z) for _, _, z in yaw), _NECK),
+            **_spread(tuple((-2.0, 0.0, -5.0 * z) for _, _, z in yaw), NECK_SHARES),
             **_both_sides("UpLeg", tuple((-float(angle), 4.0, 0.0) for angle in hip), half_loop_later=True),
             **_both_sides("Leg", _pitch(knee), half_loop_later=True),
             **_both_sides("Foot", _pitch(-ankle), half_loop_later=True),

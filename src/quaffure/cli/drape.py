@@ -13,6 +13,7 @@ from quaffure.cli.inputs import body_shape_of, motion_of
 from quaffure.cli.outputs import writer_for
 from quaffure.drapers.drape_motion import drape_motion
 from quaffure.drapers.draper import Draper
+from quaffure.drapers.groomgen import GroomGenDraper, load_groomgen
 from quaffure.drapers.quaffure_model import load_model
 from quaffure.drapers.refined import RefinedDraper
 from quaffure.drapers.solvers import SOLVERS, solver
@@ -24,7 +25,7 @@ from quaffure.groom.guide_interpolation import interpolation_of
 from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
 
-NEURAL = "neural"
+NEURAL, GROOMGEN = "neural", GroomGenDraper.name
 
 
 @dataclass(frozen=True)
@@ -43,14 +44,15 @@ class DrapeCommand:
     """Ten body shape coefficients separated by commas, or a file that holds them; without it, the mean body."""
     head: Path | None = None
     """The head mesh (.obj) that a groom file was made on; helps to register it."""
-    draper: Annotated[str, tyro.conf.arg(metavar=f"{{{NEURAL},{','.join(SOLVERS)}}}")] = NEURAL
-    """How to settle the hair: the network, or one of the solvers (docs/solvers.md)."""
+    draper: Annotated[str, tyro.conf.arg(metavar=f"{{{NEURAL},{GROOMGEN},{','.join(SOLVERS)}}}")] = NEURAL
+    """How to settle the hair: the network, the supervised baseline (docs/groomgen.md), or one of the solvers
+    (docs/solvers.md)."""
     refine: int = 0
     """Steps of Adam from the network's answer; 0 is the network alone."""
     elastic: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = ModifiedCosserat.name
     """The elastic model, for adam and lbfgs in all their forms. Figures of merit are those of the default one."""
     weights: Path | None = None
-    """Weights of a training run instead of the shipped ones."""
+    """Weights of a training run instead of the shipped ones; those of `quaffure train-groomgen` for groomgen."""
     reference: Path | None = None
     """An .npz drape of the same groom and frames by a solver, to measure against."""
     strands: int | None = None
@@ -98,18 +100,29 @@ class DrapeCommand:
 
     def _draper(self) -> Draper:
         """The draper asked for; solvers take the material that the weights were trained for, to be comparable."""
+        if self.draper not in (NEURAL, GROOMGEN, *SOLVERS):
+            raise InputError("--draper", f"one of {', '.join((NEURAL, GROOMGEN, *SOLVERS))}", f"'{self.draper}'")
+        if self.refine and self.draper != NEURAL:
+            raise InputError("--refine", f"the draper {NEURAL}", f"'{self.draper}'")
+        if self.draper == GROOMGEN:
+            return self._groomgen()
         model = load_model(self.weights)
         if self.draper != NEURAL:
-            if self.draper not in SOLVERS:
-                raise InputError("--draper", f"one of {', '.join((NEURAL, *SOLVERS))}", f"'{self.draper}'")
-            if self.refine:
-                raise InputError("--refine", f"the draper {NEURAL}", f"'{self.draper}'")
             return solver(self.draper, model.draper.material, self.elastic)
         if self.refine < 0:
             raise InputError("--refine", "0 or more", f"{self.refine}")
-        if self.elastic != ModifiedCosserat.name:
-            raise InputError("--elastic", f"{ModifiedCosserat.name} with the draper {NEURAL}", f"'{self.elastic}'")
+        self._check_elastic()
         return RefinedDraper(model.draper, self.refine) if self.refine else model.draper
+
+    def _groomgen(self) -> Draper:
+        if self.weights is None:
+            raise InputError("--weights", f"weights of quaffure train-groomgen with the draper {GROOMGEN}", "none")
+        self._check_elastic()
+        return load_groomgen(self.weights)[0]
+
+    def _check_elastic(self) -> None:
+        if self.elastic != ModifiedCosserat.name:
+            raise InputError("--elastic", f"{ModifiedCosserat.name} with a network", f"'{self.elastic}'")
 
     def _report(self, sequence: DrapeSequence, draped: PerFrame, posed: PerFrame) -> None:
         named = {"posed": posed, self.draper: draped}

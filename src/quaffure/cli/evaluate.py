@@ -65,7 +65,8 @@ class EvaluateCommand:
     draper: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A row to run; may be given several times. Without it, all, and those of --weights."""
     weights: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME=FILE")] = ()
-    """Weights of a training run as a row NAME; may be given several times. The row neural is the shipped weights."""
+    """Weights of a training run as a row NAME; may be given several times. The row neural is the shipped weights;
+    the row groomgen is those of `quaffure train-groomgen`, left out of cases of other grooms than its own."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A groom to evaluate on instead of the set; may be given several times."""
     motion: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
@@ -110,7 +111,9 @@ class EvaluateCommand:
             "drapes_made": draper.made,
             "drapes_fetched": draper.fetched,
         }
-        self._tell(results_of(compared, rows, material, about))
+        results = results_of(compared, rows, material, about)
+        self._say_missing(results, [row.name for row in rows])
+        self._tell(results)
 
     def _check(self) -> None:
         """Before the work and not after it."""
@@ -175,6 +178,16 @@ class EvaluateCommand:
         if self.report is not None and importlib.util.find_spec("matplotlib") is None:
             self._say("no picture without matplotlib: pip install 'quaffure\\[docs]'")
         self._say(f"written: {', '.join(map(str, written))}")
+
+    def _say_missing(self, results: Results, rows: list[str]) -> None:
+        """Which rows had no answer to some cases."""
+        if not results["summary"]["all"]:
+            raise InputError("the evaluation", "a row that has an answer to every case", f"none of {', '.join(rows)}")
+        cases = results["cases"]
+        for row in rows:
+            missing = sum(row not in case["figures"] for case in cases)
+            if missing:
+                self._say(f"{row} left out of {missing} of {len(cases)} cases: it was not trained on their grooms")
 
     def _say(self, line: str) -> None:
         """What is going on; not where the output is JSON for another program."""

@@ -12,12 +12,14 @@ from quaffure.cli.benchmark import BenchmarkCommand
 from quaffure.cli.drape import DrapeCommand
 from quaffure.cli.evaluate import EvaluateCommand
 from quaffure.cli.groom import GroomCommand
+from quaffure.cli.groomgen_data import GroomgenDataCommand
 from quaffure.cli.grooms import GroomsCommand
 from quaffure.cli.info import InfoCommand
 from quaffure.cli.render import RenderCommand
 from quaffure.cli.score import ScoreCommand
 from quaffure.cli.train import TrainCommand
 from quaffure.cli.train_code import TrainCodeCommand
+from quaffure.cli.train_groomgen import TrainGroomgenCommand
 from quaffure.cli.view import ViewCommand
 from quaffure.errors import InputError
 
@@ -25,6 +27,8 @@ Command = (
     Annotated[DrapeCommand, tyro.conf.subcommand("drape")]
     | Annotated[TrainCommand, tyro.conf.subcommand("train")]
     | Annotated[TrainCodeCommand, tyro.conf.subcommand("train-code")]
+    | Annotated[GroomgenDataCommand, tyro.conf.subcommand("groomgen-data")]
+    | Annotated[TrainGroomgenCommand, tyro.conf.subcommand("train-groomgen")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
     | Annotated[ViewCommand, tyro.conf.subcommand("view")]
     | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]

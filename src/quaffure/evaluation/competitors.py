@@ -5,14 +5,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from quaffure.body.body_model import BodyModel
 from quaffure.drapers.draper import Draper
+from quaffure.drapers.groomgen import GroomGenDraper, load_groomgen
 from quaffure.drapers.posed import PosedDraper
 from quaffure.drapers.quaffure_model import load_model
 from quaffure.drapers.refined import RefinedDraper
 from quaffure.drapers.solvers import solver
 from quaffure.errors import InputError
+from quaffure.groom.groom import Groom
 
 POSED, NETWORK, REFINED = "posed", "neural", "neural_refined"
+GROOMGEN = GroomGenDraper.name
+"""The row whose weights are those of `quaffure train-groomgen`."""
 SOLVER_ROWS = ("adam", "lbfgs", "xpbd", "newton")
 """Whose lowest drape of a frame is the reference of all rows."""
 ROWS = (POSED, *SOLVER_ROWS, NETWORK, REFINED)
@@ -33,6 +38,10 @@ class Competitor:
     is_solver: bool = False
     notes: dict[str, str] = field(default_factory=dict)
 
+    def drapes(self, groom: Groom, body: BodyModel) -> bool:
+        """Whether it has an answer for this groom: GroomGen has one for its own alone."""
+        return not isinstance(self.draper, GroomGenDraper) or self.draper.knows(groom, body)
+
 
 def competitors(names: Sequence[str], weights: Mapping[str, Path]) -> list[Competitor]:
     """The rows asked for, in that order and each once.
@@ -41,7 +50,7 @@ def competitors(names: Sequence[str], weights: Mapping[str, Path]) -> list[Compe
 
     Args:
         names: of `ROWS` or of `weights`.
-        weights: checkpoints by the name of their row; `neural` replaces the shipped ones.
+        weights: checkpoints by the name of their row; `neural` replaces the shipped ones, `groomgen` is the baseline.
 
     Raises:
         InputError: a name that is no row, a file that is no checkpoint, or one that was trained for other hair.
@@ -59,11 +68,20 @@ def competitors(names: Sequence[str], weights: Mapping[str, Path]) -> list[Compe
             continue
         if name in rows or not re.fullmatch(r"\w[\w.-]*", name):
             raise InputError(f"weights '{name}={path}'", f"another name than {', '.join(rows)}", f"'{name}'")
-        model = load_model(path)
-        if model.draper.material != material:
-            raise InputError(path, f"weights for hair of {material}, as all rows", f"{model.draper.material}")
-        rows[name] = Competitor(name, model.draper, notes=model.notes)
+        draper, notes = _trained(name, path)
+        if draper.material != material:
+            raise InputError(path, f"weights for hair of {material}, as all rows", f"{draper.material}")
+        rows[name] = Competitor(name, draper, notes=notes)
     for name in names:
+        if name == GROOMGEN and name not in rows:
+            raise InputError(f"draper {name}", f"--weights {name}=FILE beside it: none are shipped", "none")
         if name not in rows:
             raise InputError("draper", f"one of {', '.join(rows)}", f"'{name}'")
     return [rows[name] for name in dict.fromkeys(names)]
+
+
+def _trained(name: str, path: Path) -> tuple[Draper, dict[str, str]]:
+    if name == GROOMGEN:
+        return load_groomgen(path)
+    model = load_model(path)
+    return model.draper, model.notes

@@ -51,12 +51,14 @@ class CaseDraper:
         self._warm: set[str] = set()
         self._of_competitor: dict[str, str] = {}
 
-    def drape(self, competitor: Competitor, case: EvaluationCase, frame: int) -> TimedDrape:
-        """One frame, counted within the case.
+    def drape(self, competitor: Competitor, case: EvaluationCase, frame: int) -> TimedDrape | None:
+        """One frame, counted within the case; None where the competitor has no answer for the groom.
 
         Raises:
             InputError: the draper answers with NaN or infinity.
         """
+        if not competitor.drapes(case.groom, self.body):
+            return None
         known = self.known(competitor, case, frame)
         if known is not None:
             return known

@@ -4,8 +4,9 @@ import json
 from dataclasses import asdict, fields
 from pathlib import Path
 
-from quaffure.config import HairMaterial
+from quaffure.config import TEXTURE_SIZE, VERTICES_PER_STRAND, HairMaterial
 from quaffure.errors import InputError
+from quaffure.networks.groomgen import GroomGenLayers, GroomGenNetwork
 from quaffure.networks.quaffure_network import NetworkConfig, QuaffureNetwork, build_network
 from quaffure.networks.weights_file import read_weights, save_weights
 
@@ -40,6 +41,35 @@ def load_network(path: str | Path) -> tuple[QuaffureNetwork, HairMaterial, dict[
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         first_line = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(path, "a checkpoint of this package", first_line) from error
+    return network.eval(), material, notes
+
+
+def save_groomgen(path: Path, network: GroomGenNetwork, material: HairMaterial, notes: dict[str, str]) -> None:
+    """Write half-precision weights, the groom that they are for, layers, and the material that was simulated."""
+    metadata = {"groomgen": json.dumps(asdict(network.config)), "material": json.dumps(asdict(material)), **notes}
+    save_weights(path, network, metadata)
+
+
+def load_groomgen_network(path: str | Path) -> tuple[GroomGenNetwork, HairMaterial, dict[str, str]]:
+    """A network in evaluation mode, the material of its hair, and the notes saved with it.
+
+    Raises:
+        InputError: the file is missing or not one that `save_groomgen` wrote.
+    """
+    path, expected = Path(path), "weights of quaffure train-groomgen"
+    weights, notes = read_weights(path, f"{expected} (.safetensors)")
+    try:
+        layers = _known(json.loads(notes.pop("groomgen")), GroomGenLayers)
+        config = GroomGenLayers(**layers | {"widths": tuple(layers["widths"])})  # JSON has lists alone
+        material = HairMaterial(**_known(json.loads(notes.pop("material")), HairMaterial))
+        rest, cells = weights["rest_strands"], weights["texel_cells"].long()
+        if rest.shape != (len(cells), VERTICES_PER_STRAND, 3) or not ((cells >= 0) & (cells < TEXTURE_SIZE)).all():
+            raise ValueError("another groom's strands")
+        network = GroomGenNetwork(config, rest, cells)
+        network.load_state_dict(weights)
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        first_line = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(path, expected, first_line) from error
     return network.eval(), material, notes
 
 

@@ -36,7 +36,7 @@ FROM_RIGHT_TO_LEFT = "0:61"
 SHOWN = range(0, 61, 12)
 VIEW = View(0.0)
 DPI, PLOT_HEIGHT = 100, 260
-CONSTANT_RATE_FACTOR = 27
+CONSTANT_RATE_FACTOR = 24
 
 
 def main() -> list[Path]:

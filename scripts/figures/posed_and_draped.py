@@ -9,6 +9,7 @@ from tiles import (
     FIGURES,
     MOTION_FOLDER,
     Caption,
+    Picture,
     TileRenderer,
     View,
     captioned,
@@ -36,7 +37,8 @@ COLUMNS = (
 
 def main(motion_folder: Path = MOTION_FOLDER) -> list[Path]:
     model = load_model()
-    above, below = [], []
+    above: list[Picture] = []
+    below: list[Picture] = []
     with TileRenderer(240, 290) as renderer:
         scenes = load_scenes([entry for entry, _ in COLUMNS], motion_folder, model.body)
         for scene, (entry, view), colour in zip(scenes, COLUMNS, NATURAL_COLOURS):

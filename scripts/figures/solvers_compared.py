@@ -1,6 +1,6 @@
 """Fig. 7: one hairstyle and pose by the network and by solvers of the same energy, with figures of merit.
 
-Times are of one core, in processor time. `--slow` adds `lbfgs` and `newton`, some minutes.
+Times are of one core, in processor time. `--slow` adds `lbfgs` and `newton`, which take minutes.
 """
 
 import time
@@ -30,6 +30,7 @@ from quaffure.energies.hair_energy import HairEnergy
 from quaffure.evaluation.competitors import competitors
 from quaffure.evaluation.evaluation_set import CaseEntry
 from quaffure.evaluation.figures import figures_of_merit
+from quaffure.groom.groom import Groom
 from quaffure.render.contact_sheet import NATURAL_COLOURS
 from quaffure.types import Positions
 
@@ -74,7 +75,7 @@ def _timed(draper: Draper, scene: Scene) -> tuple[Positions, float]:
     return draped, 1000 * seconds
 
 
-def _drape(draper, groom, bodies):
+def _drape(draper: Draper, groom: Groom, bodies: BodyBatch) -> tuple[Positions, float]:
     # A scene of its own: the body is posed within the time.
     scene = Scene(groom, BodyBatch(bodies.body, bodies.body_pose, bodies.body_shape))
     start = time.process_time()

@@ -11,7 +11,7 @@ from quaffure.render.camera import Camera
 from quaffure.render.framing import facing_deg, frame_hair
 from quaffure.render.pictures import write_picture
 from quaffure.render.scene import StrandRenderer, samples_of, width_of
-from quaffure.render.video import write_video
+from quaffure.render.video import encode_video, write_video
 from tests.synthetic_drape import HEAD_CENTRE, ball, drape, patch_of_strands
 
 SIZE = 96
@@ -173,6 +173,13 @@ def test_video_plays(renderer: StrandRenderer, tmp_path: Path, frames: int) -> N
     assert [frame.shape for frame in decoded] == [(64, 128, 3)] * frames
     assert written == list(range(1, frames + 1))
     assert decoded[0].std() > 10
+
+
+def test_pictures_that_make_no_video_are_refused(tmp_path: Path) -> None:
+    for pictures, found in ([], "none"), ([np.zeros((4, 5, 3), np.uint8)], "5 x 4"):
+        with pytest.raises(InputError, match=found):
+            encode_video(tmp_path / "a.mp4", pictures, 30.0)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_wrong_suffix_or_folder_is_named(renderer: StrandRenderer, tmp_path: Path) -> None:

@@ -109,9 +109,16 @@ def acceleration(sequence: DrapeSequence, body: BodyModel) -> Float[Tensor, ""]:
 
 def acceleration_from_head(draped: Positions, bodies: BodyBatch) -> Float[Tensor, ""]:
     """The same of draped vertices [m, world] on the bodies of frames in a row."""
+    return accelerations_from_head(draped, bodies).mean()
+
+
+def accelerations_from_head(draped: Positions, bodies: BodyBatch) -> Float[Tensor, " f"]:
+    """The same at each frame that has one before it and one after."""
     posed, body = bodies.posed, bodies.body
     offsets = draped - posed.joint_positions[:, body.joint_names.index(HEAD), None, None]
-    return (offsets @ world_from_head(body, posed.joint_rotations)[:, None]).diff(n=2, dim=0).norm(dim=-1).mean()
+    return (
+        (offsets @ world_from_head(body, posed.joint_rotations)[:, None]).diff(n=2, dim=0).norm(dim=-1).mean(dim=(1, 2))
+    )
 
 
 def _joined(parts: list[PerFrame]) -> PerFrame:

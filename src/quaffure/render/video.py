@@ -1,11 +1,12 @@
 """A drape as a video."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 
 import av
 import numpy as np
+from jaxtyping import UInt8
 
 from quaffure.errors import InputError
 from quaffure.groom.drape_sequence import DrapeSequence
@@ -15,6 +16,7 @@ from quaffure.render.camera import Camera
 from quaffure.render.framing import drawn_strands, facing_deg, frame_hair
 from quaffure.render.scene import CHESTNUT, StrandRenderer
 
+Picture = UInt8[np.ndarray, "h w 3"]
 VIEWS = (Camera.front, Camera.side)
 TILE = 512
 # Motion hides what a still would show: fewer samples a pixel than in a picture.
@@ -43,25 +45,51 @@ def write_video(
     Raises:
         InputError: not an .mp4, not writable, or no OpenGL on this machine.
     """
-    if path.suffix.lower() != ".mp4":
-        raise InputError(path, "a video's name ending in .mp4", f"{path.suffix or 'no suffix'}")
-    if tile % 2:
-        raise InputError("tile", "an even number of pixels, as H.264 stores colour at half size", str(tile))
     centre, extent = frame_hair(seq)
     cameras = [view(centre, extent, facing_deg(seq, len(seq) // 2)) for view in VIEWS]
+
+    def pictures() -> Iterator[Picture]:
+        with StrandRenderer(tile, tile, supersampling=SUPERSAMPLING) as renderer:
+            for frame, body in enumerate(seq.body_vertices):
+                strands = drawn_strands(seq, frame, interpolation)
+                views = [renderer.render(strands, body, seq.body_faces, camera, hair_colour) for camera in cameras]
+                yield np.hstack(views)
+                if on_frame is not None:
+                    on_frame(frame + 1)
+
+    encode_video(path, pictures(), seq.fps)
+
+
+def encode_video(
+    path: Path, pictures: Iterable[Picture], fps: float, constant_rate_factor: int = CONSTANT_RATE_FACTOR
+) -> None:
+    """Write pictures of one size as a video (.mp4, H.264), each as it comes.
+
+    Args:
+        pictures: sRGB, even in height and width; at least one.
+        constant_rate_factor: of x264, 0 to 51: higher is smaller and worse.
+
+    Raises:
+        InputError: not an .mp4, not writable, no pictures, or an odd number of pixels.
+    """
+    if path.suffix.lower() != ".mp4":
+        raise InputError(path, "a video's name ending in .mp4", f"{path.suffix or 'no suffix'}")
     with (
         replacing(path) as temporary,
-        StrandRenderer(tile, tile, supersampling=SUPERSAMPLING) as renderer,
         av.open(str(temporary), "w", format="mp4", options={"movflags": "+faststart"}) as container,
     ):
-        stream = container.add_stream(
-            "libx264", rate=Fraction(seq.fps).limit_denominator(1001), options={"crf": str(CONSTANT_RATE_FACTOR)}
-        )
-        stream.width, stream.height, stream.pix_fmt = tile * len(VIEWS), tile, "yuv420p"
-        for done, body in enumerate(seq.body_vertices, start=1):
-            strands = drawn_strands(seq, done - 1, interpolation)
-            views = [renderer.render(strands, body, seq.body_faces, camera, hair_colour) for camera in cameras]
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.hstack(views), format="rgb24")))
-            if on_frame is not None:
-                on_frame(done)
+        rate = Fraction(fps).limit_denominator(1001)
+        stream = container.add_stream("libx264", rate=rate, options={"crf": str(constant_rate_factor)})
+        stream.pix_fmt = "yuv420p"
+        size: tuple[int, ...] = ()
+        for picture in pictures:
+            if not size:
+                size = picture.shape[:2]
+                if size[0] % 2 or size[1] % 2:
+                    expected = "an even number of pixels, as H.264 stores colour at half size"
+                    raise InputError(path, expected, f"{size[1]} x {size[0]}")
+                stream.height, stream.width = size
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        if not size:
+            raise InputError(path, "at least one picture", "none")
         container.mux(stream.encode())

@@ -1,0 +1,87 @@
+"""Fig. 7: one hairstyle and pose by the network and by solvers of the same energy, with figures of merit.
+
+Times are of one core, in processor time. `--slow` adds `lbfgs` and `newton`, which take minutes.
+"""
+
+import time
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import torch
+from numba import set_num_threads
+from tiles import (
+    FIGURES,
+    MOTION_FOLDER,
+    Caption,
+    TileRenderer,
+    View,
+    captioned,
+    grid,
+    load_scenes,
+    run_figure,
+    save_picture,
+)
+
+from quaffure.body.body_model import load_body
+from quaffure.drapers.draper import Draper
+from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.evaluation.competitors import competitors
+from quaffure.evaluation.evaluation_set import CaseEntry
+from quaffure.evaluation.figures import figures_of_merit
+from quaffure.groom.groom import Groom
+from quaffure.render.contact_sheet import NATURAL_COLOURS
+from quaffure.types import Positions
+
+OUT = FIGURES / "solvers_compared.jpg"
+FRAME = CaseEntry("long_ringlets", "13_26", "e", (94,))
+FAST, SLOW = ("posed", "neural", "neural_refined", "xpbd", "adam"), ("lbfgs", "newton")
+VIEWS = (View(15.0), View(-150.0))
+PATIENCE, REPEATS = 1.0, 5  # s; what takes longer is timed by the run that drapes
+WARM_UP_STRANDS = 8
+
+
+def main(motion_folder: Path = MOTION_FOLDER, slow: bool = False) -> list[Path]:
+    torch.set_num_threads(1)
+    set_num_threads(1)
+    (scene,) = load_scenes([FRAME], motion_folder, load_body())
+    tiles = []
+    with TileRenderer(240, 270) as renderer:
+        for row in competitors(FAST + SLOW if slow else FAST, {}):
+            draped, milliseconds = _timed(row.draper, scene)
+            merit = figures_of_merit(draped, scene, HairEnergy(scene.groom, row.draper.material))
+            figures = {key: float(value) for key, value in merit.items()}
+            notes = (
+                f"{figures['body_intersection_percent']:.2g} % inside the body",
+                f"{figures['orientation_error_deg']:.1f}° from the posed groom",
+                f"energy {figures['energy']:.3f} m g L a vertex",
+                f"{milliseconds:.{0 if milliseconds >= 10 else 1}f} ms",
+            )
+            print(row.name, *notes, sep=", ")
+            views = [renderer.tiles(scene, draped, view, NATURAL_COLOURS[1])[0] for view in VIEWS]
+            tiles.append(captioned(np.vstack(views), Caption(row.name, notes)))
+    save_picture(OUT, grid([tiles]))
+    return [OUT]
+
+
+def _timed(draper: Draper, scene: Scene) -> tuple[Positions, float]:
+    """A drape, and the processor time that it takes from codes and pose in to strands out [ms]."""
+    few = scene.groom.select(torch.arange(WARM_UP_STRANDS))
+    _drape(draper, few, scene.bodies)  # compiles, loads
+    draped, seconds = _drape(draper, scene.groom, scene.bodies)
+    if seconds < PATIENCE:
+        seconds = median(_drape(draper, scene.groom, scene.bodies)[1] for _ in range(REPEATS))
+    return draped, 1000 * seconds
+
+
+def _drape(draper: Draper, groom: Groom, bodies: BodyBatch) -> tuple[Positions, float]:
+    # A scene of its own: the body is posed within the time.
+    scene = Scene(groom, BodyBatch(bodies.body, bodies.body_pose, bodies.body_shape))
+    start = time.process_time()
+    draped = draper.drape(scene).detach()
+    return draped, time.process_time() - start
+
+
+if __name__ == "__main__":
+    run_figure(main)

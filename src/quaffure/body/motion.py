@@ -25,7 +25,7 @@ FLIP_RETURN_SHARE = 0.3
 MAX_FRAMES = 1_000_000
 LARGEST_ANGLE = 100.0  # rad; continuous angles pass 2 pi, sixteen turns are a mistake
 
-_FRAMES = re.compile(r"(\d*):(\d*)(?::(\d+))?")
+_FRAMES = re.compile(r"(\d*):(\d*)(?::(\d+))?|(?P<one>\d+)")
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Motion:
         return (len(self) - 1) / self.fps
 
     def frames(self, spec: str) -> "Motion":
-        """The frames `A:B:STEP`: from A up to but without B, every STEP-th; A, B and STEP may be left out.
+        """The frames `A:B:STEP`: from A up to but without B, every STEP-th, each of which may be left out; or `A`.
 
         Raises:
             InputError: `spec` reads otherwise, STEP is 0, or the range is empty or leaves the motion.
@@ -73,6 +73,8 @@ class Motion:
         match = _FRAMES.fullmatch(spec.strip())
         if match is None:
             raise InputError(f"frames '{spec}'", "A:B:STEP with whole numbers, such as 300:600:2", f"'{spec}'")
+        if match["one"] is not None:
+            return self.frames(f"{match['one']}:{int(match['one']) + 1}")
         first = int(match[1] or 0)
         end = int(match[2]) if match[2] else len(self)
         step = int(match[3] or 1)

@@ -124,7 +124,9 @@ class EvaluateCommand:
         own = {"--groom": self.groom, "--motion": self.motion}
         given = next((name for name, value in own.items() if value), None)
         if given and (self.quick or self.write_cases is not None):
-            raise InputError(given, "the cases of the set with --quick or --write-cases", f"{own[given][0]}")
+            raise InputError(
+                given, "no --quick and no --write-cases beside it: these take the set's own cases", own[given][0]
+            )
         if not given and (self.frames or self.shape):
             option = "--frames" if self.frames else "--shape"
             raise InputError(option, "--groom or --motion beside it: the set has its own", self.frames or self.shape)

@@ -28,6 +28,10 @@ from quaffure.io.read_strands import read_strands
 Settings = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
 
 
+MANY_LEFT_OUT = 0.5
+"""Share of strands in the file below which thinning is told."""
+
+
 @dataclass(frozen=True)
 class NewGroom:
     """Grow a variant of a bundled style and write it as a groom file, to drape with `quaffure drape FILE`."""
@@ -90,12 +94,16 @@ class ImportGroom:
         write_groom(self.out, guides)
         console.print(str(report))
         console.print(f"{self.out}: {_summary(guides)}, one in each texel of the scalp's texture")
+        if len(guides) < MANY_LEFT_OUT * len(groom):
+            left_out = len(groom) - len(guides)
+            console.print(f"{left_out} strands share their texel with another and are not in the file: hair that roots")
+            console.print("closely together, such as a tail, is thinned the most")
         if self.picture is not None:
             from quaffure.render.before_after import Subject, write_before_after
 
             head = None if mesh is None else (_in_our_axes(mesh.vertices, report), mesh.faces)
             before = Subject(_in_our_axes(_even(strands), report), *(head or (None, None)))
-            after = Subject(groom.rest_strands.numpy(), body.rest_vertices.numpy(), body.faces.numpy())
+            after = Subject(guides.rest_strands.numpy(), body.rest_vertices.numpy(), body.faces.numpy())
             write_before_after(self.picture, before, after)
             console.print(f"{self.picture}: as it came on the left, on our body on the right")
 

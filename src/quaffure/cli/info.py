@@ -43,7 +43,8 @@ class InfoCommand:
             {
                 "part": "weights",
                 "what": ", ".join(f"{name} {value}" for name, value in notes.items()),
-                "terms": "Apache-2.0; trained on all of the above and on Sintel's hair (CC-BY 3.0, Blender Foundation)",
+                "terms": "Apache-2.0; trained on all of the above, on Sintel's hair (CC-BY 3.0, Blender Foundation) "
+                "and on a part of TressFX's ponytail (MIT, AMD)",
             },
         ]
         print_json(rows) if self.json else print_rows(rows, "quaffure")

@@ -2,7 +2,9 @@
 
 import io
 import re
+import signal
 import sys
+import threading
 from contextlib import redirect_stderr
 from typing import Annotated, NoReturn
 
@@ -42,6 +44,9 @@ Command = (
 
 def main(arguments: list[str] | None = None) -> None:
     """Run `quaffure`. Exits with 2 and one line on the error stream for bad input."""
+    if threading.current_thread() is threading.main_thread():
+        # By default nothing would be tidied up: files that are being written would stay behind.
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     try:
         _parsed(arguments).run()
     except InputError as error:
@@ -71,7 +76,8 @@ def _parsed(arguments: list[str] | None) -> Command:
 def _without_box(complaint: str) -> str:
     """What stands between a box's title and its first rule."""
     lines = re.findall(r"^│(.*)│$", complaint, re.MULTILINE) or [complaint]
-    said = "\n".join(lines).partition("──")[0]
+    # Dataclasses that refuse their values carry a name of tyro's own.
+    said = "\n".join(lines).partition("──")[0].replace("__tyro-dummy-inner__.", "")
     return f"{said.strip().rstrip('.')} (see quaffure --help)"
 
 

@@ -69,7 +69,9 @@ class TrainCommand:
             body = self._body()
             training = DecoderTraining(config, body, self._grooms(body), self._sampler(body), self.out, worker)
             if training.resume():
-                _say(worker, f"carrying on from step {training.step}")
+                _say(worker, f"carrying on from step {training.step} of {config.steps}")
+                if training.step >= config.steps:
+                    return
             elif begun is not None:
                 training.start_from(begun)
             with Progress(*_columns(), console=console, disable=not worker.is_first) as progress:

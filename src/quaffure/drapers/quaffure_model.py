@@ -88,6 +88,8 @@ class Quaffure:
     def _rows(self, name: str, values: Tensor, size: int) -> Tensor:
         if values.ndim != 2 or values.shape[1] != size:
             raise InputError(name, f"[batch, {size}]", f"{list(values.shape)}")
+        if not values.isfinite().all():
+            raise InputError(name, "finite numbers", "NaN or infinity")
         return values.to(self.body.rest_vertices.device)
 
     def _check(self, groom: Groom, body_pose: Tensor, body_shape: Tensor) -> tuple[Tensor, Tensor]:
@@ -108,6 +110,8 @@ def _taken(name: str, values: Tensor, rows: range) -> Tensor:
 
 
 def _check_groom(groom: Groom) -> None:
+    if not isinstance(groom, Groom):
+        raise InputError("groom", "a Groom (`quaffure.load_groom`)", f"{groom!r}")
     if groom.rest_strands.dtype != torch.float32:
         raise InputError(groom.name, "vertices in torch.float32", f"{groom.rest_strands.dtype}")
     if groom.rest_strands.shape[1] != VERTICES_PER_STRAND:

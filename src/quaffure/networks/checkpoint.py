@@ -58,6 +58,8 @@ def load_groomgen_network(path: str | Path) -> tuple[GroomGenNetwork, HairMateri
     """
     path, expected = Path(path), "weights of quaffure train-groomgen"
     weights, notes = read_weights(path, f"{expected} (.safetensors)")
+    if "groomgen" not in notes:
+        raise InputError(path, expected, "weights of another network")
     try:
         layers = _known(json.loads(notes.pop("groomgen")), GroomGenLayers)
         config = GroomGenLayers(**layers | {"widths": tuple(layers["widths"])})  # JSON has lists alone

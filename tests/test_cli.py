@@ -324,7 +324,7 @@ def test_bad_motion_arrays(refusal: Refusal, arrays: dict[str, np.ndarray], expe
     assert f"{path}: {expected}" in refusal(*posed("bob", "--motion", str(path)))
 
 
-@pytest.mark.parametrize("frames", ["5:2", "0:100000", "::0", "a:b", "7", "-3:", "1:2:3:4"])
+@pytest.mark.parametrize("frames", ["5:2", "0:100000", "::0", "a:b", "100000", "-3:", "1:2:3:4"])
 def test_bad_frames(refusal: Refusal, frames: str) -> None:
     assert f"frames '{frames}': expected " in refusal(*posed("bob", f"--frames={frames}"))
 

@@ -73,10 +73,8 @@ class Motion:
         match = _FRAMES.fullmatch(spec.strip())
         if match is None:
             raise InputError(f"frames '{spec}'", "A:B:STEP with whole numbers, such as 300:600:2", f"'{spec}'")
-        if match["one"] is not None:
-            return self.frames(f"{match['one']}:{int(match['one']) + 1}")
-        first = int(match[1] or 0)
-        end = int(match[2]) if match[2] else len(self)
+        first = int(match["one"] or match[1] or 0)
+        end = first + 1 if match["one"] else int(match[2]) if match[2] else len(self)
         step = int(match[3] or 1)
         if step < 1 or not first < end <= len(self):
             expected = f"0 <= A < B <= {len(self)} (the frames of {self.name}) and STEP >= 1"

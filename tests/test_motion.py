@@ -94,7 +94,9 @@ def test_frames_slices_and_keeps_time() -> None:
     assert torch.equal(motion.frames("7").body_pose, motion.body_pose[7:8])
 
 
-@pytest.mark.parametrize("spec", ["20:10", "10:10", "0:101", "100:", "::0", "a:b", "100", "-5:", "", "1:2:3:4", "0:1.5"])
+@pytest.mark.parametrize(
+    "spec", ["20:10", "10:10", "0:101", "100:", "::0", "a:b", "100", "-5:", "", "1:2:3:4", "0:1.5"]
+)
 def test_bad_ranges(spec: str) -> None:
     with pytest.raises(InputError, match="frames '"):
         turning(100, 30.0, LEFT_ARM, 1.0).frames(spec)

@@ -1,7 +1,5 @@
 """What a drape by the network costs: time against the number of grooms, its parts, and the floor of its arithmetic."""
 
-import os
-import platform
 import statistics
 import sys
 import time
@@ -11,13 +9,13 @@ from importlib.metadata import version
 from itertools import cycle, islice
 
 import torch
-from numba import get_num_threads
 
 from quaffure.body.clips import bundled_clip
 from quaffure.body.head_view import head_view
 from quaffure.drapers.compiled_drape import BATCH, CompiledDrape
 from quaffure.drapers.fitted_groom import PackedGroom
 from quaffure.drapers.quaffure_model import Quaffure
+from quaffure.evaluation.machine_facts import machine_facts
 from quaffure.geometry.soft_surface import point_records
 from quaffure.groom.groom import Groom
 from quaffure.networks.inference_network import InferenceNetwork
@@ -151,14 +149,7 @@ def report(
     """What `bench.json` holds."""
     return {
         "version": version("quaffure"),
-        "machine": {
-            "processor": platform.processor() or platform.machine(),
-            "processors": os.cpu_count(),
-            "torch": torch.__version__,
-            "torch_threads": torch.get_num_threads(),
-            "numba_threads": get_num_threads(),
-            "precision": str(model.draper.compiled().network.dtype).removeprefix("torch."),
-        },
+        "machine": machine_facts() | {"precision": str(model.draper.compiled().network.dtype).removeprefix("torch.")},
         "grooms": [asdict(timing) for timing in timings],
         "strands": [asdict(timing) for timing in strands],
         "parts_cpu_milliseconds": {name: 1000 * seconds for name, seconds in parts.items()},

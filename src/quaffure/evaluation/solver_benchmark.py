@@ -4,15 +4,12 @@ A budget is a run of its own and not a pause of a longer one, since Adam's learn
 schedules that end with the run.
 """
 
-import os
-import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 
 import torch
-from numba import get_num_threads
 
 from quaffure.config import HairMaterial
 from quaffure.drapers.adam import AdamDraper, AdamPositionsDraper
@@ -25,6 +22,7 @@ from quaffure.drapers.stopping import energy_and_gradient, relative_gradient
 from quaffure.drapers.xpbd import XpbdDraper, XpbdSetting, paper_setting
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.evaluation.figures import figures_of_merit
+from quaffure.evaluation.machine_facts import machine_facts
 from quaffure.types import Positions
 
 PAPER = "xpbd_paper"
@@ -126,13 +124,7 @@ def report(runs: Sequence[Run], chosen: Sequence[Budget]) -> dict[str, object]:
     """What `bench.json` holds."""
     return {
         "version": version("quaffure"),
-        "machine": {
-            "processor": platform.processor() or platform.machine(),
-            "processors": os.cpu_count(),
-            "torch": torch.__version__,
-            "torch_threads": torch.get_num_threads(),
-            "numba_threads": get_num_threads(),
-        },
+        "machine": machine_facts(),
         "extrapolated": sorted({budget.solver for budget in chosen if budget.share < 1}),
         "runs": [asdict(run) for run in runs],
     }

@@ -19,6 +19,9 @@ SUFFICIENT = 0.1
 TOLERABLE = 0.02
 """What one strand may cost more than foreseen, of what the whole step promises."""
 SHORTER = 0.4
+LEAST_DAMPING = 1e-3
+MOST_DAMPING = 10.0
+"""Where a step so short still fails, none will do."""
 _TRIALS = 12
 _INNER_ITERATIONS = 150
 
@@ -27,12 +30,13 @@ _INNER_ITERATIONS = 150
 class Trust:
     """What a model is told beyond derivatives; `quaffure.drapers.newton_system.QuadraticModel` explains both.
 
-    All follows from the last step: hair that came closer resists sooner, and the exact Hessian counts for more the
-    better the model foretold.
+    All follows from the last step: hair that came closer resists sooner, the exact Hessian counts for more the better
+    the model foretold, and where even the convex one led too far, steps are damped.
     """
 
     slack: PerVertex
     exactness: float = 0.0
+    damping: float = 0.0
 
     def after(self, relative: float, rise: PerVertex, agreement: float, trials: int, is_bent: bool) -> "Trust":
         """The trust for the next step.
@@ -44,14 +48,16 @@ class Trust:
             trials: steps tried.
             is_bent: whether a direction of negative curvature was met.
         """
-        exactness = self.exactness
+        exactness, damping = self.exactness, self.damping if trials > 2 else 0.25 * self.damping
         if trials > _TRIALS // 2:
-            exactness = 0.0
+            damping = max(4 * damping, LEAST_DAMPING) if exactness == 0 else damping
+            exactness = 0.3 * exactness if exactness > 0.1 else 0.0
         elif trials > 2 or is_bent:
             exactness *= 0.7
         elif trials == 1 and agreement > 0.5:
-            exactness = 1.0 - 0.6 * (1.0 - exactness)
-        return Trust(np.maximum(0.5 * self.slack, 0.7 * rise.clip(min=0)), max(min(exactness, 1.0 - relative), 0.0))
+            exactness = 1.0 - (0.3 if abs(agreement - 1.0) < 0.1 else 0.6) * (1.0 - exactness)
+        slack = np.maximum(0.5 * self.slack, 0.7 * rise.clip(min=0))
+        return Trust(slack, max(min(exactness, 1.0 - relative), 0.0), damping if damping >= LEAST_DAMPING else 0.0)
 
 
 def descend(system: NewtonSystem, point: Point, trust: Trust, target: float, steps: int) -> tuple[Point, Trust, int]:
@@ -60,16 +66,16 @@ def descend(system: NewtonSystem, point: Point, trust: Trust, target: float, ste
     Returns the point reached, the trust for the next step there, and the number of steps.
     """
     for taken in range(steps):
-        model = QuadraticModel(system, point, trust.slack, trust.exactness)
+        model = QuadraticModel(system, point, trust.slack, trust.exactness, trust.damping)
         relative = float(np.linalg.norm(model.gradient)) / system.weight
         if relative <= target:
             return point, trust, taken
-        step, is_bent = conjugate_gradients(model, min(0.1, 0.5 * relative**0.5))
+        step, is_bent = conjugate_gradients(model, 0.1)
         reached, foreseen, trials, rise = _search(system, model, step)
         agreement = (reached.energy - point.energy) / min(foreseen, -1e-300)
         if agreement > 0:
             point = reached
-        elif trust.exactness == 0:
+        elif trust.exactness == 0 and trust.damping > MOST_DAMPING:
             return point, trust, taken + 1
         trust = trust.after(relative, rise, agreement, trials, is_bent)
     return point, trust, steps

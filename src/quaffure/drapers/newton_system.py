@@ -112,16 +112,31 @@ class NewtonSystem:
         energy = float(strands.sum() + crowding.sum() + self.crowding(excess_beside).sum()) + self._held_energy
         return Point(positions, strands, excess, crowding, crowd, excess_beside, energy)
 
-    def gradient(self, point: Point) -> Vertices:
-        """Of all terms at a point of all strands, zero at the roots [N]; a third of what a model costs."""
-        self.evaluations += 1
+    def joined(self, point: Point, strands: Int[np.ndarray, " k"], part: "NewtonSystem", reached: Point) -> Point:
+        """The point of all where some strands have moved on, as a part knows it: nothing is evaluated again."""
+        positions, strand_energy, excess = point.positions.copy(), point.strand_energy.copy(), point.excess.copy()
+        positions[strands], strand_energy[strands] = reached.positions, reached.strand_energy
+        if part.beside:
+            excess.ravel()[part.beside.order] = reached.excess_beside
+        excess[strands] = reached.excess
+        crowding = self.crowding(excess)
+        crowd = crowd_of(positions.reshape(-1, 3), self.hair.mass.ravel(), self.smoothing_length)
+        energy = float(strand_energy.sum() + crowding.sum())
+        return Point(positions, strand_energy, excess, crowding, crowd, point.excess_beside, energy)
+
+    def strand_gradient(self, point: Point) -> Vertices:
+        """Gradient of all terms but Eq. 11, zero at the roots [N]."""
         shape = point.positions.shape
         gradient, diagonal, coupling = np.empty(shape), np.empty((*shape, 3)), np.empty((shape[0], shape[1] - 1, 3, 3))
         linearize_strands(point.positions, self.hair, self.body, self.places, 1.0, gradient, diagonal, coupling)
+        return gradient
+
+    def crowd_gradient(self, point: Point) -> Vertices:
+        """Gradient of Eq. 11 at a point of all strands, zero at the roots [N]."""
         slope = 3 * self.k_self_collision * point.excess.clip(min=0).ravel()[point.crowd.order] ** 2
-        crowded = np.empty((point.excess.size, 3))
-        crowded[point.crowd.order] = density_gradient(point.crowd, slope)
-        gradient += crowded.reshape(shape)
+        gradient = np.empty((point.excess.size, 3))
+        gradient[point.crowd.order] = density_gradient(point.crowd, slope)
+        gradient = gradient.reshape(point.positions.shape)
         gradient[:, 0] = 0.0
         return gradient
 
@@ -141,12 +156,15 @@ class QuadraticModel:
         slack: by how much every density may rise before the step ends [kg/m^3]: hair that does not touch yet resists as
             if it did so by that much.
         exactness: 1 for the exact Hessian, then without slack; 0 for a convex one; shares of both in between.
+        damping: what every vertex resists by itself, of what an edge's bending resists.
 
     Attributes:
         gradient: of all terms, exact, zero at the roots [N].
     """
 
-    def __init__(self, system: NewtonSystem, point: Point, slack: PerVertex, exactness: float) -> None:
+    def __init__(
+        self, system: NewtonSystem, point: Point, slack: PerVertex, exactness: float, damping: float = 0.0
+    ) -> None:
         system.evaluations += 1
         self.point, self._k = point, system.k_self_collision
         self._reserve: PerVertex = (point.excess + (1.0 - exactness) * slack).clip(min=0)
@@ -157,6 +175,8 @@ class QuadraticModel:
             point.positions, system.hair, system.body, system.places, exactness,
             self._own, self._diagonal, self._coupling,
         )  # fmt: skip
+        bending = system.hair.stiffness[0] / system.hair.rest_length**2
+        self._diagonal[:, 1:] += damping * bending[:, :, None, None] * np.eye(3)
         beside = point.excess_beside.clip(min=0)
         slope = 3 * self._k * np.concatenate([self._sorted(point.excess.clip(min=0)), beside]) ** 2
         stiffness = 6 * self._k * np.concatenate([self._sorted(self._reserve), beside])

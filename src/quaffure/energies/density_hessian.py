@@ -145,7 +145,9 @@ def density_change(pairs: Pressed, step: Float[np.ndarray, "p 3"]) -> Float[np.n
     return change
 
 
-def density_force(pairs: Pressed, slope: Float[np.ndarray, " q"], moving: int | None = None) -> Float[np.ndarray, "p 3"]:
+def density_force(
+    pairs: Pressed, slope: Float[np.ndarray, " q"], moving: int | None = None
+) -> Float[np.ndarray, "p 3"]:
     """Gradient [N] of an energy whose derivative by every density is `slope` [J m^3/kg], by the first `moving`."""
     force = np.empty((len(slope) if moving is None else moving, 3))
     _force(pairs.first, pairs.other, pairs.slope, pairs.mass, slope, force)
@@ -201,9 +203,7 @@ def _densities(rows: Particles, others: Particles, shape: tuple[int, int, int], 
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _gradient(
-    rows: Particles, shape: tuple[int, int, int], h: float, slope: np.ndarray, gradient: np.ndarray
-) -> None:
+def _gradient(rows: Particles, shape: tuple[int, int, int], h: float, slope: np.ndarray, gradient: np.ndarray) -> None:
     scale, inverse = 3.0 / (4.0 * math.pi * h**4), 1.0 / h
     for cell in prange(len(rows.start) - 1):
         if rows.start[cell] == rows.start[cell + 1]:

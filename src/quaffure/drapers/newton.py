@@ -1,8 +1,8 @@
 """Newton's method on the vertices: the reference solver, whose minimum defines `excess_energy`.
 
 Most strands come to rest within a few steps; then a few, which slide past others or over an edge of the body, carry
-nearly all of the gradient. So each round moves only the strands that matter, the rest held, at a cost in proportion; all
-strands take part where the gradient is spread (`quaffure.drapers.newton_descent` has the steps themselves).
+nearly all of the gradient. So each round moves only the strands that matter, the rest held, at a cost in proportion;
+all strands take part where the gradient is spread (`quaffure.drapers.newton_descent` has the steps themselves).
 """
 
 import math

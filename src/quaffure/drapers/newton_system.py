@@ -81,8 +81,8 @@ class NewtonSystem:
         follow those that move.
         """
         part = copy(self)
-        fields = (self.hair.director, self.hair.rest_length, self.hair.mass, self.hair.margin)
-        part.hair = Hair(*(field[strands] for field in fields), self.hair.stiffness)
+        director, rest_length, mass, margin = (field[strands] for field in self.hair[:4])
+        part.hair = Hair(director, rest_length, mass, margin, self.hair.stiffness)
         part.rest_density, part.places = self.rest_density[strands], self.places[strands]
         part.evaluations = 0.0
         moving = np.zeros(point.excess.shape, np.bool_)
@@ -134,9 +134,8 @@ class NewtonSystem:
     def crowd_gradient(self, point: Point) -> Vertices:
         """Gradient of Eq. 11 at a point of all strands, zero at the roots [N]."""
         slope = 3 * self.k_self_collision * point.excess.clip(min=0).ravel()[point.crowd.order] ** 2
-        gradient = np.empty((point.excess.size, 3))
-        gradient[point.crowd.order] = density_gradient(point.crowd, slope)
-        gradient = gradient.reshape(point.positions.shape)
+        gradient = np.empty(point.positions.shape)
+        gradient.reshape(-1, 3)[point.crowd.order] = density_gradient(point.crowd, slope)
         gradient[:, 0] = 0.0
         return gradient
 

@@ -6,8 +6,9 @@ it is zero, and at a minimum over directions too, though lengths are at rest the
 it leaves out float32 would drown: a vertex 1.6 m from the origin is known to 0.1 um, which Eq. 7 turns into forces of
 a tenth of a vertex's weight, along the edge. `length_error_percent` shows what is left there.
 
-At a crease of the body the exact energy's gradient jumps and vanishes nowhere, and hair rests in creases. `newton` takes the
-whole gradient of the energy with rounded creases instead (`quaffure.energies.rounded_contact`), in double precision.
+At a crease of the body the exact energy's gradient jumps and vanishes nowhere, and hair rests in creases. `newton`
+takes the whole gradient of the energy with rounded creases instead, in double precision
+(`quaffure.energies.rounded_contact`).
 """
 
 import torch

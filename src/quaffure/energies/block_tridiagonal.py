@@ -7,7 +7,6 @@ Block elimination along a chain is Golub and Van Loan, Matrix Computations (2013
 import numpy as np
 from numba import njit, prange
 
-
 FIRST_SHIFT = 0.01
 """What a pivot that is not positive definite is raised by at first, of its size."""
 

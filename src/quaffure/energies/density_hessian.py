@@ -47,7 +47,8 @@ class Crowd(NamedTuple):
     def of(self, kept: Bool[np.ndarray, " p"]) -> "Crowd":
         """Some of the vertices, picked in the crowd's order."""
         start = np.concatenate([[0], np.cumsum(kept)])[self.start]
-        return Crowd(*(field[kept] for field in self[:5]), start, self.grid, self.smoothing_length)
+        x, y, z, mass, order = (field[kept] for field in self[:5])
+        return Crowd(x, y, z, mass, order, start, self.grid, self.smoothing_length)
 
 
 class Pressed(NamedTuple):
@@ -117,15 +118,15 @@ def pressed(
         pair = (rows.particles, others.particles, crowd.grid.shape, crowd.smoothing_length)
         _count(*pair, stiffness[where], stiffness[there], counts[where])
     first = np.concatenate([[0], np.cumsum(counts)])
-    kinds = (((), np.int32), ((3,), np.float32), ((), np.float32), ((), np.float32))
-    lists = tuple(np.empty((first[-1], *shape), kind) for shape, kind in kinds)
+    other, slopes = np.empty(first[-1], np.int32), np.empty((first[-1], 3), np.float32)
+    across, along = np.empty(first[-1], np.float32), np.empty(first[-1], np.float32)
     at = first[:-1].copy()
     for rows, where, others, there in blocks:
         pair = (rows.particles, others.particles, crowd.grid.shape, crowd.smoothing_length)
         derivatives = (slope[where], slope[there], stiffness[where], stiffness[there])
-        _list(*pair, *derivatives, exactness, there.start, at[where], *lists)
+        _list(*pair, *derivatives, exactness, there.start, at[where], other, slopes, across, along)
     mass = crowd.mass if beside is None else np.concatenate([crowd.mass, beside.mass])
-    return Pressed(first, *lists, mass, stiffness)
+    return Pressed(first, other, slopes, across, along, mass, stiffness)
 
 
 def density_gradient(crowd: Crowd, slope: Float[np.ndarray, " p"]) -> Float[np.ndarray, "p 3"]:

@@ -99,7 +99,7 @@ def grid_round(points: np.ndarray, size: np.float32) -> Grid:
 def sort_into_grid(points: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     """Counting sort of points into cells: the sorted order and where each cell starts in it.
 
-    Points beyond the grid go to its outermost cells; what is closer than a cell's side is still in the next cell at most.
+    Points beyond the grid go to its outermost cells; there too, what is closer than a cell's side is at most one away.
     """
     nx, ny, nz = grid.shape
     cells = np.empty(len(points), np.int64)

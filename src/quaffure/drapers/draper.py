@@ -34,8 +34,9 @@ class StoppingReport:
 
     Attributes:
         energy: mean energy of the samples [J].
-        relative_gradient: of the worst sample, as `quaffure.drapers.stopping` defines it.
-        iterations: energy evaluations.
+        relative_gradient: of the worst sample, as `quaffure.drapers.stopping` defines it; `newton` reports its own, the
+            whole gradient in double precision of the energy with rounded creases.
+        iterations: energy evaluations; of a part of the strands in proportion.
         seconds: wall time.
     """
 

@@ -1,10 +1,14 @@
-"""Where every solver stopped, by one measure.
+"""Where every solver stopped, by one measure; only `newton` stops by, and reports, one of its own.
 
 The measure is the gradient of `HairEnergy` with respect to the vertices, roots held, without the part that tensions
 along the edges could balance: what would still turn edges if none could change its length. At a minimum over vertices
 it is zero, and at a minimum over directions too, though lengths are at rest there and the strand's weight pulls. What
 it leaves out float32 would drown: a vertex 1.6 m from the origin is known to 0.1 um, which Eq. 7 turns into forces of
 a tenth of a vertex's weight, along the edge. `length_error_percent` shows what is left there.
+
+At a crease of the body the exact energy's gradient jumps and vanishes nowhere, and hair rests in creases. `newton`
+takes the whole gradient of the energy with rounded creases instead, in double precision
+(`quaffure.energies.rounded_contact`).
 """
 
 import torch

@@ -7,6 +7,9 @@ Block elimination along a chain is Golub and Van Loan, Matrix Computations (2013
 import numpy as np
 from numba import njit, prange
 
+FIRST_SHIFT = 0.01
+"""What a pivot that is not positive definite is raised by at first, of its size."""
+
 
 @njit(cache=True, inline="always")
 def invert_definite(matrix: np.ndarray, inverse: np.ndarray) -> bool:
@@ -33,12 +36,14 @@ def invert_definite(matrix: np.ndarray, inverse: np.ndarray) -> bool:
 def factor_strand(diagonal: np.ndarray, coupling: np.ndarray, pivot_inverse: np.ndarray) -> bool:
     """Eliminate one strand from root to tip; False where the matrix is not positive definite.
 
+    The factors are then those of a matrix near by that is: pivots that are not positive definite are raised.
+
     Args:
         diagonal: [n, 3, 3] blocks of the vertices.
         coupling: [n - 1, 3, 3] blocks between each vertex and the next; the first is not read.
         pivot_inverse: [n, 3, 3], filled with the inverses of the pivots; zero at the root.
     """
-    pivot = np.empty((3, 3))
+    pivot, definite = np.empty((3, 3)), True
     pivot_inverse[0] = 0.0
     for vertex in range(1, len(diagonal)):
         pivot[:] = diagonal[vertex]
@@ -50,9 +55,14 @@ def factor_strand(diagonal: np.ndarray, coupling: np.ndarray, pivot_inverse: np.
                 r = before[row, 0] * inverse[0, 2] + before[row, 1] * inverse[1, 2] + before[row, 2] * inverse[2, 2]
                 for column in range(3):
                     pivot[row, column] -= p * before[0, column] + q * before[1, column] + r * before[2, column]
-        if not invert_definite(pivot, pivot_inverse[vertex]):
-            return False
-    return True
+        shift = FIRST_SHIFT * (abs(pivot[0, 0]) + abs(pivot[1, 1]) + abs(pivot[2, 2])) + 1e-12
+        # Not where the matrix is not finite: no shift would help.
+        while not invert_definite(pivot, pivot_inverse[vertex]) and shift < np.inf:
+            definite = False
+            for axis in range(3):
+                pivot[axis, axis] += shift
+            shift *= 2.0
+    return definite
 
 
 @njit(cache=True, inline="always")

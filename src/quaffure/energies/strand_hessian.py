@@ -59,13 +59,14 @@ def strand_energy(x: np.ndarray, strand: int, hair: Hair, body: Body, places: np
 
 @njit(cache=True)
 def strand_hessian(
-    x: np.ndarray, strand: int, hair: Hair, body: Body, places: np.ndarray, convex: bool,
+    x: np.ndarray, strand: int, hair: Hair, body: Body, places: np.ndarray, exactness: float,
     gradient: np.ndarray, diagonal: np.ndarray, coupling: np.ndarray,
 ) -> float:  # fmt: skip
     """Energy of one strand; its gradient [n, 3] and Hessian are added up in the last three arguments.
 
     Args:
-        convex: leave out what is not: compressed edges keep `SOFTEST` across themselves, the body counts as flat.
+        exactness: 1 for the exact Hessian; 0 for a convex one, in which compressed edges keep `SOFTEST` across
+            themselves and the body counts as flat; shares of both in between.
         gradient: zero at the root, which is held.
         diagonal: [n, 3, 3] blocks of the vertices.
         coupling: [n - 1, 3, 3] blocks between each vertex and the next.
@@ -75,10 +76,10 @@ def strand_hessian(
     diagonal[:] = 0.0
     energy = 0.0
     for vertex in range(1, len(x)):
-        energy += _add_edge(x, vertex - 1, strand, hair, convex, along, force, gradient, diagonal, coupling)
+        energy += _add_edge(x, vertex - 1, strand, hair, exactness, along, force, gradient, diagonal, coupling)
         gradient[vertex, 2] += hair.mass[strand, vertex] * hair.stiffness[2]
         energy += hair.mass[strand, vertex] * hair.stiffness[2] * (x[vertex, 2] - x[0, 2])
-        energy += _add_contact(x, vertex, strand, hair, body, places, convex, gradient, diagonal)
+        energy += _add_contact(x, vertex, strand, hair, body, places, exactness, gradient, diagonal)
     gradient[0] = 0.0
     return energy
 
@@ -104,15 +105,14 @@ def _edge(
 
 @njit(cache=True, inline="always")
 def _add_edge(
-    x: np.ndarray, edge: int, strand: int, hair: Hair, convex: bool, along: np.ndarray, force: np.ndarray,
+    x: np.ndarray, edge: int, strand: int, hair: Hair, exactness: float, along: np.ndarray, force: np.ndarray,
     gradient: np.ndarray, diagonal: np.ndarray, coupling: np.ndarray,
 ) -> float:  # fmt: skip
     energy, length = _edge(x, edge, strand, hair, along, force)
     rest = hair.rest_length[strand, edge]
     bending = hair.stiffness[0] / (rest * rest)
     across = bending + hair.stiffness[1] * (1.0 - rest / length)
-    if convex:
-        across = max(across, SOFTEST * bending)
+    across = exactness * across + (1.0 - exactness) * max(across, SOFTEST * bending)
     lengthwise = bending + hair.stiffness[1] - across
     for row in range(3):
         gradient[edge, row] -= force[row]
@@ -127,7 +127,7 @@ def _add_edge(
 
 @njit(cache=True)
 def _add_contact(
-    x: np.ndarray, vertex: int, strand: int, hair: Hair, body: Body, places: np.ndarray, convex: bool,
+    x: np.ndarray, vertex: int, strand: int, hair: Hair, body: Body, places: np.ndarray, exactness: float,
     gradient: np.ndarray, diagonal: np.ndarray,
 ) -> float:  # fmt: skip
     margin, k = hair.margin[strand, vertex], hair.stiffness[3]
@@ -137,10 +137,10 @@ def _add_contact(
     if short <= 0.0:
         return 0.0
     push, stiff = 3.0 * k * short * short, 6.0 * k * short
-    flat = convex and distance > 0.0
+    bend = exactness if distance > 0.0 else 1.0
     for row in range(3):
         gradient[vertex, row] -= push * normal[row]
         for column in range(3):
-            bent = crease[row, column] - (0.0 if flat else bulge[row, column])
+            bent = crease[row, column] - bend * bulge[row, column]
             diagonal[vertex, row, column] += stiff * normal[row] * normal[column] + push * bent
     return k * short * short * short

@@ -20,22 +20,22 @@ def strand_energies(positions: np.ndarray, hair: Hair, body: Body, places: np.nd
 
 @njit(cache=True, parallel=True)
 def linearize_strands(
-    positions: np.ndarray, hair: Hair, body: Body, places: np.ndarray, convex: bool, gradient: np.ndarray,
+    positions: np.ndarray, hair: Hair, body: Body, places: np.ndarray, exactness: float, gradient: np.ndarray,
     diagonal: np.ndarray, coupling: np.ndarray,
 ) -> None:  # fmt: skip
-    """Fill gradient [s, n, 3] and the Hessian's blocks of every strand; `convex` as in `strand_hessian`."""
+    """Fill gradient [s, n, 3] and the Hessian's blocks of every strand; `exactness` as in `strand_hessian`."""
     for strand in prange(len(positions)):
         strand_hessian(
-            positions[strand], strand, hair, body, places[strand], convex,
+            positions[strand], strand, hair, body, places[strand], exactness,
             gradient[strand], diagonal[strand], coupling[strand],
         )  # fmt: skip
 
 
 @njit(cache=True, parallel=True)
-def factor_strands(diagonal: np.ndarray, coupling: np.ndarray, pivot_inverse: np.ndarray, definite: np.ndarray) -> None:
-    """`factor_strand` for every strand; fill `definite` with what it returns."""
+def factor_strands(diagonal: np.ndarray, coupling: np.ndarray, pivot_inverse: np.ndarray) -> None:
+    """`factor_strand` for every strand."""
     for strand in prange(len(diagonal)):
-        definite[strand] = factor_strand(diagonal[strand], coupling[strand], pivot_inverse[strand])
+        factor_strand(diagonal[strand], coupling[strand], pivot_inverse[strand])
 
 
 @njit(cache=True, parallel=True)

@@ -1,5 +1,7 @@
 """Pairs of points closer than a radius: integers from a compiled cell list, or from its torch twin."""
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 from numba import njit, prange
@@ -53,12 +55,34 @@ def fixed_radius_pairs_reference(points: Float[Tensor, "p 3"], radius: float) ->
     return pairs[:, pairs[0] < pairs[1]]
 
 
+class Grid(NamedTuple):
+    """Cubic cells round points.
+
+    Attributes:
+        lower: corner of the first cell [m].
+        side: of a cell [m].
+        shape: cells along x, y, z, numbered along z fastest.
+    """
+
+    lower: np.ndarray
+    side: float
+    shape: tuple[int, int, int]
+
+
 @njit(cache=True)
 def sort_into_cells(points: np.ndarray, size: np.float32) -> tuple[np.ndarray, np.ndarray, tuple[int, int, int]]:
     """Counting sort of points into a grid of cells of side `size`, or larger where that would need too many.
 
     Returns the sorted order, where each cell starts in it (one more entry than cells), and the cells along x, y, z.
     """
+    grid = grid_round(points, size)
+    order, start = sort_into_grid(points, grid)
+    return order, start, grid.shape
+
+
+@njit(cache=True)
+def grid_round(points: np.ndarray, size: np.float32) -> Grid:
+    """Cells of side `size`, or larger where they would be too many."""
     lower = np.array([points[:, axis].min() for axis in range(3)])
     upper = np.array([points[:, axis].max() for axis in range(3)])
     side = size
@@ -68,13 +92,22 @@ def sort_into_cells(points: np.ndarray, size: np.float32) -> tuple[np.ndarray, n
         if along[0] * along[1] * along[2] <= 64 * len(points) + 4096:
             break
         side *= np.float32(1.5)
-    nx, ny, nz = int(along[0]), int(along[1]), int(along[2])
+    return Grid(lower, side, (int(along[0]), int(along[1]), int(along[2])))
+
+
+@njit(cache=True)
+def sort_into_grid(points: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Counting sort of points into cells: the sorted order and where each cell starts in it.
+
+    Points beyond the grid go to its outermost cells; there too, what is closer than a cell's side is at most one away.
+    """
+    nx, ny, nz = grid.shape
     cells = np.empty(len(points), np.int64)
     start = np.zeros(nx * ny * nz + 1, np.int64)
     for index in range(len(points)):
-        ix = int((points[index, 0] - lower[0]) / side)
-        iy = int((points[index, 1] - lower[1]) / side)
-        iz = int((points[index, 2] - lower[2]) / side)
+        ix = min(max(int((points[index, 0] - grid.lower[0]) / grid.side), 0), nx - 1)
+        iy = min(max(int((points[index, 1] - grid.lower[1]) / grid.side), 0), ny - 1)
+        iz = min(max(int((points[index, 2] - grid.lower[2]) / grid.side), 0), nz - 1)
         cells[index] = (ix * ny + iy) * nz + iz
         start[cells[index] + 1] += 1
     start = np.cumsum(start)
@@ -83,7 +116,7 @@ def sort_into_cells(points: np.ndarray, size: np.float32) -> tuple[np.ndarray, n
     for index in range(len(points)):
         order[cursor[cells[index]]] = index
         cursor[cells[index]] += 1
-    return order, start, (nx, ny, nz)
+    return order, start
 
 
 @njit(cache=True, inline="always")

@@ -65,7 +65,7 @@ class Grid(NamedTuple):
     """
 
     lower: np.ndarray
-    side: float
+    side: float | np.floating
     shape: tuple[int, int, int]
 
 

@@ -21,7 +21,7 @@ from quaffure.evaluation.evaluation_set import (
     EvaluationSet,
     GroomSource,
 )
-from quaffure.evaluation.report import FIGURES, PAGE, PICTURE, page, shown
+from quaffure.evaluation.report import FIGURES, PAGE, PICTURE, RATIOS, page, shown
 from quaffure.groom.groom import Groom
 from quaffure.io.groom_file import write_groom
 from quaffure.networks.checkpoint import save_network
@@ -108,6 +108,12 @@ def check_page(text: str, results: dict) -> None:
             for key in FIGURES:
                 known = figures.get(key, {}).get(time_kind if key == "milliseconds" else kind)
                 assert table[row][key] == ("" if known is None else f"{known:.4g}"), (row, key)
+    solvers = everything.keys() & {"adam", "lbfgs", "xpbd", "groomgen"}
+    for row in solvers if "neural" in everything else ():
+        cells, own, ours = rows_of(text, RATIOS)[row], everything[row], everything["neural"]
+        time = own["milliseconds"]["median"] / ours["milliseconds"]["median"]
+        turned = own["orientation_error_deg"]["mean"] / ours["orientation_error_deg"]["mean"]
+        assert (cells["seconds"], cells["orientation"]) == (f"{time:.4g}", f"{turned:.4g}")
     for key in ("body_intersection_percent", "excess_energy", "distance_mm"):
         for row, cells in rows_of(text, f"{key} by group of cases").items():
             means = {

@@ -6,6 +6,7 @@ from typing import Any
 
 from quaffure.errors import InputError
 from quaffure.evaluation.comparison import TIME
+from quaffure.evaluation.paper_table import ratio_rows
 from quaffure.evaluation.results import Results
 from quaffure.io.atomic import replacing
 
@@ -24,6 +25,7 @@ FIGURES = (
     "milliseconds",
 )
 """Figures of merit in the order of the columns; docs/figures_of_merit.md explains them."""
+RATIOS = "Table 1 of the paper: over the network"
 BY_GROUP = ("body_intersection_percent", "excess_energy", "distance_mm")
 
 
@@ -59,6 +61,9 @@ def page(results: Results, with_picture: bool) -> str:
     if with_picture:
         parts.append(f"![Quality against time, one mark a draper]({PICTURE})")
     parts += ["## Means", _table(mean_rows(summary["all"])), "## Worst frames", _table(worst_rows(summary["all"]))]
+    ratios = ratio_rows(summary["all"])
+    if ratios:
+        parts += [f"## {RATIOS}", _table(ratios)]
     for figure in BY_GROUP:
         rows = group_rows(summary, figure)
         if rows:

@@ -1,0 +1,64 @@
+"""Fig. 10: curly hair by the elastic models of the paper, each with its default stiffness, settled by Adam.
+
+The paper trains a network with each; here a solver stands in for them.
+"""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from tiles import FIGURES, Caption, TileRenderer, View, captioned, grid, run_figure, save_picture
+
+from quaffure.body.body_model import load_body
+from quaffure.config import HairMaterial
+from quaffure.drapers.adam import AdamDraper
+from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.energies.elastic_model import ELASTIC_MODELS
+from quaffure.groom.procedural import make_groom
+from quaffure.render.contact_sheet import NATURAL_COLOURS
+from quaffure.types import Positions
+
+OUT = FIGURES / "elastic_models.jpg"
+GROOM = "long_ringlets"
+VIEWS = (View(40.0, below_head=0.12), View(180.0, below_head=0.12))
+
+
+def main() -> list[Path]:
+    body = load_body()
+    scene = Scene(make_groom(GROOM, body), BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
+    designed = _mean_turn(scene.posed)
+    tiles = []
+    with TileRenderer(260, 290) as renderer:
+        for title, (hair, seconds) in {"as designed": (scene.posed, 0.0), **_settled(scene)}.items():
+            lower = 100 * float((scene.posed - hair)[:, :, -1, 2].mean())
+            notes = (
+                f"tips {lower:.1f} cm lower",
+                f"curls {100 * _mean_turn(hair) / designed:.0f} % as curved",
+                f"{seconds:.0f} s" if seconds else "",
+            )
+            print(title, *notes, sep=", ")
+            views = [renderer.tiles(scene, hair, view, NATURAL_COLOURS[2])[0] for view in VIEWS]
+            tiles.append(captioned(np.vstack(views), Caption(title, notes)))
+    save_picture(OUT, grid([tiles]))
+    return [OUT]
+
+
+def _settled(scene: Scene) -> dict[str, tuple[Positions, float]]:
+    """The drape by every elastic model and the processor time that it took [s]."""
+    settled = {}
+    for name in ELASTIC_MODELS:
+        start = time.process_time()
+        hair = AdamDraper(HairMaterial(), elastic=name).drape(scene)
+        settled[name] = hair, time.process_time() - start
+    return settled
+
+
+def _mean_turn(hair: Positions) -> float:
+    """Mean angle between an edge and the next [rad]."""
+    tangent = torch.nn.functional.normalize(hair.diff(dim=2), dim=-1)
+    return float((tangent[:, :, 1:] * tangent[:, :, :-1]).sum(-1).clamp(-1, 1).acos().mean())
+
+
+if __name__ == "__main__":
+    run_figure(main)

@@ -194,6 +194,30 @@ def test_self_collision_on_every_second_step_is_as_strong(
     torch.testing.assert_close(for_every_second, for_every_step, rtol=1e-3, atol=1e-3 * float(apart))
 
 
+def test_contact_counts_in_the_loss_as_often_as_it_is_asked_to(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
+    through_the_body = replace(TINY, network=replace(TINY.network, slides=False), steps=1)
+    rows = []
+    for weight in (1.0, 3.0):
+        config = replace(through_the_body, body_contact_weight=weight)
+        train(training(body, groom, tmp_path / f"{weight}", config), validation(), silent)
+        rows += rows_of(tmp_path / f"{weight}" / "training.csv")
+    once, thrice = (float(row["body_collision"]) for row in rows)
+    assert once > 0
+    assert thrice == pytest.approx(3 * once, rel=1e-4)
+    assert float(rows[1]["loss"]) - float(rows[0]["loss"]) == pytest.approx(2 * once, rel=1e-3)
+
+
+def test_the_best_weights_are_those_of_the_lowest_loss(
+    body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures = iter([{"energy": 1.0, "body_collision": 0.2}, {"energy": 0.9, "body_collision": 0.3}])
+    monkeypatch.setattr(train_decoder, "validation_figures", lambda draper, scenes: next(figures))
+    run = training(body, groom, tmp_path, replace(TINY, body_contact_weight=3.0))
+    for run.step in (1, 2):
+        run.validate(validation())
+    assert load_network(tmp_path / "best.safetensors")[2]["step"] == "1"
+
+
 def test_some_of_many_grooms_stand_for_all_in_a_validation(
     body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -201,7 +225,7 @@ def test_some_of_many_grooms_stand_for_all_in_a_validation(
 
     def figures(draper: NeuralDraper, scenes: Iterable[tuple[Scene, HairEnergy]]) -> dict[str, float]:
         measured.extend((len(scene.groom), len(energy.rest.mass)) for scene, energy in scenes)
-        return {"energy": 0.0}
+        return {"energy": 0.0, "body_collision": 0.0}
 
     monkeypatch.setattr(train_decoder, "VALIDATED_GROOMS", 2)
     monkeypatch.setattr(train_decoder, "validation_figures", figures)
@@ -315,6 +339,8 @@ def test_impossible_networks_are_refused(tmp_path: Path) -> None:
 def test_settings_out_of_range_are_refused() -> None:
     with pytest.raises(InputError, match="validate-every"):
         TrainConfig(validate_every=0)
+    with pytest.raises(InputError, match="body-contact-weight"):
+        TrainConfig(body_contact_weight=0.0)
 
 
 @pytest.mark.cuda

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.config import HairMaterial
@@ -32,6 +32,9 @@ class TrainConfig:
     """Steps over which the learning rate rises from zero."""
     self_collision_every: int = 1
     """Evaluate Eq. 11 on every k-th step, k times as strong."""
+    body_contact_weight: float = 1.0
+    """Of Eq. 10 in the loss, over its part in the energy. Above 1, less hair ends up inside bodies of unfamiliar poses,
+    where a network is least sure, for a little more of the other terms elsewhere."""
     bf16: bool = False
     """Run the network's layers in bfloat16."""
     seed: int = 0
@@ -45,8 +48,15 @@ class TrainConfig:
     def __post_init__(self) -> None:
         counts = ("steps", "runs", "frames", "grooms_per_step", "self_collision_every", "log_every", "validate_every")
         refuse_impossible({name: getattr(self, name) for name in counts}, self.learning_rate, self.seed)
+        if not 0 < self.body_contact_weight < math.inf:
+            raise InputError("--body-contact-weight", "a number above 0", f"{self.body_contact_weight}")
         if not 0 < self.material.collision_margin <= REACH:
             raise InputError("--collision-margin", f"up to {REACH} m", f"{self.material.collision_margin}")
+
+    @property
+    def loss_material(self) -> HairMaterial:
+        """The material with contact as strong as the loss has it."""
+        return replace(self.material, k_body_collision=self.body_contact_weight * self.material.k_body_collision)
 
 
 def refuse_impossible(counts: Mapping[str, int], learning_rate: float, seed: int) -> None:

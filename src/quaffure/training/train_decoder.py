@@ -72,6 +72,7 @@ class DecoderTraining:
         self.optimizer = AveragedAdam(network, config.learning_rate, MEMORY)
         self.draper = NeuralDraper(network, config.material, config.bf16)
         self.energies = [HairEnergy(groom, config.material) for groom in self.grooms]
+        self.losses = [HairEnergy(groom, config.loss_material) for groom in self.grooms]
         self.step = 0
         self.best = float("inf")
         self.seconds = 0.0
@@ -108,7 +109,7 @@ class DecoderTraining:
         figures: dict[str, float] = {}
         for index in drawn:
             scene = Scene(self.grooms[index], bodies)
-            loss, terms = self._loss(scene, self.energies[index], len(drawn))
+            loss, terms = self._loss(scene, self.losses[index], len(drawn))
             (loss / len(drawn)).backward()
             for name, value in ({"loss": float(loss.detach())} | terms).items():
                 figures[name] = figures.get(name, 0.0) + value / len(drawn)
@@ -145,15 +146,16 @@ class DecoderTraining:
         return (total.mean() + smoothness) / unit, terms
 
     def validate(self, validation: Validation) -> dict[str, float]:
-        """Figures of the averaged network; logs them, and keeps the weights of the lowest energy so far."""
+        """Figures of the averaged network; logs them, and keeps the weights of the lowest loss so far."""
         draper = NeuralDraper(self.optimizer.averaged, self.config.material, self.config.bf16)
         device = self.worker.device
         bodies = BodyBatch(self.body, validation.body_pose.to(device), validation.body_shape.to(device))
         every = -(-len(self.grooms) // VALIDATED_GROOMS)
         scenes = (Scene(groom, bodies) for groom in self.grooms[::every])
         figures = validation_figures(draper, zip(scenes, self.energies[::every]))
-        if figures["energy"] < self.best:
-            self.best = figures["energy"]
+        loss = figures["energy"] + (self.config.body_contact_weight - 1) * figures["body_collision"]
+        if loss < self.best:
+            self.best = loss
             names = ",".join(groom.name for groom in self.grooms)
             notes = {"step": str(self.step), "grooms": names, "version": self.folder.version}
             with replacing(self.folder.path / "best.safetensors") as path:

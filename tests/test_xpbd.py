@@ -2,7 +2,6 @@
 
 import itertools
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from scipy.spatial import ConvexHull
 
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.drapers.adam import AdamDraper
-from quaffure.drapers.scene import Scene
+from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.drapers.stopping import energy_and_gradient
 from quaffure.drapers.xpbd import XpbdDraper, XpbdSetting, paper_setting
 from quaffure.energies.closed_form import sagged_edges
@@ -35,7 +34,9 @@ def scene_of(groom: Groom, posed: torch.Tensor | None = None, surface: Surface |
     posed = groom.rest_strands[None] if posed is None else posed
     # As if the cached parts had been asked for already: there is no body with a scalp.
     scene = object.__new__(Scene)
-    bodies = SimpleNamespace(surface=surface or sphere_surface(len(posed)))
+    bodies = object.__new__(BodyBatch)
+    given = {"body": None, "body_pose": posed[:, 0, 0], "body_shape": posed[:, 0, 0]}
+    bodies.__dict__.update(given, surface=surface or sphere_surface(len(posed)))
     scene.__dict__.update(groom=groom, posed=posed, director=directors(posed), bodies=bodies)
     return scene
 

@@ -6,8 +6,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quaffure.drapers.newton_descent import LEAST_DAMPING, MOST_DAMPING, SHORTER, Step, Trust, line_search
-from quaffure.drapers.newton_system import Point
+from quaffure.drapers.newton_descent import (
+    LEAST_DAMPING,
+    MOST_DAMPING,
+    SHORTER,
+    SUFFICIENT,
+    Step,
+    Trust,
+    line_search,
+)
+from quaffure.drapers.newton_system import NewtonSystem, Point, QuadraticModel
+from quaffure.energies.density_crowd import crowd_of
 
 
 def tried(trials: int = 1, agreement: float = 1.0, is_bent: bool = False, rise: float = 0.0) -> Step:
@@ -54,21 +63,45 @@ def test_hair_that_came_closer_resists_sooner() -> None:
     assert trust.after(0.0, tried(rise=-0.1)).slack == pytest.approx(0.01)
 
 
-def test_a_shortened_step_promises_what_its_own_strands_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two strands: one falls by much and is to blame, the other rises by little; shortening the first alone fails."""
-    slope, energies = np.array([-1.0, 0.5]), []
-    model = SimpleNamespace(
-        gradient=slope[:, None, None] * np.ones((2, 1, 1)),
-        point=SimpleNamespace(energy=0.0, excess=np.zeros((2, 1))),
-        forecast=lambda step: SimpleNamespace(surprise=lambda start, length, reached: np.array([1.0, 0.0])),
-    )
+@pytest.mark.parametrize("other_slope", [0.5, -0.5])
+def test_a_shortened_step_leads_downhill(monkeypatch: pytest.MonkeyPatch, other_slope: float) -> None:
+    """Two strands, of which the first is to blame: shortened alone it leaves a step uphill where the other rises."""
+    slope = np.array([-1.0, other_slope])
+    lengths: list[np.ndarray] = []
+    model, system = object.__new__(QuadraticModel), object.__new__(NewtonSystem)
+    forecast = SimpleNamespace(surprise=lambda start, length, reached: np.array([1.0, 0.0]))
+    gradient = np.broadcast_to(slope[:, None, None], (2, 1, 3)) / 3
+    model.__dict__.update(gradient=gradient, point=at(0.0), forecast=lambda step: forecast)
 
-    def moved(system: object, model: object, step: np.ndarray, length: np.ndarray) -> SimpleNamespace:
-        energies.append(length.copy())
-        return SimpleNamespace(energy=float((length * slope).sum() + 2 * length[0]), excess=np.zeros((2, 1)))
+    def moved(system: NewtonSystem, model: QuadraticModel, step: np.ndarray, length: np.ndarray) -> Point:
+        lengths.append(length.copy())
+        return at(1.0)
 
     monkeypatch.setattr("quaffure.drapers.newton_descent._moved", moved)
-    line_search(None, model, np.ones((2, 1, 1)), False)  # type: ignore[arg-type]
-    assert [tuple(length) for length in energies[:3]] == [(1, 1), (0.4, 1), (0.4**2, 1)]
-    assert energies[6] == pytest.approx(SHORTER**6 * np.ones(2))
-    assert energies[-1] == pytest.approx(SHORTER**11 * np.ones(2))
+    step = line_search(system, model, np.ones((2, 1, 3)), False)
+    assert step.agreement == 0
+    assert [tuple(length) for length in lengths[:3]] == [(1, 1), (SHORTER, 1), (SHORTER**2, 1)]
+    assert all((length * slope).sum() < 0 for length in lengths[6:])
+    assert lengths[6] == pytest.approx(SHORTER * np.array([SHORTER**5, 1 if other_slope < 0 else SHORTER**5]))
+    assert lengths[-1] == pytest.approx(SHORTER**5 * lengths[6])
+
+
+def test_a_step_must_bring_a_part_of_what_its_own_length_promises(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second strand promises all, the first is cut short: what remains is still the whole promise."""
+    slope = np.array([-0.001, -1.0])
+    energies = iter([0.5, -0.08, -0.2])
+    model, system = object.__new__(QuadraticModel), object.__new__(NewtonSystem)
+    forecast = SimpleNamespace(surprise=lambda start, length, reached: np.array([1.0, 0.0]))
+    gradient = np.broadcast_to(slope[:, None, None], (2, 1, 3)) / 3
+    model.__dict__.update(gradient=gradient, point=at(0.0), forecast=lambda step: forecast)
+    monkeypatch.setattr("quaffure.drapers.newton_descent._moved", lambda *arguments: at(next(energies)))
+    # By the mean of the lengths, 0.7, the second trial would do.
+    assert SUFFICIENT * 0.7 < 0.08 < SUFFICIENT
+    assert line_search(system, model, np.ones((2, 1, 3)), False).trials == 3
+
+
+def at(energy: float) -> Point:
+    """Two strands of one vertex."""
+    nothing = np.zeros((2, 1))
+    crowd = crowd_of(np.zeros((2, 3)), np.ones(2), 1.0)
+    return Point(np.zeros((2, 1, 3)), np.zeros(2), nothing, nothing, crowd, np.empty(0), energy)

@@ -126,6 +126,7 @@ class NewtonDraper:
             if relative <= self.tolerance or taken >= self.steps or (has_stalled and together and is_tamed):
                 return state.point.positions, relative
             has_spread = relative > REMAINING_SHARE * before and state.trust.exactness > EXACT_ENOUGH
+            # To half the tolerance at most: what the strands that are held have left comes on top.
             strands, target = heaviest(forces), max(HELD_SHARE * relative, 0.5 * self.tolerance)
             were_together = together
             together = len(strands) > ACTIVE_SHARE * len(forces) or has_stalled or (has_spread and not together)

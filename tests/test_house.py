@@ -20,7 +20,8 @@ HEAVY = ("pxr", "moderngl", "av", "anny", "igl", "trimesh", "PIL", "viser")
 KERNELS_WITH_MANY_PARAMETERS = {
     "drapers/drape_kernels.py": {"grow", "finish"},
     "drapers/xpbd_kernels.py": {"find_planes", "sweep_strands"},
-    "energies/density_hessian.py": {"_list", "_multiply"},
+    "energies/density_hessian.py": {"_multiply"},
+    "energies/density_pairs.py": {"_list"},
     "energies/fused_strand.py": {"_strands"},
     "energies/strand_hessian.py": {"_add_contact", "_add_edge", "strand_hessian"},
     "geometry/clear_cells.py": {"_outside"},

@@ -1,4 +1,4 @@
-"""The reference solver against its oracle, against the other solvers, and its derivatives against differences."""
+"""The reference solver against its oracle, the other solvers and its starts; its energy against the torch twin."""
 
 from dataclasses import fields, replace
 from itertools import pairwise
@@ -11,31 +11,17 @@ import torch
 from quaffure.config import HairMaterial
 from quaffure.drapers.adam import AdamDraper
 from quaffure.drapers.lbfgs import LbfgsDraper
-from quaffure.drapers.newton import FEW, LEFT_OUT, NewtonDraper, heaviest
-from quaffure.drapers.newton_descent import conjugate_gradients
-from quaffure.drapers.newton_system import NewtonSystem, QuadraticModel
-from quaffure.drapers.scene import Scene
+from quaffure.drapers.newton import ACTIVE_SHARE, HELD_SHARE, LBFGS_EVALUATIONS, PATIENT, NewtonDraper, heaviest
+from quaffure.drapers.newton_descent import MOST_DAMPING, Trust, conjugate_gradients
+from quaffure.drapers.newton_system import NewtonSystem, Point, QuadraticModel
+from quaffure.drapers.posed import PosedDraper
 from quaffure.drapers.xpbd import XpbdDraper
-from quaffure.energies.block_tridiagonal import factor_strand, solve_strand
 from quaffure.energies.closed_form import sagged_edges
-from quaffure.energies.density_hessian import (
-    Crowd,
-    Pressed,
-    crowd_of,
-    density,
-    density_blocks,
-    density_force,
-    density_product,
-    pressed,
-)
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.energies.rounded_contact import CREASE_WIDTH, body_arrays, rounded_distance
-from quaffure.energies.strand_hessian import hair_arrays, strand_hessian
-from quaffure.energies.strand_newton import turn_edges
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.geometry.surface import Surface, posed_surface, surface_topology
 from quaffure.types import Positions
 from tests.scenes import bent_inwards, sphere_groom, sphere_surface
+from tests.test_strand_newton import near_the_sphere
 from tests.test_xpbd import scene_of
 
 SOFT = HairMaterial(k_cosserat=5e-8)
@@ -50,13 +36,6 @@ def in_double(energy: HairEnergy) -> HairEnergy:
     doubled: dict[str, Any] = {name: value.double() for name, value in named.items() if torch.is_tensor(value)}
     energy.rest = replace(energy.rest, **doubled)
     return energy
-
-
-def near_the_sphere(scene: Scene) -> np.ndarray:
-    """Vertices within and beyond the margin of a sphere of radius 0.1 m, away from every rest length."""
-    generator = torch.Generator().manual_seed(5)
-    outward = torch.nn.functional.normalize(bent_inwards(scene.groom, 1)[0][0], dim=-1)
-    return (outward * (0.0985 + 0.006 * torch.rand(*outward.shape[:2], 1, generator=generator))).double().numpy()
 
 
 def test_free_strands_reach_the_closed_form_from_the_posed_groom() -> None:
@@ -90,9 +69,11 @@ def test_no_solver_ends_below_newton(material: HairMaterial) -> None:
 def test_contact_alone_settles_to_the_tolerance() -> None:
     material = replace(SOFT, k_self_collision=0.0)
     scene = scene_of(sphere_groom(strands=40))
-    draped, report = NewtonDraper(material).solve(scene)
-    assert report.relative_gradient <= 1e-4
-    distance = signed_distance(draped[:, :, 1:].flatten(1, 2), scene.surface)
+    system = NewtonSystem(HairEnergy(scene.groom, material), scene, 0)
+    start = XpbdDraper(material).drape(scene)[0].double().numpy()
+    settled, relative = NewtonDraper(material).minimize(system, start)
+    assert relative <= 1e-4
+    distance = signed_distance(torch.from_numpy(settled[None, :, 1:]).float().flatten(1, 2), scene.surface)
     assert (distance < material.collision_margin).float().mean() > 0.05
     assert (distance < 0).sum() == 0
 
@@ -126,7 +107,7 @@ def test_strands_alone_reach_the_minimum_of_the_whole(monkeypatch: pytest.Monkey
     monkeypatch.setattr(QuadraticModel, "__init__", watched)
     settled, relative = draper.minimize(system, lifted)
     assert relative <= 1e-6
-    assert sum(count <= FEW * 120 for count in moved) > 3
+    assert sum(count <= ACTIVE_SHARE * 120 for count in moved) > 3
     assert 0 < np.linalg.norm(settled - lifted, axis=2).max() < 0.02
     assert settled == pytest.approx(at_rest, abs=2e-6)
     assert system.point(settled).energy == pytest.approx(system.point(at_rest).energy, rel=1e-9)
@@ -165,9 +146,9 @@ def test_the_heaviest_strands_leave_little_to_the_others() -> None:
     some = heaviest(forces)
     rest = np.delete(forces, some)
     assert 20 < len(some) < 100
-    assert np.linalg.norm(rest) <= LEFT_OUT * np.linalg.norm(forces)
+    assert np.linalg.norm(rest) <= HELD_SHARE * np.linalg.norm(forces)
     assert rest.max() <= forces[some].min()
-    assert np.linalg.norm(np.append(rest, forces[some].min())) > LEFT_OUT * np.linalg.norm(forces)
+    assert np.linalg.norm(np.append(rest, forces[some].min())) > HELD_SHARE * np.linalg.norm(forces)
 
 
 def test_negative_curvature_is_followed_downhill() -> None:
@@ -224,183 +205,87 @@ def test_gradient_is_that_of_the_torch_twin() -> None:
     assert difference == pytest.approx(2 * float((gradient * step).sum()), rel=1e-5)
 
 
-def dense(diagonal: np.ndarray, coupling: np.ndarray) -> np.ndarray:
-    count = len(diagonal)
-    matrix = np.zeros((count, 3, count, 3))
-    for vertex in range(count):
-        matrix[vertex, :, vertex] = diagonal[vertex]
-        if 0 < vertex < count - 1:
-            matrix[vertex, :, vertex + 1] = matrix[vertex + 1, :, vertex] = coupling[vertex]
-    return matrix[1:, :, 1:].reshape(3 * count - 3, -1)
-
-
-@pytest.mark.parametrize("surface", ["sphere", "crease"])
-def test_strand_hessian_matches_differences_of_the_gradient(surface: str) -> None:
-    scene = scene_of(sphere_groom(strands=12), surface=crease() if surface == "crease" else None)
-    hair = hair_arrays(HairEnergy(scene.groom, HairMaterial()), scene.director[0])
-    body = body_arrays(scene.surface, 0)
-    positions = near_the_sphere(scene) if surface == "sphere" else near_the_crease(scene)
-    count = positions.shape[1]
-    bent = 0.0
-    for strand, x in enumerate(positions):
-        places = np.zeros(count, np.int64)
-
-        def derivatives(at: np.ndarray, strand: int = strand, places: np.ndarray = places) -> tuple[np.ndarray, ...]:
-            gradient, diagonal = np.empty((count, 3)), np.empty((count, 3, 3))
-            coupling = np.empty((count - 1, 3, 3))
-            strand_hessian(at, strand, hair, body, places, 1.0, gradient, diagonal, coupling)
-            return gradient, diagonal, coupling
-
-        matrix = dense(*derivatives(x)[1:])
-        direction = np.random.default_rng(strand).normal(size=x.shape)
-        direction[0] = 0
-        difference = (derivatives(x + 1e-9 * direction)[0] - derivatives(x - 1e-9 * direction)[0]) / 2e-9
-        product = matrix @ direction[1:].ravel()
-        assert np.linalg.norm(difference[1:].ravel() - product) < 1e-4 * np.linalg.norm(product)
-        bent = max(bent, float(np.abs(matrix - matrix.T).max()))
-    assert bent < 1e-9
-
-
-def crease() -> Surface:
-    """A closed body with a hollow edge along y at the origin: a block with a roof turned upside down cut into it."""
-    profile = [(-0.2, 0.1), (-0.2, -0.3), (0.2, -0.3), (0.2, 0.1), (0.0, 0.0)]
-    vertices = torch.tensor([(x, y, z) for y in (-0.2, 0.2) for x, z in profile])
-    sides = [(i, (i + 1) % 5) for i in range(5)]
-    faces = [triangle for i, j in sides for triangle in ((i, j, j + 5), (i, j + 5, i + 5))]
-    caps = [(0, 4, 1), (1, 4, 2), (2, 4, 3)]
-    faces += caps + [(a + 5, c + 5, b + 5) for a, b, c in caps]
-    return outward(vertices, torch.tensor(faces))
-
-
-def outward(vertices: torch.Tensor, faces: torch.Tensor) -> Surface:
-    corners = vertices[faces].double()
-    volume = (corners[:, 0] * torch.linalg.cross(corners[:, 1], corners[:, 2])).sum()
-    return posed_surface(surface_topology(vertices, faces if volume > 0 else faces.flip(1)), vertices[None])
-
-
-def near_the_crease(scene: Scene) -> np.ndarray:
-    """Vertices 2.5 mm off both faces of the hollow, within a few widths of where both are equally near."""
-    generator = np.random.default_rng(7)
-    strands, vertices = scene.groom.rest_strands.shape[:2]
-    x = CREASE_WIDTH * generator.normal(size=(strands, vertices))
-    y = 0.01 * np.arange(vertices) - 0.1 + 0.002 * generator.normal(size=(strands, vertices))
-    return np.stack([x, y, np.full_like(x, 2.5e-3 * np.sqrt(1.25))], axis=-1)
-
-
-def test_rounded_distance_neither_jumps_nor_rises_faster_than_one_moves(surface: Surface) -> None:
-    """Its gradient is a mean of unit vectors. Lines through the margin of the whole body cross creases and corners."""
-    arrays, generator = body_arrays(surface, 0), np.random.default_rng(0)
-    starts = surface.corners[0].mean(1) + 2.5e-3 * surface.normals[0, :, 0]
-    normal, crease, bulge = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    crossed = 0.0
-    for start in starts[generator.integers(len(starts), size=60)].astype(np.float64):
-        towards = generator.normal(size=3)
-        line = start + 2e-6 * np.arange(1000)[:, None] * (towards / np.linalg.norm(towards))
-        found = [rounded_distance(point, 0, 5e-3, arrays, normal, crease, bulge)[0] for point in line]
-        near = np.array([value for value in found if 1e-4 < value < 5e-3])
-        if len(near) == len(line):
-            assert np.abs(np.diff(near)).max() <= 2e-6 * 1.001
-            crossed += float(np.abs(np.diff(near, 2)).max() > 1e-9)
-    assert crossed > 10
-
-
-def test_a_crease_is_rounded_from_below_and_nothing_else_is() -> None:
-    body = body_arrays(crease(), 0)
-    normal, hollow, bulge = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    off = 2.5e-3
-    at = np.array([0.0, 0.01, off * np.sqrt(1.25)])
-    distance, _ = rounded_distance(at, 0, 3e-3, body, normal, hollow, bulge)
-    # The sides of the hollow are cut into two triangles each, so that at most four faces count.
-    assert off - 2 * CREASE_WIDTH < distance <= off - CREASE_WIDTH * np.log(2) + 1e-9
-    assert abs(normal[0]) < 1e-6
-    assert hollow[0, 0] > 1e3
-    beside = at + np.array([5e-3, 0.0, 2.5e-3])
-    assert rounded_distance(beside, 0, 3e-3, body, normal, hollow, bulge)[0] == pytest.approx(off, abs=1e-8)
-    assert np.abs(hollow).max() < 1e-6
-    assert normal == pytest.approx(np.array([-1.0, 0.0, 2.0]) / np.sqrt(5), abs=1e-6)
-
-
-def crowded_points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points that all press on each other, their masses and rest densities."""
-    generator = np.random.default_rng(2)
-    points, mass = 0.02 * generator.random((60, 3)), 1e-7 * (1 + generator.random(60))
-    return points, mass, 0.5 * density(crowd_of(points, mass, 5e-3))
-
-
-def pairs_of(crowd: Crowd, rest: np.ndarray, exactness: float) -> tuple[Pressed, np.ndarray]:
-    """The pairs of the sum of cubed excesses, and the cube's slope."""
-    excess = (density(crowd) - rest).clip(min=0)
-    return pressed(crowd, 3 * excess**2, 6 * excess, exactness), 3 * excess**2
-
-
-def test_hessian_of_the_densities_matches_differences_of_their_gradient() -> None:
-    points, mass, rest = crowded_points()
-    crowd = crowd_of(points, mass, 5e-3)
-
-    def gradient(x: np.ndarray) -> np.ndarray:
-        # The same order as the undisturbed crowd's, though a point may have crossed into another cell.
-        moved = crowd._replace(x=x[:, 0].copy(), y=x[:, 1].copy(), z=x[:, 2].copy())
-        return density_force(*pairs_of(moved, rest, 1.0))
-
-    sorted_points = points[crowd.order]
-    step = np.random.default_rng(3).normal(size=points.shape)
-    difference = (gradient(sorted_points + 1e-5 * step) - gradient(sorted_points - 1e-5 * step)) / 2e-5
-    product = density_product(pairs_of(crowd, rest, 1.0)[0], step)
-    # Single precision allows no smaller step.
-    assert np.linalg.norm(difference - product) < 3e-3 * np.linalg.norm(product)
-
-
-@pytest.mark.parametrize("exactness", [0.0, 0.5, 1.0])
-def test_blocks_are_those_of_the_whole_hessian(exactness: float) -> None:
-    points, mass, rest = crowded_points()
-    pairs, _ = pairs_of(crowd_of(points, mass, 5e-3), rest, exactness)
-    columns = [density_product(pairs, one.reshape(60, 3)).ravel() for one in np.eye(180)]
-    whole = np.stack(columns, axis=1)
-    own = np.stack([whole[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(60)])
-    scale = np.abs(whole).max()
-    assert density_blocks(pairs) == pytest.approx(own, rel=1e-4, abs=1e-5 * scale)
-    assert np.abs(whole - whole.T).max() < 1e-5 * scale
-    least = np.linalg.eigvalsh(0.5 * (whole + whole.T))[0]
-    assert least < -1e-3 * scale if exactness == 1.0 else exactness > 0 or least > -1e-5 * scale
-
-
-def test_edges_turn_without_stretching_and_follow_a_step_to_first_order() -> None:
-    generator = np.random.default_rng(6)
-    positions = np.cumsum(0.01 * generator.normal(size=(5, 8, 3)), axis=1)
-    step = generator.normal(size=positions.shape)
-    step[:, 0] = 0
-    moved = np.empty_like(positions)
-    turn_edges(positions, 1e-6 * step, moved)
-    assert np.abs(moved - positions - 1e-6 * step).max() < 1e-3 * 1e-6 * np.abs(step).max()
-    edges = np.diff(positions, axis=1)
-    across = np.cross(edges, generator.normal(size=edges.shape))
-    turn_edges(positions, np.pad(np.cumsum(30 * across, axis=1), ((0, 0), (1, 0), (0, 0))), moved)
-    assert np.linalg.norm(np.diff(moved, axis=1) - edges, axis=2).max() > 1e-3
-    assert np.linalg.norm(np.diff(moved, axis=1), axis=2) == pytest.approx(np.linalg.norm(edges, axis=2))
-
-
-def test_factors_solve_a_strand_and_refuse_an_indefinite_one() -> None:
-    generator = np.random.default_rng(4)
-    coupling = generator.normal(size=(5, 3, 3))
-    coupling += coupling.transpose(0, 2, 1)
-    diagonal = np.tile(12 * np.eye(3), (6, 1, 1))
-    inverse, right, solution = np.empty((6, 3, 3)), generator.normal(size=(6, 3)), np.empty((6, 3))
-    assert factor_strand(diagonal, coupling, inverse)
-    solve_strand(coupling, inverse, right, solution)
-    assert dense(diagonal, coupling) @ solution[1:].ravel() == pytest.approx(right[1:].ravel(), abs=1e-9)
-    assert not factor_strand(diagonal - 12 * np.eye(3), coupling, inverse)
-    # The factors are those of a matrix near by that is definite.
-    for force in generator.normal(size=(20, 6, 3)):
-        solve_strand(coupling, inverse, force, solution)
-        assert 0 < (force[1:] * solution[1:]).sum() < np.inf
-
-
-def test_samples_of_a_batch_are_settled_one_by_one() -> None:
+def test_a_sample_does_not_know_its_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """L-BFGS, whose batches are one problem, is the only start."""
+    monkeypatch.setattr("quaffure.drapers.newton.XpbdDraper", lambda material, setting=None: PosedDraper(material))
     groom = sphere_groom(strands=10)
-    material = replace(SOFT, k_self_collision=0.0)
     posed: Positions = groom.rest_strands.expand(2, -1, -1, -1).clone()
     posed[1] = posed[1] @ torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-    both = NewtonDraper(material).drape(scene_of(groom, posed, sphere_surface(2)))
-    alone = NewtonDraper(material).drape(scene_of(groom, posed[1:], sphere_surface(1)))
+    draper = NewtonDraper(CROWDED, steps=1)
+    both = draper.drape(scene_of(groom, posed, sphere_surface(2)))
+    alone = draper.drape(scene_of(groom, posed[1:], sphere_surface(1)))
     assert (both[0] - both[1]).norm() > 0.1
-    assert torch.allclose(both[1:], alone, atol=1e-4)
+    assert torch.equal(both[1:], alone)
+
+
+def test_the_drape_of_many_strands_is_above_none_of_its_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = scene_of(sphere_groom(strands=200))
+    energy = HairEnergy(scene.groom, CROWDED)
+    moved: list[int] = []
+    make = QuadraticModel.__init__
+
+    def watched(self: QuadraticModel, *arguments: Any) -> None:
+        make(self, *arguments)
+        moved.append(len(self.gradient))
+
+    monkeypatch.setattr(QuadraticModel, "__init__", watched)
+    draped, report = NewtonDraper(CROWDED, steps=25).solve(scene)
+
+    def exact(positions: Positions) -> float:
+        return float(energy.total(positions, scene.director, scene.surface))
+
+    for start in newton_starts(CROWDED):
+        assert exact(draped) <= exact(start.drape(scene)), start.name
+    assert sum(count <= ACTIVE_SHARE * 200 for count in moved) > 3
+    assert report.energy == pytest.approx(exact(draped), rel=1e-6)
+    assert (NewtonSystem(energy, scene, 0).point(draped[0].double().numpy()).excess > 0).mean() > 0.3
+
+
+def newton_starts(material: HairMaterial) -> list[XpbdDraper | LbfgsDraper]:
+    lbfgs = LbfgsDraper(material, evaluations=LBFGS_EVALUATIONS)
+    return [XpbdDraper(material), XpbdDraper(material, PATIENT), lbfgs]
+
+
+def test_the_best_start_is_kept_where_newton_ends_above_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def lift(self: NewtonDraper, system: NewtonSystem, positions: np.ndarray) -> tuple[np.ndarray, float]:
+        return positions + np.array([0.0, 0.0, 0.01]), 0.0
+
+    monkeypatch.setattr(NewtonDraper, "minimize", lift)
+    scene = scene_of(sphere_groom(strands=10))
+    draped, report = NewtonDraper(SOFT).solve(scene)
+    drapes = [start.drape(scene) for start in newton_starts(SOFT)]
+    costs = [float(HairEnergy(scene.groom, SOFT).total(x, scene.director, scene.surface)) for x in drapes]
+    assert torch.equal(draped, drapes[int(np.argmin(costs))])
+    assert report.energy == pytest.approx(min(costs))
+    assert report.relative_gradient > 0
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_positions_that_are_not_finite_raise(value: float) -> None:
+    scene = scene_of(sphere_groom(strands=10))
+    system = NewtonSystem(HairEnergy(scene.groom, CROWDED), scene, 0)
+    broken = scene.posed[0].double().numpy()
+    broken[3, 5, 1] = value
+    with pytest.raises(ValueError, match="finite"):
+        system.point(broken)
+    scene.posed[0, 3, 5, 1] = value
+    with pytest.raises(ValueError, match="finite"):
+        NewtonDraper(CROWDED).solve(scene)
+
+
+def test_a_part_hands_no_damping_to_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if the first strands moved alone had been damped for ever: all together, they start without."""
+    scene = scene_of(sphere_groom(strands=120))
+    system = NewtonSystem(HairEnergy(scene.groom, CROWDED), scene, 0)
+    told: list[tuple[int, float]] = []
+
+    def stuck(part: NewtonSystem, point: Point, trust: Trust, target: float, steps: int) -> tuple[Point, Trust, int]:
+        told.append((len(point.positions), trust.damping))
+        return point, replace(trust, damping=4 * max(trust.damping, MOST_DAMPING)), steps
+
+    monkeypatch.setattr("quaffure.drapers.newton.descend", stuck)
+    monkeypatch.setattr("quaffure.drapers.newton.heaviest", lambda forces: np.arange(20))
+    NewtonDraper(CROWDED).minimize(system, scene.posed[0].double().numpy())
+    assert told[:2] == [(20, 0.0), (120, 0.0)]
+    assert told[2][1] > MOST_DAMPING
+    assert len(told) == 3

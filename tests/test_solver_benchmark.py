@@ -42,6 +42,10 @@ def test_benchmark_writes_prints_and_plots(tmp_path: Path, capfd: pytest.Capture
     for run in runs:
         assert run["seconds"] > 0
         assert run["cpu_seconds"] > 0
+        # All but newton, which is not in the quick set, report the common measure; the posed groom reports nothing.
+        has_report = run["solver"] != "posed"
+        assert run["reported_gradient"] == (pytest.approx(run["relative_gradient"]) if has_report else None)
+        assert (run["iterations"] or 0) >= (run["effort"] if has_report else 0)
         on_directions = run["solver"] in ("adam", "lbfgs", "posed")
         assert (run["length_error_percent"] < 1e-3) == on_directions, run["solver"]
 
@@ -52,7 +56,7 @@ def test_a_table_without_a_plot_where_matplotlib_is_missing(tmp_path: Path, capf
     printed = capfd.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["bench.json"]
     assert "quaffure[docs]" in printed.replace("\n", "")
-    assert "long_straight, nod 3:5 #1" in printed
+    assert "long_straight, nod 3:5 #1; energies in m g L per vertex" in printed.replace("\n", " ")
 
 
 def test_a_part_of_a_run_is_extrapolated_and_the_best_has_no_excess() -> None:
@@ -71,6 +75,9 @@ def test_a_part_of_a_run_is_extrapolated_and_the_best_has_no_excess() -> None:
 def test_mistakes_are_told_in_one_line_before_the_work(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "bench.json")
     assert "'magic'" in refused(capfd, "--out", out, "--solver", "magic")
+    assert "'magic'" in refused(capfd, "--out", out, "--solver", "magic", "--quick")
+    assert "--solver with --quick" in refused(capfd, "--out", out, "--solver", "newton", "--quick")
+    assert "missing.obj" in refused(capfd, "--out", out, "--groom", "any.tfx", "--head", "missing.obj")
     assert "suffix .json" in refused(capfd, "--out", str(tmp_path / "bench.txt"))
     assert "existing folder" in refused(capfd, "--out", str(tmp_path / "none" / "bench.json"))
     assert "--strands" in refused(capfd, "--out", out, "--strands", "0")

@@ -2,16 +2,16 @@
 
 import itertools
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from scipy.spatial import ConvexHull
 
+from quaffure.body.body_model import shipped_body
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.drapers.adam import AdamDraper
-from quaffure.drapers.scene import Scene
+from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.drapers.stopping import energy_and_gradient
 from quaffure.drapers.xpbd import XpbdDraper, XpbdSetting, paper_setting
 from quaffure.energies.closed_form import sagged_edges
@@ -33,10 +33,11 @@ SETTLED = XpbdSetting(steps=200, iterations=50, first_time_step=0.1, last_time_s
 def scene_of(groom: Groom, posed: torch.Tensor | None = None, surface: Surface | None = None) -> Scene:
     """A scene on a sphere of radius 0.1 m, or on `surface`."""
     posed = groom.rest_strands[None] if posed is None else posed
-    # As if the cached parts had been asked for already: there is no body with a scalp.
-    scene = object.__new__(Scene)
-    bodies = SimpleNamespace(surface=surface or sphere_surface(len(posed)))
-    scene.__dict__.update(groom=groom, posed=posed, director=directors(posed), bodies=bodies)
+    # As if the cached parts had been asked for already: the body is never posed.
+    bodies = BodyBatch(shipped_body(), torch.zeros(len(posed), 81), torch.zeros(len(posed), 10))
+    bodies.__dict__["surface"] = surface or sphere_surface(len(posed))
+    scene = Scene(groom, bodies)
+    scene.__dict__.update(posed=posed, director=directors(posed))
     return scene
 
 

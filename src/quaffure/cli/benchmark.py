@@ -25,26 +25,32 @@ from quaffure.io.atomic import replacing
 from quaffure.io.load_groom import load_groom
 
 QUICK_STRANDS = 100
+_NAMES = tuple(dict.fromkeys(budget.solver for budget in budgets()))
 
 
 @dataclass(frozen=True)
 class SolversCommand:
-    """Drape the same frames by every solver with several budgets; print, write and plot energy against time."""
+    """Drape the same frames by every solver with several budgets; print, write and plot energy against time.
+
+    Energies are in m g L per vertex: what lifting it by its strand's length takes.
+    """
 
     out: Path
     """The .json file to write; a plot goes beside it as .png."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A bundled groom or a file; may be given several times. Without it, long_straight."""
+    head: Path | None = None
+    """The head mesh (.obj) that a groom file was made on; helps to register it."""
     motion: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A bundled clip or a file; may be given several times. Without it, neck_turn, bow and shrug."""
     frames: str = ""
     """Frames A:B:STEP of every motion, each a case; without it, the middle one."""
-    solver: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """A solver to run; may be given several times. Without it, all."""
+    solver: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar=f"{{{','.join(_NAMES)}}}")] = ()
+    """A solver to run, with all its budgets; may be given several times. Without it, all."""
     strands: int | None = None
     """Drape only so many strands of each groom, evenly chosen."""
     quick: bool = False
-    """Small budgets on 100 strands, one case: some seconds."""
+    """Small budgets on 100 strands, one case, without newton and xpbd_paper: some seconds."""
     json: bool = False
     """Print the file's content instead of a table."""
 
@@ -74,7 +80,8 @@ class SolversCommand:
             print_json(written)
             return
         for case in cases:
-            print_rows([_row(run) for run in runs if run.case == case.name], case.name)
+            rows = [_row(run) for run in runs if run.case == case.name]
+            print_rows(rows, f"{case.name}; energies in m g L per vertex")
         if any(run.share < 1 for run in runs):
             console.print("~ extrapolated from a part of the run")
         console.print(drawn)
@@ -84,13 +91,14 @@ class SolversCommand:
         known = list(dict.fromkeys(budget.solver for budget in every))
         for name in self.solver:
             if name not in known:
-                raise InputError("--solver", f"one of {', '.join(known)}", f"'{name}'")
+                source = "--solver with --quick" if self.quick and name in _NAMES else "--solver"
+                raise InputError(source, f"one of {', '.join(known)}", f"'{name}'")
         return [budget for budget in every if not self.solver or budget.solver in self.solver]
 
     def _cases(self, body: BodyModel) -> list[Case]:
         motions = [motion_of(name, body) for name in self.motion or (("neck_turn",) if self.quick else _CLIPS)]
         strands = self.strands if self.strands is not None else (QUICK_STRANDS if self.quick else None)
-        grooms = [_thinned(load_groom(name, body), strands) for name in self.groom or ("long_straight",)]
+        grooms = [_thinned(load_groom(name, body, self.head), strands) for name in self.groom or ("long_straight",)]
         cases = []
         for motion in motions:
             for pose, name in _poses(motion, self.frames):
@@ -144,9 +152,11 @@ def _row(run: Run) -> dict[str, object]:
     return {
         "solver": run.solver,
         "budget": run.effort or "",
+        "iterations": "" if run.iterations is None else run.iterations,
         "energy": run.energy,
         "above the best": run.excess_energy,
         "relative gradient": run.relative_gradient,
+        "own gradient": "" if run.reported_gradient is None else run.reported_gradient,
         "body intersection %": run.body_intersection_percent,
         "length error %": run.length_error_percent,
         "density excess %": run.density_excess_percent,

@@ -35,9 +35,10 @@ class StoppingReport:
     Attributes:
         energy: mean energy of the samples [J].
         relative_gradient: of the worst sample, as `quaffure.drapers.stopping` defines it; `newton` reports its own, the
-            whole gradient in double precision of the energy with rounded creases.
-        iterations: energy evaluations; of a part of the strands in proportion.
-        seconds: wall time.
+            whole gradient in double precision of the energy with rounded creases, before the drape is cast to float32.
+        iterations: energy evaluations, of a part of the strands in proportion; sweeps of XPBD. Those of `newton` are
+            without its starts'.
+        seconds: wall time, of `newton` with its starts.
     """
 
     energy: float

@@ -8,6 +8,7 @@ taken that raises the energy.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,45 +20,75 @@ SUFFICIENT = 0.1
 TOLERABLE = 0.02
 """What one strand may cost more than foreseen, of what the whole step promises."""
 SHORTER = 0.4
-LEAST_DAMPING = 1e-3
-MOST_DAMPING = 10.0
-"""Where a step so short still fails, none will do."""
+FORETOLD, WELL_FORETOLD = 0.5, 0.1
+"""Agreement of energy and model from which the next model is more exact, and how near to 1 makes it much more so."""
+LEAST_DAMPING, MOST_DAMPING = 1e-3, 10.0
+"""Less than the first changes nothing; where a step as short as the second makes it still fails, none will do."""
 _TRIALS = 12
+_EASY_TRIALS = 2  # as many are no reason to mistrust a model
 _INNER_ITERATIONS = 150
+
+
+class Step(NamedTuple):
+    """A step that was tried, and how the model did.
+
+    Attributes:
+        reached: where it leads; not always lower.
+        trials: lengths tried.
+        rise: of every density, had the whole step been taken [kg/m^3].
+        is_bent: whether the model has a direction of negative curvature.
+        agreement: change of the energy over the model's (rho of Nocedal and Wright 2006, eq. 4.4). 0, for nothing is
+            known, where the step was shortened or is no minimum of the model.
+    """
+
+    reached: Point
+    trials: int
+    rise: PerVertex
+    is_bent: bool
+    agreement: float
 
 
 @dataclass(frozen=True)
 class Trust:
-    """What a model is told beyond derivatives; `quaffure.drapers.newton_system.QuadraticModel` explains both.
+    """What a model is told beyond derivatives; `quaffure.drapers.newton_system.QuadraticModel` explains all three.
 
     All follows from the last step: hair that came closer resists sooner, the exact Hessian counts for more the better
-    the model foretold, and where even the convex one led too far, steps are damped.
+    the model foretold, and where even the convex one led too far, steps are damped. The agreement of energy and model
+    rules as it does the radius of a trust region (Nocedal and Wright 2006, algorithm 4.1); damping is Levenberg's and
+    Marquardt's (ibid., section 10.3). How much each changes at a time was chosen by trial on whole grooms.
     """
 
     slack: PerVertex
     exactness: float = 0.0
     damping: float = 0.0
 
-    def after(self, relative: float, rise: PerVertex, agreement: float, trials: int, is_bent: bool) -> "Trust":
+    def after(self, relative: float, step: Step) -> "Trust":
         """The trust for the next step.
 
         Args:
-            relative: norm of the gradient before the step, over that of gravity's.
-            rise: of every density, had the whole step been taken [kg/m^3].
-            agreement: change of the energy over the model's for the whole step.
-            trials: steps tried.
-            is_bent: whether a direction of negative curvature was met.
+            relative: norm of the gradient before the step, over that of gravity's. Far from rest the exact Hessian
+                is of no use, however well a step went: the exactness is at most 1 less this.
         """
-        exactness, damping = self.exactness, self.damping if trials > 2 else 0.25 * self.damping
-        if trials > _TRIALS // 2:
-            damping = max(4 * damping, LEAST_DAMPING) if exactness == 0 else damping
-            exactness = 0.3 * exactness if exactness > 0.1 else 0.0
-        elif trials > 2 or is_bent:
-            exactness *= 0.7
-        elif trials == 1 and agreement > 0.5:
-            exactness = 1.0 - (0.3 if abs(agreement - 1.0) < 0.1 else 0.6) * (1.0 - exactness)
-        slack = np.maximum(0.5 * self.slack, 0.7 * rise.clip(min=0))
-        return Trust(slack, max(min(exactness, 1.0 - relative), 0.0), damping if damping >= LEAST_DAMPING else 0.0)
+        # Half: a strand that stopped rising may rise again. Less than the whole rise: others give way too.
+        slack = np.maximum(0.5 * self.slack, 0.7 * step.rise.clip(min=0))
+        exactness = max(min(self._exactness_after(step), 1.0 - relative), 0.0)
+        damping = self._damping_after(step)
+        return Trust(slack, exactness, damping if damping >= LEAST_DAMPING else 0.0)
+
+    def _exactness_after(self, step: Step) -> float:
+        if step.trials > _TRIALS // 2:
+            return 0.3 * self.exactness if self.exactness > 0.1 else 0.0
+        if step.trials > _EASY_TRIALS or step.is_bent:
+            return 0.7 * self.exactness
+        if step.agreement <= FORETOLD:
+            return self.exactness
+        return 1.0 - (0.3 if abs(step.agreement - 1.0) < WELL_FORETOLD else 0.6) * (1.0 - self.exactness)
+
+    def _damping_after(self, step: Step) -> float:
+        """Raised where the convex model, which cannot be made any safer, led too far; lowered after easy steps."""
+        if step.trials > _TRIALS // 2 and self.exactness == 0:
+            return max(4 * self.damping, LEAST_DAMPING)
+        return self.damping if step.trials > _EASY_TRIALS else 0.25 * self.damping
 
 
 def descend(system: NewtonSystem, point: Point, trust: Trust, target: float, steps: int) -> tuple[Point, Trust, int]:
@@ -70,14 +101,12 @@ def descend(system: NewtonSystem, point: Point, trust: Trust, target: float, ste
         relative = float(np.linalg.norm(model.gradient)) / system.weight
         if relative <= target:
             return point, trust, taken
-        step, is_bent = conjugate_gradients(model, 0.1)
-        reached, foreseen, trials, rise = _search(system, model, step)
-        agreement = (reached.energy - point.energy) / min(foreseen, -1e-300)
-        if agreement > 0:
-            point = reached
+        step = line_search(system, model, *conjugate_gradients(model, 0.1))
+        if step.reached.energy < point.energy:
+            point = step.reached
         elif trust.exactness == 0 and trust.damping > MOST_DAMPING:
             return point, trust, taken + 1
-        trust = trust.after(relative, rise, agreement, trials, is_bent)
+        trust = trust.after(relative, step)
     return point, trust, steps
 
 
@@ -108,23 +137,39 @@ def conjugate_gradients(model: QuadraticModel, tolerance: float) -> tuple[Vertic
     return step, False
 
 
-def _search(system: NewtonSystem, model: QuadraticModel, step: Vertices) -> tuple[Point, float, int, PerVertex]:
+def line_search(system: NewtonSystem, model: QuadraticModel, direction: Vertices, is_bent: bool) -> Step:
     """Shorten a step, strand by strand where strands are to blame, until it lowers the energy enough.
 
-    Returns where it leads, the change of energy that the model foresees for the whole step [J], the number of steps
-    tried, and by how much the whole step would have raised every density [kg/m^3].
+    Strands may run uphill within a step that leads downhill, so that the step with others shortened need not. Where
+    single strands are not soon enough, all are shortened alike, from their full lengths if need be.
+
+    Args:
+        direction: the step [m], downhill.
+        is_bent: see `Step`.
     """
-    slope = float((model.gradient * step).sum())
-    length: PerStrand = np.ones(len(step))
-    reached = _moved(system, model, step, length)
-    rise, trial = reached.excess - model.point.excess, 1
-    forecast = model.forecast(step)
-    while trial < _TRIALS and reached.energy - model.point.energy > SUFFICIENT * slope * float(length.mean()):
-        to_blame = forecast.surprise(model.point, length, reached) > -TOLERABLE * slope * 0.5**trial
-        length = np.where(to_blame if to_blame.any() and trial < _TRIALS // 2 else True, SHORTER * length, length)
-        reached = _moved(system, model, step, length)
-        trial += 1
-    return reached, 0.5 * slope, trial, rise
+    slope: PerStrand = (model.gradient * direction).sum((1, 2))
+    promise, before = float(slope.sum()), model.point
+    length = np.ones(len(direction))
+    reached, trials = _moved(system, model, direction, length), 1
+    rise, forecast = reached.excess - before.excess, model.forecast(direction)
+    while trials < _TRIALS and not _suffices(reached.energy - before.energy, float((length * slope).sum())):
+        surprise = forecast.surprise(before, length, reached)
+        to_blame = surprise > -TOLERABLE * promise * 0.5**trials
+        if trials < _TRIALS // 2 and to_blame.any():
+            length = np.where(to_blame, SHORTER * length, length)
+        elif (length * slope).sum() < 0:
+            length = SHORTER * length
+        else:
+            length = np.full(len(direction), SHORTER**trials)
+        reached, trials = _moved(system, model, direction, length), trials + 1
+    # At a minimum along the step, which conjugate gradients find, the model has fallen by half of the slope.
+    agreement = (reached.energy - before.energy) / (0.5 * promise) if trials == 1 and not is_bent else 0.0
+    return Step(reached, trials, rise, is_bent, agreement)
+
+
+def _suffices(change: float, promise: float) -> bool:
+    """The condition of Armijo (Nocedal and Wright 2006, eq. 3.4), and no rise, whatever is promised."""
+    return change <= SUFFICIENT * promise and change < 0
 
 
 def _moved(system: NewtonSystem, model: QuadraticModel, step: Vertices, length: PerStrand) -> Point:

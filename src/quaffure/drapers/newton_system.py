@@ -9,17 +9,9 @@ from jaxtyping import Float, Int
 from quaffure.config import STANDARD_GRAVITY
 from quaffure.drapers.scene import Scene
 from quaffure.energies.block_tridiagonal import solve_strands
-from quaffure.energies.density_hessian import (
-    Crowd,
-    crowd_of,
-    density,
-    density_blocks,
-    density_change,
-    density_force,
-    density_gradient,
-    density_product,
-    pressed,
-)
+from quaffure.energies.density_crowd import Crowd, crowd_of, density, density_gradient
+from quaffure.energies.density_hessian import density_blocks, density_change, density_force, density_product
+from quaffure.energies.density_pairs import pressed_pairs
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.rounded_contact import body_arrays
 from quaffure.energies.strand_hessian import Hair, hair_arrays
@@ -56,7 +48,8 @@ class NewtonSystem:
     """`HairEnergy` of one sample of a scene, in float64 and with the body's creases rounded (`rounded_contact`).
 
     Attributes:
-        evaluations: of the energy or its derivatives, so far; with some of the strands in proportion.
+        evaluations: of the energy or its derivatives by this system, so far; with some of the strands in proportion.
+            What found the point to start from is not in it.
         weight: norm of gravity's gradient over all free vertices of the groom [N].
         beside: the vertices of the strands that are held, if some are.
     """
@@ -95,12 +88,16 @@ class NewtonSystem:
         return part
 
     def point(self, positions: Vertices) -> Point:
-        """All terms of the energy at vertices [m]."""
+        """All terms of the energy at vertices [m].
+
+        Raises:
+            ValueError: one is not finite.
+        """
         self.evaluations += 1
-        strands = np.empty(len(positions))
-        strand_energies(positions, self.hair, self.body, self.places, strands)
         points, mass = positions.reshape(-1, 3), self.hair.mass.ravel()
         crowd = crowd_of(points, mass, self.smoothing_length, self.beside.grid if self.beside else None)
+        strands = np.empty(len(positions))
+        strand_energies(positions, self.hair, self.body, self.places, strands)
         found, excess_beside = density(crowd), self._held_excess
         if self.beside:
             found += density(crowd, self.beside)
@@ -133,29 +130,31 @@ class NewtonSystem:
 
     def crowd_gradient(self, point: Point) -> Vertices:
         """Gradient of Eq. 11 at a point of all strands, zero at the roots [N]."""
-        slope = 3 * self.k_self_collision * point.excess.clip(min=0).ravel()[point.crowd.order] ** 2
+        pressure = 3 * self.k_self_collision * point.excess.clip(min=0).ravel()[point.crowd.order] ** 2
         gradient = np.empty(point.positions.shape)
-        gradient.reshape(-1, 3)[point.crowd.order] = density_gradient(point.crowd, slope)
+        gradient.reshape(-1, 3)[point.crowd.order] = density_gradient(point.crowd, pressure)
         gradient[:, 0] = 0.0
         return gradient
 
     def crowding(self, excess: np.ndarray) -> np.ndarray:
         """Eq. 11 of vertices with an excess of density [J]."""
-        pressed = excess.clip(min=0)
-        return self.k_self_collision * pressed * pressed * pressed
+        above = excess.clip(min=0)
+        return self.k_self_collision * above * above * above
 
 
 class QuadraticModel:
-    """A quadratic model of the energy round a point.
+    """A quadratic model of the energy round a point: the exact gradient, and a Hessian that is made convex in part.
 
-    Far from a minimum the energy is not convex, and the model is made more or less so.
+    Far from a minimum the energy is not convex: compressed edges, edges of the body, and pairs of vertices that push
+    each other apart have negative curvature. A convex model keeps of them what is positive; it always has a minimum,
+    but is too stiff.
 
     Args:
         point: with its energy.
         slack: by how much every density may rise before the step ends [kg/m^3]: hair that does not touch yet resists as
-            if it did so by that much.
+            if it did so by that much. Without it a step runs far into hair that the model cannot see.
         exactness: 1 for the exact Hessian, then without slack; 0 for a convex one; shares of both in between.
-        damping: what every vertex resists by itself, of what an edge's bending resists.
+        damping: what every vertex resists by itself to any move, of what an edge's bending resists.
 
     Attributes:
         gradient: of all terms, exact, zero at the roots [N].
@@ -177,11 +176,11 @@ class QuadraticModel:
         bending = system.hair.stiffness[0] / system.hair.rest_length**2
         self._diagonal[:, 1:] += damping * bending[:, :, None, None] * np.eye(3)
         beside = point.excess_beside.clip(min=0)
-        slope = 3 * self._k * np.concatenate([self._sorted(point.excess.clip(min=0)), beside]) ** 2
+        pressure = 3 * self._k * np.concatenate([self._sorted(point.excess.clip(min=0)), beside]) ** 2
         stiffness = 6 * self._k * np.concatenate([self._sorted(self._reserve), beside])
-        self._pairs = pressed(point.crowd, slope, stiffness, exactness, system.beside)
+        self._pairs = pressed_pairs(point.crowd, pressure, stiffness, exactness, system.beside)
         moving = point.excess.size
-        self.gradient = self._own + self._unsorted(density_force(self._pairs, slope, moving))
+        self.gradient = self._own + self._unsorted(density_force(self._pairs, pressure, moving))
         self._pivots = np.empty(blocks)
         blocks_of_all = self._diagonal + self._unsorted(density_blocks(self._pairs, moving))
         factor_strands(blocks_of_all, self._coupling, self._pivots)
@@ -228,8 +227,8 @@ class Forecast(NamedTuple):
     """What a model says of every strand along a step.
 
     Attributes:
-        slope, curvature: of the strand's own energy [J].
-        crowd_slope, crowd_curvature: of Eq. 11 of its vertices [J].
+        slope, curvature: first and second derivative of the strand's own energy by the share of the step taken [J].
+        crowd_slope, crowd_curvature: of Eq. 11 of its vertices, the curvature without that of the kernel [J].
     """
 
     slope: PerStrand

@@ -1,11 +1,12 @@
 """One groom on a batch of posed bodies: what every draper starts from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from quaffure.body.body_model import BodyModel, PosedBody
 from quaffure.body.pose_features import HEAD
 from quaffure.energies.elastic import directors
+from quaffure.geometry.clear_cells import SpaceMap
 from quaffure.geometry.surface import Surface, posed_surface
 from quaffure.groom.groom import Groom
 from quaffure.groom.pose_transform import posed_strands
@@ -35,6 +36,13 @@ class BodyBatch:
         head = self.posed.joint_positions[:, self.body.joint_names.index(HEAD)]
         return posed_surface(self.body.surface_topology, self.posed.vertices, head)
 
+    def sample(self, index: int) -> "BodyBatch":
+        """One sample as a batch of its own; its surface is cut out of the batch's and not made again."""
+        one = slice(index, index + 1)
+        alone = BodyBatch(self.body, self.body_pose[one], self.body_shape[one])
+        alone.__dict__["surface"] = _surface_of(self.surface, one)
+        return alone
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -56,3 +64,23 @@ class Scene:
     @property
     def surface(self) -> Surface:
         return self.bodies.surface
+
+    def sample(self, index: int) -> "Scene":
+        """One sample as a scene of its own, the same to the bit: cut out of this one and not posed again."""
+        one = slice(index, index + 1)
+        alone = Scene(self.groom, self.bodies.sample(index))
+        alone.__dict__.update(posed=self.posed[one], director=self.director[one])
+        return alone
+
+
+def _surface_of(surface: Surface, samples: slice) -> Surface:
+    wide, space = surface.wide, surface.map
+    return replace(
+        surface,
+        vertices=surface.vertices[samples],
+        corners=surface.corners[samples],
+        bounds=surface.bounds[samples],
+        normals=surface.normals[samples],
+        wide=wide._replace(blocks=wide.blocks[samples], boxes=wide.boxes[samples]),
+        map=SpaceMap(*(field[samples] for field in space)),
+    )

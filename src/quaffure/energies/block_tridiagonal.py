@@ -56,9 +56,12 @@ def factor_strand(diagonal: np.ndarray, coupling: np.ndarray, pivot_inverse: np.
                 for column in range(3):
                     pivot[row, column] -= p * before[0, column] + q * before[1, column] + r * before[2, column]
         shift = FIRST_SHIFT * (abs(pivot[0, 0]) + abs(pivot[1, 1]) + abs(pivot[2, 2])) + 1e-12
-        # Not where the matrix is not finite: no shift would help.
-        while not invert_definite(pivot, pivot_inverse[vertex]) and shift < np.inf:
+        while not invert_definite(pivot, pivot_inverse[vertex]):
             definite = False
+            if not shift < np.inf:
+                # The matrix is not finite and no shift would help. The vertex stays where it is.
+                pivot_inverse[vertex] = 0.0
+                break
             for axis in range(3):
                 pivot[axis, axis] += shift
             shift *= 2.0

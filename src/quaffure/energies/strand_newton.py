@@ -7,8 +7,10 @@ from quaffure.energies.block_tridiagonal import factor_strand
 from quaffure.energies.rounded_contact import Body
 from quaffure.energies.strand_hessian import Hair, strand_energy, strand_hessian
 
-SHORTEST_EDGE = 0.2
+LEAST_SHARE = 0.2
 """No edge shrinks below this share of its length in one step."""
+SHORTEST_EDGE = 1e-12
+"""An edge shorter than this has no direction [m]."""
 
 
 @njit(cache=True, parallel=True)
@@ -69,7 +71,11 @@ def turn_edges(positions: np.ndarray, step: np.ndarray, moved: np.ndarray) -> No
             edge[:] = positions[strand, vertex] - positions[strand, vertex - 1]
             turned[:] = edge + step[strand, vertex] - step[strand, vertex - 1]
             length = np.sqrt((edge * edge).sum())
-            wanted = max((edge * turned).sum() / length, SHORTEST_EDGE * length)
+            if length < SHORTEST_EDGE:
+                # No direction to turn from.
+                moved[strand, vertex] = moved[strand, vertex - 1] + turned
+                continue
+            wanted = max((edge * turned).sum() / length, LEAST_SHARE * length)
             moved[strand, vertex] = moved[strand, vertex - 1] + turned * (
-                wanted / max(np.sqrt((turned * turned).sum()), 1e-12)
+                wanted / max(np.sqrt((turned * turned).sum()), SHORTEST_EDGE)
             )

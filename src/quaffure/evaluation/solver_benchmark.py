@@ -17,7 +17,7 @@ from quaffure.drapers.draper import Draper
 from quaffure.drapers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
 from quaffure.drapers.posed import PosedDraper
 from quaffure.drapers.scene import Scene
-from quaffure.drapers.solvers import solver
+from quaffure.drapers.solvers import Solver, solver
 from quaffure.drapers.stopping import energy_and_gradient, relative_gradient
 from quaffure.drapers.xpbd import XpbdDraper, XpbdSetting, paper_setting
 from quaffure.energies.hair_energy import HairEnergy
@@ -63,7 +63,9 @@ class Run:
 
     Attributes:
         excess_energy: above the least energy that any run reached on the case.
-        relative_gradient: `quaffure.drapers.stopping`.
+        relative_gradient: `quaffure.drapers.stopping`, the same measure for all.
+        reported_gradient: of the solver's `StoppingReport`; another measure for `newton` alone. None without a report.
+        iterations: of that report, over `share` of the run.
         seconds, cpu_seconds: wall and processor time of the whole setting, measured over `share` of it.
     """
 
@@ -73,6 +75,8 @@ class Run:
     energy: float
     excess_energy: float
     relative_gradient: float
+    reported_gradient: float | None
+    iterations: int | None
     body_intersection_percent: float
     length_error_percent: float
     density_excess_percent: float
@@ -133,8 +137,9 @@ def report(runs: Sequence[Run], chosen: Sequence[Budget]) -> dict[str, object]:
 def _run(case: Case, budget: Budget, energy: HairEnergy) -> Run:
     draper = budget.draper(energy.material)
     wall, processor = time.perf_counter(), time.process_time()
-    draped = draper.drape(case.scene).detach()
+    draped, stopped = draper.solve(case.scene) if isinstance(draper, Solver) else (draper.drape(case.scene), None)
     seconds, cpu_seconds = time.perf_counter() - wall, time.process_time() - processor
+    draped = draped.detach()
     figures = {name: float(figure) for name, figure in figures_of_merit(draped, case.scene, energy).items()}
     return Run(
         case=case.name,
@@ -143,6 +148,8 @@ def _run(case: Case, budget: Budget, energy: HairEnergy) -> Run:
         energy=figures["energy"],
         excess_energy=0.0,
         relative_gradient=_residual(draped, case.scene, energy),
+        reported_gradient=None if stopped is None else stopped.relative_gradient,
+        iterations=None if stopped is None else stopped.iterations,
         body_intersection_percent=figures["body_intersection_percent"],
         length_error_percent=figures["length_error_percent"],
         density_excess_percent=figures["density_excess_percent"],

@@ -29,7 +29,7 @@ from quaffure.evaluation.machine_facts import machine_facts
 from quaffure.io.atomic import replacing
 
 STRANDS, MANY = 100, 2000
-PATIENCE = 30.0
+PATIENCE = 10.0
 """What would take longer with many strands is not run but extrapolated, from runs with few and twice as many [s]."""
 FIGURES = ("body_intersection_percent", "length_error_percent", "length_error_percent_max", "orientation_error_deg")
 

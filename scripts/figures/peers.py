@@ -1,6 +1,6 @@
 """Where the programs of benchmarks/peers leave the same hundred strands, side by side.
 
-Draws what `python benchmarks/peers/compare.py` left in its folder. The strands are drawn as they are, none between them.
+Draws what `python benchmarks/peers/compare.py` left in its folder. Strands are drawn as they are, none between them.
 """
 
 from pathlib import Path

@@ -71,17 +71,15 @@ def main() -> None:
     options.folder.mkdir(parents=True, exist_ok=True)
     place = (options.groom, options.motion, options.frame)
     scenes = {count: make_scene(count, *place) for count in (STRANDS, 2 * STRANDS, MANY)}
-    rows = [*_their_rows(scenes, options.folder), *_our_rows(scenes, options.folder)]
+    rows = [*_our_rows(scenes, options.folder), *_their_rows(scenes, options.folder)]
     print(table(rows))
     if options.out:
-        report = {
-            "scene": place,
-            "tolerance_m": TOLERANCE,
-            "machine": machine_facts(),
-            "rows": [asdict(r) for r in rows],
-        }
-        with replacing(options.out) as temporary:
-            temporary.write_text(json.dumps(report, indent=1) + "\n")
+        _write(options.out, {"scene": place, "machine": machine_facts(), "rows": [asdict(row) for row in rows]})
+
+
+def _write(path: Path, report: dict[str, object]) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps({"tolerance_m": TOLERANCE, **report}, indent=1) + "\n")
 
 
 def _their_rows(scenes: dict[int, Scene], folder: Path) -> Iterator[Row]:

@@ -62,8 +62,13 @@ class Dismech:
 
 
 def _add_body(builder: newton.ModelBuilder, scene: SceneArrays) -> None:
-    skin = newton.Mesh(scene["body_vertices"], scene["body_faces"].astype(np.int32).ravel(), compute_inertia=False)
-    builder.add_shape_mesh(-1, mesh=skin, cfg=newton.ModelBuilder.ShapeConfig(mu=FRICTION))
+    # The solver passes over a shape whose bounding sphere is far, and takes the frame's origin for the sphere's centre:
+    # with a mesh in world coordinates and the frame at the feet, hair would fall through the head.
+    vertices = scene["body_vertices"]
+    centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    skin = newton.Mesh(vertices - centre, scene["body_faces"].astype(np.int32).ravel(), compute_inertia=False)
+    frame = wp.transform(wp.vec3(*centre.tolist()), wp.quat_identity())
+    builder.add_shape_mesh(-1, xform=frame, mesh=skin, cfg=newton.ModelBuilder.ShapeConfig(mu=FRICTION))
 
 
 if __name__ == "__main__":

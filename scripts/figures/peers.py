@@ -25,7 +25,7 @@ TILES = {
     "dismech_100": "dismech-newton",
     "mujoco_100": "MuJoCo",
 }
-VIEWS = (View(40.0, 0.5), View(-150.0, 0.5))
+VIEWS = (View(40.0, 0.42, 0.04), View(-150.0, 0.42, 0.04))
 STRAND_WIDTH = 1.5e-3  # m
 
 

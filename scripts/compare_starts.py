@@ -13,6 +13,7 @@ from quaffure.body.soft_body import soft_body
 from quaffure.config import HairMaterial
 from quaffure.drapers.fitted_groom import starting_margin
 from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.drapers.undeformed import slid_twice
 from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.evaluation.figures import intersection_percent
@@ -51,7 +52,8 @@ def _starts(scene: Scene, energy: HairEnergy) -> dict[str, torch.Tensor]:
     layered = starting_margin(scene.groom, rest, body)
     margins = {"slid": rest.collision_margin, "slid in layers": layered}
     slid = {name: slide_reference(root, sag, rest.rest_length, margin, surface)[0] for name, margin in margins.items()}
-    return {"posed": scene.director, "sag": sag, **slid}
+    twice = slid_twice(root, sag, rest.rest_length, layered, surface)[0]
+    return {"posed": scene.director, "sag": sag, **slid, "slid twice": twice}
 
 
 if __name__ == "__main__":

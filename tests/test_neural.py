@@ -14,6 +14,7 @@ from quaffure.drapers.fitted_groom import THICKNESS, starting_margin
 from quaffure.drapers.neural import NeuralDraper
 from quaffure.drapers.quaffure_model import load_model
 from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.drapers.undeformed import slid_twice
 from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
@@ -57,13 +58,12 @@ def shaken(config: NetworkConfig, strength: float = 0.05) -> NeuralDraper:
 
 
 def sagged_and_slid(scene: Scene) -> tuple[Positions, Positions]:
-    """The closed-form sag, and the same slid along the softened body."""
+    """The closed-form sag, and the same slid along the softened body, twice."""
     rest, root = rest_state(scene.groom.rest_strands, HairMaterial()), scene.posed[:, :, 0]
     sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, HairMaterial().k_cosserat)
     surface = soft_body(scene.bodies.body, scene.bodies.posed)
-    edges, _ = slide_reference(
-        root, sag, rest.rest_length, starting_margin(scene.groom, rest, scene.bodies.body), surface
-    )
+    margin = starting_margin(scene.groom, rest, scene.bodies.body)
+    edges, _ = slid_twice(root, sag, rest.rest_length, margin, surface)
     return tuple(integrate_directions(root, vectors, rest.rest_length) for vectors in (sag, edges))  # type: ignore[return-value]
 
 

@@ -16,7 +16,6 @@ from quaffure.geometry.soft_surface import (
     HEIGHT,
     LANES,
     LOOK_SIZE,
-    LOOKS,
     NORMAL,
     PLACE,
     SHORTEST,
@@ -29,6 +28,9 @@ from quaffure.geometry.soft_surface import (
 # How much farther than needed a packet's list of skin points reaches, and how far ahead its centre is [radii].
 _SLACK, _AHEAD = 0.1, 0.15
 
+HANDED_BACK = 0.3
+"""Of what the skin pushes an edge with, the share that turns the edges above it too. All of it would swing the strand
+off the skin, as these hold those below as well; with a third of it, strands start nearest to where solvers lead."""
 SHARE = 0.2
 """Of a strand's weight that other hair or the skin may push an edge with, besides the weight beyond the edge."""
 
@@ -40,9 +42,13 @@ _BEYOND = _LENGTH + LANES
 _WHOLE = _BEYOND + LANES
 _SAG = _WHOLE + LANES
 _COMPLIANCE = _SAG + 3 * LANES
-_FRAME = _COMPLIANCE + LANES
+_STRENGTH = _COMPLIANCE + LANES
+_FRAME = _STRENGTH + LANES
 _TOLD = _FRAME + 9 * LANES  # as many as before `_DIRECTION`, as the network is told them
 _ROWS = _TOLD + _DIRECTION
+# Rows of what an edge feels: what the skin pushes it with by itself and through the edges beyond, the skin's normal,
+# and how hard the skin holds its end alone; forces over k_Cosserat [1/m].
+_PUSH, _OUT, _FELT, _FEELS = 0, 3 * LANES, 6 * LANES, 7 * LANES
 
 
 @no_type_check
@@ -64,36 +70,36 @@ def grow(
     """
     batch, packets, count = len(scalp), len(row_of), rest_edges.shape[1]
     # Made outside of the parallel loop, where arrays are not counted: counting costs as much as looking.
-    room, centres = np.empty((threads, _ROWS), np.float32), np.empty((threads, 3), np.float32)
-    flags, lists = (
-        np.empty((threads, places.shape[2]), np.uint8),
-        np.empty((threads, points.shape[1] + AT_ONCE), np.uint32),
-    )
+    room, felt = np.empty((threads, _ROWS), np.float32), np.empty((threads, count, _FEELS), np.float32)
+    covers, flags = np.empty((threads, 4), np.float32), np.empty((threads, places.shape[2]), np.uint8)
+    lists = np.empty((threads, points.shape[1] + AT_ONCE), np.uint32)
     for thread in prange(threads):
-        rows, centre, inside, near = room[thread], centres[thread], flags[thread], lists[thread]
+        rows, feels, cover, inside, near = room[thread], felt[thread], covers[thread], flags[thread], lists[thread]
         for item in range(thread, batch * packets, threads):
             sample, packet = item // packets, item % packets
             own_rows, own_points, own_places, own_told = row_of[packet], points[sample], places[sample], told[sample]
             own_edges, own_margin, own_down, out = rest_edges[packet], margin[packet], down[sample], edges[sample]
-            own_compliance = compliance[sample]
+            own_compliance, own_roots = compliance[sample], roots[sample]
             _place_roots(corners[packet], barycentric[packet], offset[packet], scalp[sample], rows)
             for i in range(LANES):
                 for axis in range(3):
-                    roots[sample, own_rows[i], axis] = rows[_VERTEX + axis * LANES + i]
+                    own_roots[own_rows[i], axis] = rows[_VERTEX + axis * LANES + i]
             _measure(own_edges, rows)
-            cover, listed = np.float32(-1.0), 0
+            feels[:, : _PUSH + 3 * LANES] = np.float32(0.0)
+            cover[3], listed = np.float32(-1.0), 0
             for edge in range(count):
-                _aim(own_edges, edge, own_down, weight, rows)
-                for _ in range(LOOKS):
-                    _step(radius, rows)
-                    if _outside(centre, cover, rows):
-                        _recentre(centre, rows)
-                        cover = _farthest(centre, rows) + np.float32(_SLACK)
-                        listed = list_near(centre, np.float32(1.0) + cover, own_places, inside, near)
-                    look(own_points, near, listed, rows)
-                    mean_view(rows)
-                    if not _turn(own_margin, edge, radius, rows):
-                        break
+                _aim(own_edges, edge, own_down, weight, feels[edge], rows)
+                listed = _see(own_points, own_places, radius, cover, listed, inside, near, rows)
+                _turn(own_margin, edge, radius, rows)
+                _feel(feels[edge], rows)
+                _advance(rows)
+            _hand_back(feels)
+            _return_to_roots(own_roots, own_rows, rows)
+            cover[3] = np.float32(-1.0)
+            for edge in range(count):
+                _aim(own_edges, edge, own_down, weight, feels[edge], rows)
+                listed = _see(own_points, own_places, radius, cover, listed, inside, near, rows)
+                _turn(own_margin, edge, radius, rows)
                 _advance(rows)
                 _comply(rows)
                 for i in range(LANES):
@@ -144,8 +150,10 @@ def _measure(rest_edges: np.ndarray, rows: np.ndarray) -> None:
 
 @no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _aim(rest_edges: np.ndarray, edge: int, down: np.ndarray, weight: float, rows: np.ndarray) -> None:
-    """Directions of the next edges, posed and sagged (`sagged_vectors`), and their lengths."""
+def _aim(
+    rest_edges: np.ndarray, edge: int, down: np.ndarray, weight: float, feels: np.ndarray, rows: np.ndarray
+) -> None:
+    """Directions of the next edges, posed, sagged (`sagged_vectors`) and pushed, and their lengths."""
     half, one = np.float32(0.5), np.float32(1.0)
     gx, gy, gz = down[0], down[1], down[2]
     for i in range(LANES):
@@ -160,9 +168,14 @@ def _aim(rest_edges: np.ndarray, edge: int, down: np.ndarray, weight: float, row
         z = rows[_FRAME + 6 * LANES + i] * ex + rows[_FRAME + 7 * LANES + i] * ey + rows[_FRAME + 8 * LANES + i] * ez
         x, y, z = x + pull * gx, y + pull * gy, z + pull * gz
         scale = one / np.sqrt(x * x + y * y + z * z + np.float32(1e-24))
-        x, y, z = x * scale, y * scale, z * scale
-        rows[_DIRECTION + i], rows[_DIRECTION + LANES + i], rows[_DIRECTION + 2 * LANES + i] = x, y, z
-        rows[_SAG + i], rows[_SAG + LANES + i], rows[_SAG + 2 * LANES + i] = x, y, z
+        rows[_SAG + i], rows[_SAG + LANES + i], rows[_SAG + 2 * LANES + i] = x * scale, y * scale, z * scale
+        px, py, pz = feels[_PUSH + i], feels[_PUSH + LANES + i], feels[_PUSH + 2 * LANES + i]
+        share = np.float32(HANDED_BACK) * length
+        x, y, z = x + share * px, y + share * py, z + share * pz
+        strength = np.sqrt(x * x + y * y + z * z + np.float32(1e-24))
+        scale = one / strength
+        rows[_DIRECTION + i], rows[_DIRECTION + LANES + i] = x * scale, y * scale
+        rows[_DIRECTION + 2 * LANES + i], rows[_STRENGTH + i] = z * scale, strength
         rows[_COMPLIANCE + i] = pull + weight * length * np.float32(SHARE) * rows[_WHOLE + i]
         rows[_LENGTH + i], rows[_BEYOND + i] = length, beyond
 
@@ -182,13 +195,33 @@ def _step(radius: float, rows: np.ndarray) -> None:
 
 @no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _outside(centre: np.ndarray, radius: float, rows: np.ndarray) -> bool:
-    """Whether any place is farther from the centre than `radius`; always if that is negative."""
-    cx, cy, cz, square, outside = centre[0], centre[1], centre[2], radius * radius, 0
+def _see(
+    points: np.ndarray, places: np.ndarray, radius: float, cover: np.ndarray, listed: int,
+    inside: np.ndarray, near: np.ndarray, rows: np.ndarray,
+) -> int:  # fmt: skip
+    """Look from where the edges would end; lists points anew where one ends outside of `cover`, a centre and radius.
+
+    Returns how many are listed.
+    """
+    _step(radius, rows)
+    if _outside(cover, rows):
+        _recentre(cover, rows)
+        cover[3] = _farthest(cover, rows) + np.float32(_SLACK)
+        listed = list_near(cover, np.float32(1.0) + cover[3], places, inside, near)
+    look(points, near, listed, rows)
+    mean_view(rows)
+    return listed
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _outside(cover: np.ndarray, rows: np.ndarray) -> bool:
+    """Whether any place is outside of a sphere, a centre and a radius; always if that is negative."""
+    cx, cy, cz, square, outside = cover[0], cover[1], cover[2], cover[3] * cover[3], 0
     for i in range(LANES):
         x, y, z = rows[PLACE + i] - cx, rows[PLACE + LANES + i] - cy, rows[PLACE + 2 * LANES + i] - cz
         outside += x * x + y * y + z * z > square
-    return outside > 0 or radius < np.float32(0.0)
+    return outside > 0 or cover[3] < np.float32(0.0)
 
 
 @no_type_check
@@ -216,9 +249,9 @@ def _recentre(centre: np.ndarray, rows: np.ndarray) -> None:
 
 @no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _turn(margin: np.ndarray, edge: int, radius: float, rows: np.ndarray) -> bool:
-    """Turn edges out of the skin; whether any turned."""
-    one, none, turned = np.float32(1.0), np.float32(0.0), 0
+def _turn(margin: np.ndarray, edge: int, radius: float, rows: np.ndarray) -> None:
+    """Turn edges out of the skin."""
+    one, none = np.float32(1.0), np.float32(0.0)
     for i in range(LANES):
         mx, my, mz = rows[NORMAL + i], rows[NORMAL + LANES + i], rows[NORMAL + 2 * LANES + i]
         ux, uy, uz = rows[_DIRECTION + i], rows[_DIRECTION + LANES + i], rows[_DIRECTION + 2 * LANES + i]
@@ -228,8 +261,46 @@ def _turn(margin: np.ndarray, edge: int, radius: float, rows: np.ndarray) -> boo
         norm = one / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
         rows[_DIRECTION + i], rows[_DIRECTION + LANES + i] = ux * norm, uy * norm
         rows[_DIRECTION + 2 * LANES + i] = uz * norm
-        turned += short > none
-    return turned > 0
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _feel(feels: np.ndarray, rows: np.ndarray) -> None:
+    """Write down how hard the skin pushes edges that it has turned, and its normals."""
+    one = np.float32(1.0)
+    for i in range(LANES):
+        x, y, z = rows[NORMAL + i], rows[NORMAL + LANES + i], rows[NORMAL + 2 * LANES + i]
+        scale = one / np.sqrt(x * x + y * y + z * z + np.float32(1e-24))
+        x, y, z = x * scale, y * scale, z * scale
+        dx, dy = rows[_DIRECTION + i] - rows[_SAG + i], rows[_DIRECTION + LANES + i] - rows[_SAG + LANES + i]
+        dz = rows[_DIRECTION + 2 * LANES + i] - rows[_SAG + 2 * LANES + i]
+        strength = rows[_STRENGTH + i] / max(rows[_LENGTH + i], np.float32(SHORTEST))
+        feels[_OUT + i], feels[_OUT + LANES + i], feels[_OUT + 2 * LANES + i] = x, y, z
+        feels[_FELT + i] = (dx * x + dy * y + dz * z) * strength
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _hand_back(feels: np.ndarray) -> None:
+    """From the tips up, push every edge with all that the skin pushes those beyond it with (`handed_back`)."""
+    none, last = np.float32(0.0), len(feels) - 1
+    for edge in range(last, -1, -1):
+        own, beyond = feels[edge], feels[min(edge + 1, last)]
+        for i in range(LANES):
+            x, y, z = beyond[_PUSH + i], beyond[_PUSH + LANES + i], beyond[_PUSH + 2 * LANES + i]
+            ox, oy, oz = own[_OUT + i], own[_OUT + LANES + i], own[_OUT + 2 * LANES + i]
+            force = max(own[_FELT + i] - max(x * ox + y * oy + z * oz, none), none)
+            own[_PUSH + i], own[_PUSH + LANES + i] = x + force * ox, y + force * oy
+            own[_PUSH + 2 * LANES + i] = z + force * oz
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _return_to_roots(roots: np.ndarray, row_of: np.ndarray, rows: np.ndarray) -> None:
+    for i in range(LANES):
+        rows[_BEYOND + i] = rows[_WHOLE + i]
+        for axis in range(3):
+            rows[_VERTEX + axis * LANES + i] = roots[row_of[i], axis]
 
 
 @no_type_check

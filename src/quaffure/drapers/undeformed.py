@@ -1,4 +1,8 @@
-"""Where strands are before the network: carried by the scalp, bent by their weight, slid along the softened body."""
+"""Where strands are before the network: carried by the scalp, bent by their weight, slid along the softened body.
+
+Sliding alone turns every edge by itself: hair over a shoulder would stand out from it like a cape, where the skin's
+push turns the edges above as well. So strands slide twice: first to feel how hard the skin pushes, then for good.
+"""
 
 from typing import NamedTuple
 
@@ -9,19 +13,21 @@ from numba import get_num_threads
 from quaffure.body.body_model import BodyModel
 from quaffure.body.head_view import HeadView
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.drapers.drape_kernels import SHARE, grow
+from quaffure.drapers.drape_kernels import HANDED_BACK, SHARE, grow
 from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.rest_state import rest_state
 from quaffure.geometry.soft_surface import (
+    SHORTEST,
     VIEW_CHANNELS,
     PointRecords,
+    SoftSurface,
     point_records,
     slide_reference,
 )
 from quaffure.groom.groom import Groom
 from quaffure.groom.pose_transform import triangle_frames
 from quaffure.groom.strand_packets import StrandPackets, scalp_corners
-from quaffure.types import EdgeVectors, Float, Int, Tensor
+from quaffure.types import EdgeVectors, Float, Int, RestLengths, Tensor
 
 
 class Undeformed(NamedTuple):
@@ -64,14 +70,54 @@ def undeformed_reference(
     sag = sagged_vectors(
         director @ view.world_from_head[:, None].mT, rest.rest_length, rest.mass_beyond, material.k_cosserat
     )
-    edges, views = slide_reference(roots, sag @ view.world_from_head[:, None], rest.rest_length, margin, view.surface)
-    turned = (edges - torch.nn.functional.normalize(sag, dim=-1) @ view.world_from_head[:, None]).norm(dim=-1)
+    sag = sag @ view.world_from_head[:, None]
+    edges, views = slid_twice(roots, sag, rest.rest_length, margin, view.surface)
+    turned = (edges - torch.nn.functional.normalize(sag, dim=-1)).norm(dim=-1)
     load = STANDARD_GRAVITY * (
         rest.mass_beyond + SHARE * material.linear_density * rest.rest_length.sum(1, keepdim=True)
     )
     compliance = (rest.rest_length * load / material.k_cosserat + turned).clamp(max=1)
     positions = roots[:, :, None] + (rest.rest_length[..., None] * edges).cumsum(dim=2)
     return Undeformed(roots, edges, compliance, torch.cat([positions.flatten(2), views.flatten(2)], dim=2))
+
+
+def slid_twice(
+    root: Float[Tensor, "b s 3"],
+    vectors: EdgeVectors,
+    rest_length: RestLengths,
+    margin: Float[Tensor, "s n"],
+    surface: SoftSurface,
+) -> tuple[EdgeVectors, Float[Tensor, "b s e 5"]]:
+    """`slide_reference`, once to feel the skin, then with a share of its push handed back to the edges above."""
+    edges, seen = slide_reference(root, vectors, rest_length, margin, surface)
+    push = rest_length[..., None] * handed_back(vectors, edges, seen[..., 1:4], rest_length)
+    return slide_reference(root, vectors + HANDED_BACK * push, rest_length, margin, surface)
+
+
+def handed_back(
+    vectors: EdgeVectors, edges: EdgeVectors, normals: EdgeVectors, rest_length: RestLengths
+) -> EdgeVectors:
+    """Force with which the skin pushes each edge, by itself and through those beyond, over k_Cosserat [1/m].
+
+    A force F on the end of an edge adds l F / k to what it would point along (`sagged_vectors`), and to what every edge
+    above would. The skin only pushes: where those beyond are pushed harder than an edge needs, it pushes no more.
+
+    Args:
+        vectors: what edges would point along without the skin.
+        edges: unit, turned by it.
+        normals: of the skin at their ends, of any length.
+    """
+    length = rest_length[..., None].clamp(min=SHORTEST)
+    strength = vectors.norm(dim=-1, keepdim=True)
+    needed = (edges * strength - vectors) / length
+    normals = torch.nn.functional.normalize(normals, dim=-1)
+    total, totals = torch.zeros_like(vectors[:, :, 0]), []
+    for edge in reversed(range(vectors.shape[2])):
+        normal = normals[:, :, edge]
+        own, others = ((force * normal).sum(-1, keepdim=True) for force in (needed[:, :, edge], total))
+        total = total + (own - others.clamp(min=0)).clamp(min=0) * normal
+        totals.append(total)
+    return torch.stack(totals[::-1], dim=2)
 
 
 def undeformed(packets: StrandPackets, view: HeadView, material: HairMaterial) -> Undeformed:

@@ -22,8 +22,6 @@ FAINT = 0.02
 """Sum of weights at which a view counts half: far from all points every channel fades to zero."""
 SHORTEST = 1e-12
 """Length that an edge is taken to have at least [m]."""
-LOOKS = 2
-"""Times that an edge looks and turns."""
 LANES = 16
 """Places that look at once."""
 # Rows of a look, each of `LANES` numbers: place [radii], and what is seen: sum of weights, weighted sum of normals,
@@ -100,15 +98,14 @@ def slide_reference(
         margin: distance that each vertex is to keep [m].
 
     Returns:
-        Unit edges, and what the end of each sees of the surface.
+        Unit edges, and what the end of each saw of the surface before it turned.
     """
     place, edges, views = root, [], []
     for edge in range(vectors.shape[2]):
         length = rest_length[:, edge, None].clamp(min=SHORTEST)
         direction = torch.nn.functional.normalize(vectors[:, :, edge], dim=-1)
-        for _ in range(LOOKS):
-            view = soft_views_reference(place + length * direction, surface)
-            direction = _deflected(direction, view, length, margin[:, edge + 1, None], surface.radius)
+        view = soft_views_reference(place + length * direction, surface)
+        direction = _deflected(direction, view, length, margin[:, edge + 1, None], surface.radius)
         place = place + length * direction
         edges.append(direction)
         views.append(view)

@@ -10,9 +10,9 @@ from quaffure.networks.groomgen import GroomGenLayers, GroomGenNetwork
 from quaffure.networks.quaffure_network import NetworkConfig, QuaffureNetwork, build_network
 from quaffure.networks.weights_file import read_weights, save_weights
 
-FORMAT = "2"
-"""Changes whenever the same weights would come to mean something else: since 2, answers count in compliance
-(`quaffure.drapers.undeformed`)."""
+FORMAT = "3"
+"""Changes whenever the same weights would come to mean something else: since 2, answers count in compliance, since 3,
+strands slide twice before the network (`quaffure.drapers.undeformed`)."""
 
 
 def save_network(path: Path, network: QuaffureNetwork, material: HairMaterial, notes: dict[str, str]) -> None:

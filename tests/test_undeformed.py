@@ -1,0 +1,45 @@
+import torch
+from torch.nn.functional import normalize
+
+from quaffure.drapers.undeformed import handed_back, slid_twice
+from quaffure.geometry.soft_surface import slide_reference
+from tests.test_soft_surface import ball
+
+LENGTH = 0.05
+OUT = torch.tensor([1.0, 0.0, 0.0])
+
+
+def pushes(needs: list[float]) -> torch.Tensor:
+    """What is handed back where each edge, pulled straight down, needs a force along x to stay out of the skin."""
+    vectors = torch.tensor([0.0, 0.0, -2.0]).repeat(1, 1, len(needs), 1)
+    needed = LENGTH * torch.tensor(needs)[:, None] * OUT
+    # An edge of unit length has (u |w| - w) . x = need where its own x is need over |w|.
+    across = needed / 2
+    edges = across + torch.tensor([0.0, 0.0, -1.0]) * (1 - across.square().sum(-1, keepdim=True)).sqrt()
+    normals = 0.3 * OUT.expand_as(vectors)
+    return handed_back(vectors, edges[None, None], normals, torch.full((1, len(needs)), LENGTH))[0, 0]
+
+
+def test_the_skin_at_the_tip_pushes_all_edges() -> None:
+    torch.testing.assert_close(pushes([0.0, 0.0, 0.0, 7.0]), 7.0 * OUT.expand(4, 3))
+
+
+def test_the_skin_only_pushes() -> None:
+    torch.testing.assert_close(pushes([8.0, 5.0]), torch.tensor([8.0, 5.0])[:, None] * OUT)
+    torch.testing.assert_close(pushes([5.0, 8.0]), torch.tensor([8.0, 8.0])[:, None] * OUT)
+    assert pushes([0.0, 0.0]).abs().max() == 0
+
+
+def test_hair_that_slides_twice_lies_on_a_shoulder_at_less_energy() -> None:
+    """From above and beside a ball, the edges over its rim turn where sliding turns those on it alone."""
+    angle = torch.linspace(0, 6.28, 50)
+    root = torch.stack([0.7 * angle.cos(), 0.7 * angle.sin(), torch.full((50,), 1.2)], dim=-1)[None]
+    vectors = torch.tensor([0.0, 0.0, -1.5]).repeat(1, 50, 20, 1)
+    vectors[..., :2] = 0.3 * normalize(root, dim=-1)[:, :, None, :2]
+    lengths, margin = torch.full((50, 20), 0.05), torch.full((50, 21), 0.02)
+    once, _ = slide_reference(root, vectors, lengths, margin, ball())
+    twice, _ = slid_twice(root, vectors, lengths, margin, ball())
+    ends = root[:, :, None] + (lengths[..., None] * twice).cumsum(2)
+    assert ends.norm(dim=-1).min() > 0.99
+    energy_once, energy_twice = (-(vectors * edges).sum((-1, -2)) for edges in (once, twice))
+    assert (energy_twice < energy_once - 0.1).all()

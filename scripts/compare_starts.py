@@ -11,6 +11,7 @@ from quaffure.body.body_model import load_body
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.body.soft_body import soft_body
 from quaffure.config import HairMaterial
+from quaffure.drapers.drape_kernels import HANDED_BACK
 from quaffure.drapers.fitted_groom import starting_margin
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.drapers.undeformed import slid_twice
@@ -23,6 +24,7 @@ from quaffure.io.load_groom import load_groom
 from quaffure.training.pose_sampler import PoseSampler
 
 POSES, SEED = 6, 20_000
+SHARES = (0.15, HANDED_BACK, 0.5)
 
 
 def main(names: list[str]) -> None:
@@ -52,8 +54,11 @@ def _starts(scene: Scene, energy: HairEnergy) -> dict[str, torch.Tensor]:
     layered = starting_margin(scene.groom, rest, body)
     margins = {"slid": rest.collision_margin, "slid in layers": layered}
     slid = {name: slide_reference(root, sag, rest.rest_length, margin, surface)[0] for name, margin in margins.items()}
-    twice = slid_twice(root, sag, rest.rest_length, layered, surface)[0]
-    return {"posed": scene.director, "sag": sag, **slid, "slid twice": twice}
+    twice = {
+        f"slid twice, {share:g} handed back": slid_twice(root, sag, rest.rest_length, layered, surface, share)[0]
+        for share in SHARES
+    }
+    return {"posed": scene.director, "sag": sag, **slid, **twice}
 
 
 if __name__ == "__main__":

@@ -121,6 +121,20 @@ def test_compiled_start_is_that_of_the_twin(groom: Groom, bodies: BodyBatch) -> 
     assert 0 < margin[:, 12].min() < MATERIAL.collision_margin + THICKNESS
 
 
+def test_edges_without_length_push_nothing(groom: Groom, bodies: BodyBatch) -> None:
+    body, arguments = bodies.body, (bodies.body_pose, bodies.body_shape)
+    strands = groom.rest_strands.clone()
+    strands[::3, 12] = strands[::3, 11]
+    groom = replace(groom, rest_strands=strands)
+    margin = torch.full(strands.shape[:2], 0.01)
+    compiled = undeformed(strand_packets(groom, body, margin), head_view(body, *arguments), MATERIAL)
+    expected = undeformed_reference(groom, body, head_view_reference(body, *arguments), MATERIAL, margin)
+    lengths = groom.rest_strands.diff(dim=1).norm(dim=-1) > 0
+    apart = (compiled.edges - expected.edges).norm(dim=-1)[:, lengths]
+    assert apart.quantile(0.99) < 1e-4
+    assert apart.max() < 5e-3
+
+
 def test_edges_comply_with_the_weight_that_they_carry(groom: Groom, bodies: BodyBatch) -> None:
     view = head_view(bodies.body, bodies.body_pose, bodies.body_shape)
     sagged, slid = (

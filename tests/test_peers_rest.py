@@ -25,6 +25,11 @@ def test_a_state_that_blew_up_is_not_at_rest() -> None:
     assert arrival(trace(5e-4, np.nan, 5e-4)) == 2
 
 
+def test_a_run_that_ends_blown_up_has_no_rest() -> None:
+    with pytest.raises(ArithmeticError, match="blew up"):
+        arrival(Trace(np.arange(2.0), np.array([0.0, np.nan])[:, None, None, None] * np.ones((1, 1, 3))))
+
+
 def test_what_never_moves_rests_from_the_start() -> None:
     assert arrival(trace(0.0, 0.0)) == 0
 

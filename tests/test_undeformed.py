@@ -30,6 +30,27 @@ def test_the_skin_only_pushes() -> None:
     assert pushes([0.0, 0.0]).abs().max() == 0
 
 
+def test_pushes_from_two_sides_are_vectors() -> None:
+    """Hair between two skins: the edge above is pushed back by its own as far as the one beyond pushes it too far."""
+    vectors = torch.tensor([0.0, 0.0, -2.0]).repeat(1, 1, 2, 1)
+    normals = torch.stack([-OUT, OUT])[None, None]
+    across = LENGTH * torch.tensor([[-3.0], [5.0]]) * OUT / 2
+    edges = across + torch.tensor([0.0, 0.0, -1.0]) * (1 - across.square().sum(-1, keepdim=True)).sqrt()
+    pushed = handed_back(vectors, edges[None, None], normals, torch.full((1, 2), LENGTH))[0, 0]
+    torch.testing.assert_close(pushed, torch.tensor([2.0, 5.0])[:, None] * OUT)
+
+
+def test_a_push_counts_as_far_as_it_goes_the_normals_way() -> None:
+    vectors = torch.tensor([0.0, 0.0, -2.0]).repeat(1, 1, 2, 1)
+    aslant = normalize(torch.tensor([1.0, 1.0, 0.0]), dim=-1)
+    normals = torch.stack([OUT, aslant])[None, None]
+    across = LENGTH * torch.stack([6.0 * OUT, 4.0 * aslant]) / 2
+    edges = across + torch.tensor([0.0, 0.0, -1.0]) * (1 - across.square().sum(-1, keepdim=True)).sqrt()
+    above, tip = handed_back(vectors, edges[None, None], normals, torch.full((1, 2), LENGTH))[0, 0]
+    torch.testing.assert_close(tip, 4.0 * aslant)
+    torch.testing.assert_close(above, 4.0 * aslant + (6.0 - 4.0 * 0.5**0.5) * OUT)
+
+
 def test_hair_that_slides_twice_lies_on_a_shoulder_at_less_energy() -> None:
     """From above and beside a ball, the edges over its rim turn where sliding turns those on it alone."""
     angle = torch.linspace(0, 6.28, 50)

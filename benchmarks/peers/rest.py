@@ -23,7 +23,13 @@ class Trace:
 
 
 def arrival(trace: Trace, tolerance: float = TOLERANCE) -> int:
-    """Index of the first state from which on none is further than `tolerance` from the end, in the mean."""
+    """Index of the first state from which on none is further than `tolerance` from the end, in the mean.
+
+    Raises:
+        ArithmeticError: the end is not finite: the program blew up.
+    """
+    if not np.isfinite(trace.states[-1]).all():
+        raise ArithmeticError("the run blew up: its last state is not finite")
     distance = np.linalg.norm(trace.states - trace.states[-1], axis=-1).mean(axis=(1, 2))
     away = np.flatnonzero(~(distance <= tolerance))  # a state that blew up, NaN, is away
     return int(away[-1]) + 1 if len(away) else 0

@@ -27,11 +27,12 @@ TILES = {
 }
 VIEWS = (View(40.0, 0.42, 0.04), View(-150.0, 0.42, 0.04))
 STRAND_WIDTH = 1.5e-3  # m
+MOTION, FRAME = "nod", 22  # of the scene that compare.py makes
 
 
-def main(folder: Path = Path("runs/peers"), motion: str = "nod", frame: int = 22) -> list[Path]:
+def main(folder: Path = Path("runs/peers")) -> list[Path]:
     body = load_body()
-    bodies = BodyBatch(body, bundled_clip(motion, body).body_pose[frame : frame + 1], torch.zeros(1, 10))
+    bodies = BodyBatch(body, bundled_clip(MOTION, body).body_pose[FRAME : FRAME + 1], torch.zeros(1, 10))
     skin, faces = bodies.posed.vertices[0].numpy(), body.faces.numpy()
     tiles = []
     with StrandRenderer(170, 200, supersampling=3, strand_width=STRAND_WIDTH) as renderer:

@@ -29,8 +29,8 @@ from quaffure.geometry.soft_surface import (
 _SLACK, _AHEAD = 0.1, 0.15
 
 HANDED_BACK = 0.3
-"""Of what the skin pushes an edge with, the share that turns the edges above it too. All of it would swing the strand
-off the skin, as these hold those below as well; with a third of it, strands start nearest to where solvers lead."""
+"""Of what the skin pushes an edge with, the share that turns it and the edges above before the second slide. All of it
+would swing the strand off the skin, as edges above hold those below as well; docs/training.md has other shares."""
 SHARE = 0.2
 """Of a strand's weight that other hair or the skin may push an edge with, besides the weight beyond the edge."""
 
@@ -172,8 +172,8 @@ def _aim(
         px, py, pz = feels[_PUSH + i], feels[_PUSH + LANES + i], feels[_PUSH + 2 * LANES + i]
         share = np.float32(HANDED_BACK) * length
         x, y, z = x + share * px, y + share * py, z + share * pz
-        strength = np.sqrt(x * x + y * y + z * z + np.float32(1e-24))
-        scale = one / strength
+        strength = np.sqrt(x * x + y * y + z * z)
+        scale = one / max(strength, np.float32(SHORTEST))
         rows[_DIRECTION + i], rows[_DIRECTION + LANES + i] = x * scale, y * scale
         rows[_DIRECTION + 2 * LANES + i], rows[_STRENGTH + i] = z * scale, strength
         rows[_COMPLIANCE + i] = pull + weight * length * np.float32(SHARE) * rows[_WHOLE + i]
@@ -297,6 +297,7 @@ def _hand_back(feels: np.ndarray) -> None:
 @no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _return_to_roots(roots: np.ndarray, row_of: np.ndarray, rows: np.ndarray) -> None:
+    """Begin again: the last vertices are the roots, and the whole strands are beyond them."""
     for i in range(LANES):
         rows[_BEYOND + i] = rows[_WHOLE + i]
         for axis in range(3):
@@ -326,7 +327,7 @@ def _advance(rows: np.ndarray) -> None:
 @no_type_check
 @njit(cache=True)
 def _tell(rows: np.ndarray, row_of: np.ndarray, edge: int, count: int, told: np.ndarray) -> None:
-    """Write where the vertices beyond the edges are and what they see."""
+    """Write where the vertices beyond the edges are, and what they saw before the edges turned."""
     bits, at, view, source = rows.view(np.uint32), 3 * edge, 3 * count + 5 * edge, 0
     if told.itemsize == 2:
         source = _TOLD

@@ -39,7 +39,7 @@ class Undeformed(NamedTuple):
         compliance: how far each edge turns [rad] when it is pushed as hard as the strand beyond it weighs, and a part
             of the whole strand (`SHARE`), and how far the skin has turned it already; one at most.
         told: what the network is told of each strand in its first 8 e columns: positions of all vertices but the root
-            [m], then what each of them sees of the skin (`quaffure.geometry.soft_surface`).
+            [m], then what each of them saw of the skin before its edge turned (`quaffure.geometry.soft_surface`).
     """
 
     roots: Float[Tensor, "b s 3"]
@@ -87,11 +87,12 @@ def slid_twice(
     rest_length: RestLengths,
     margin: Float[Tensor, "s n"],
     surface: SoftSurface,
+    share: float = HANDED_BACK,
 ) -> tuple[EdgeVectors, Float[Tensor, "b s e 5"]]:
     """`slide_reference`, once to feel the skin, then with a share of its push handed back to the edges above."""
     edges, seen = slide_reference(root, vectors, rest_length, margin, surface)
     push = rest_length[..., None] * handed_back(vectors, edges, seen[..., 1:4], rest_length)
-    return slide_reference(root, vectors + HANDED_BACK * push, rest_length, margin, surface)
+    return slide_reference(root, vectors + share * push, rest_length, margin, surface)
 
 
 def handed_back(

@@ -19,7 +19,7 @@ def plot_runs(path: Path, runs: Sequence[Run]) -> None:
         InputError: the folder of `path` does not exist or is not writable.
     """
     cases = list(dict.fromkeys(run.case for run in runs))
-    figure = Figure(figsize=(1.0 + 4.6 * len(cases), 4.2), layout="constrained")
+    figure = Figure(figsize=(3.0 + 4.6 * len(cases), 4.2), layout="constrained")
     axes = figure.subplots(1, len(cases), squeeze=False, sharey=True)[0]
     for axis, case in zip(axes, cases):
         of_case = [run for run in runs if run.case == case and run.seconds > 0 and run.solver != "posed"]
@@ -36,6 +36,7 @@ def plot_runs(path: Path, runs: Sequence[Run]) -> None:
         axis.set_xlabel("wall time [s]")
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("energy above the best [m g L per vertex]")
-    axes[-1].legend(fontsize="small")
+    lines, names = axes[-1].get_legend_handles_labels()
+    figure.legend(lines, names, loc="outside right upper", fontsize="small")
     with replacing(path) as beside:
         figure.savefig(beside, dpi=110, format="png")

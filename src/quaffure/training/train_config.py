@@ -33,8 +33,8 @@ class TrainConfig:
     self_collision_every: int = 1
     """Evaluate Eq. 11 on every k-th step, k times as strong."""
     body_contact_weight: float = 1.0
-    """Of Eq. 10 in the loss, over its part in the energy. Above 1, less hair ends up inside bodies of unfamiliar poses,
-    where a network is least sure, for a little more of the other terms elsewhere."""
+    """Of Eq. 10 in the loss, over its part in the energy; forces that are saturated stay so. Above 1, less hair ends up
+    inside bodies of unfamiliar poses, for a little more of the other terms elsewhere."""
     bf16: bool = False
     """Run the network's layers in bfloat16."""
     seed: int = 0

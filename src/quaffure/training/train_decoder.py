@@ -72,7 +72,9 @@ class DecoderTraining:
         self.optimizer = AveragedAdam(network, config.learning_rate, MEMORY)
         self.draper = NeuralDraper(network, config.material, config.bf16)
         self.energies = [HairEnergy(groom, config.material) for groom in self.grooms]
-        self.losses = [HairEnergy(groom, config.loss_material) for groom in self.grooms]
+        self.loss_energies = self.energies
+        if config.body_contact_weight != 1:
+            self.loss_energies = [HairEnergy(groom, config.loss_material) for groom in self.grooms]
         self.step = 0
         self.best = float("inf")
         self.seconds = 0.0
@@ -109,7 +111,7 @@ class DecoderTraining:
         figures: dict[str, float] = {}
         for index in drawn:
             scene = Scene(self.grooms[index], bodies)
-            loss, terms = self._loss(scene, self.losses[index], len(drawn))
+            loss, terms = self._loss(scene, index, len(drawn))
             (loss / len(drawn)).backward()
             for name, value in ({"loss": float(loss.detach())} | terms).items():
                 figures[name] = figures.get(name, 0.0) + value / len(drawn)
@@ -126,9 +128,10 @@ class DecoderTraining:
         drawn: list[int] = order[: self.config.grooms_per_step].tolist()
         return drawn
 
-    def _loss(self, scene: Scene, energy: HairEnergy, grooms: int) -> tuple[Tensor, dict[str, float]]:
-        """Eq. 1 over the batch of one of several grooms, in `loss_unit`, and its terms where this step logs them."""
-        config, unit = self.config, loss_unit(energy)
+    def _loss(self, scene: Scene, index: int, grooms: int) -> tuple[Tensor, dict[str, float]]:
+        """Eq. 1 over the batch of one of several grooms, in `loss_unit`, and the energy's terms where this step logs
+        them."""
+        config, energy, unit = self.config, self.loss_energies[index], loss_unit(self.energies[index])
         draped = self.draper.deform(scene)
         # The gradient that arrives is that of the mean over samples and grooms.
         positions = limit_forces(draped, energy.rest, len(draped) * grooms * unit)
@@ -140,7 +143,7 @@ class DecoderTraining:
         smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg).mean() / config.frames
         terms: dict[str, float] = {}
         if self.worker.is_first and self.logs(self.step + 1):
-            named = energy.terms(draped.detach(), scene.director, scene.surface)
+            named = self.energies[index].terms(draped.detach(), scene.director, scene.surface)
             terms = {name: float(term.mean()) / unit for name, term in named.items()}
             terms["pose_regularization"] = float(smoothness.detach()) / unit
         return (total.mean() + smoothness) / unit, terms
@@ -153,7 +156,7 @@ class DecoderTraining:
         every = -(-len(self.grooms) // VALIDATED_GROOMS)
         scenes = (Scene(groom, bodies) for groom in self.grooms[::every])
         figures = validation_figures(draper, zip(scenes, self.energies[::every]))
-        loss = figures["energy"] + (self.config.body_contact_weight - 1) * figures["body_collision"]
+        figures["loss"] = loss = figures["energy"] + (self.config.body_contact_weight - 1) * figures["body_collision"]
         if loss < self.best:
             self.best = loss
             names = ",".join(groom.name for groom in self.grooms)
@@ -230,9 +233,10 @@ class DecoderTraining:
         self.step = int(step)
 
     def _identity(self) -> str:
-        """What may not change in a run: grooms, network, material and seed."""
-        config = self.config
-        return f"{[groom.name for groom in self.grooms]}, {config.network}, {config.material}, seed {config.seed}"
+        """What may not change in a run: grooms, network, material, what the loss is, and seed."""
+        config, names = self.config, [groom.name for groom in self.grooms]
+        weight = f"body contact {config.body_contact_weight:g} times, " if config.body_contact_weight != 1 else ""
+        return f"{names}, {config.network}, {config.material}, {weight}seed {config.seed}"
 
     def _geometry(self) -> str:
         """The body, and the sizes of the grooms, which are grown or registered anew by every process, so that their

@@ -165,12 +165,16 @@ def _residual(draped: Positions, scene: Scene, energy: HairEnergy) -> float:
 
 
 def _compile(case: Case, chosen: Sequence[Budget], material: HairMaterial) -> None:
-    """Run every solver once on a few strands, so that no clock sees the compiler."""
-    few = Scene(case.scene.groom.select(torch.arange(min(8, len(case.scene.groom)))), case.scene.bodies)
+    """Run every solver once, as briefly as it can, so that no clock sees the compiler.
+
+    On the whole groom: a few strands press on none and leave the kernels of hair against hair out. `newton` compiles
+    those that only it has on a few; its starts have the others.
+    """
     for name in {budget.solver for budget in chosen}:
         draper = _WITH_EFFORT[name](1)(material) if name in _WITH_EFFORT else solver("posed", material)
-        draper.drape(few)
+        draper.drape(case.scene)
     if any(budget.solver == "newton" for budget in chosen):
+        few = Scene(case.scene.groom.select(torch.arange(min(8, len(case.scene.groom)))), case.scene.bodies)
         solver("newton", material).drape(few)
 
 

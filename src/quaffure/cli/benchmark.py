@@ -1,7 +1,5 @@
 """`quaffure benchmark`: solvers, energy against time on the same drapes; inference, see `benchmark_inference`."""
 
-import importlib.util
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,19 +7,18 @@ from typing import Annotated
 
 import torch
 import tyro
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, TimeElapsedColumn
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
+from quaffure.cli.benchmark_file import check_benchmark_out, write_benchmark
 from quaffure.cli.benchmark_inference import InferenceCommand
-from quaffure.cli.console import console, print_json, print_rows
+from quaffure.cli.console import console, print_json, print_rows, progress_columns
 from quaffure.cli.inputs import motion_of
-from quaffure.cli.outputs import check_out
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.errors import InputError
 from quaffure.evaluation.solver_benchmark import Budget, Case, Run, budgets, report, run_benchmark
 from quaffure.groom.groom import Groom
-from quaffure.io.atomic import replacing
 from quaffure.io.load_groom import load_groom
 
 QUICK_STRANDS = 100
@@ -56,14 +53,14 @@ class SolversCommand:
 
     def run(self) -> None:
         chosen = self._budgets()
-        check_out(self.out, ".json")
-        check_out(self.out.with_suffix(".png"), ".png")
+        check_benchmark_out(self.out)
         if self.strands is not None and self.strands < 1:
             raise InputError("--strands", "1 or more", f"{self.strands}")
         body = load_body()
         cases = self._cases(body)
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=console, transient=True, disable=self.json) as progress:
+        with Progress(
+            *progress_columns(TimeElapsedColumn()), console=console, transient=True, disable=self.json
+        ) as progress:
             task = progress.add_task("compiling", total=len(cases) * len(chosen))
             begun: list[str] = []
 
@@ -73,9 +70,7 @@ class SolversCommand:
 
             runs = run_benchmark(cases, chosen, on_run=on_run)
         written = report(runs, chosen)
-        with replacing(self.out) as beside:
-            beside.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
-        drawn = self._plot(runs)
+        drawn = write_benchmark(self.out, written, lambda picture: _plot(picture, runs))
         if self.json:
             print_json(written)
             return
@@ -105,15 +100,6 @@ class SolversCommand:
                 bodies = BodyBatch(body, pose, torch.zeros(1, 10))
                 cases += [Case(f"{groom.name}, {name}", Scene(groom, bodies)) for groom in grooms]
         return cases
-
-    def _plot(self, runs: Sequence[Run]) -> str:
-        if importlib.util.find_spec("matplotlib") is None:
-            return f"written: {self.out}; no plot without matplotlib: pip install 'quaffure\\[docs]'"
-        from quaffure.evaluation.solver_plot import plot_runs
-
-        picture = self.out.with_suffix(".png")
-        plot_runs(picture, runs)
-        return f"written: {self.out}, {picture}"
 
 
 @dataclass(frozen=True)
@@ -145,6 +131,12 @@ def _thinned(groom: Groom, strands: int | None) -> Groom:
     if strands is None or strands >= len(groom):
         return groom
     return groom.select(torch.linspace(0, len(groom) - 1, strands).long())
+
+
+def _plot(picture: Path, runs: Sequence[Run]) -> None:
+    from quaffure.evaluation.solver_plot import plot_runs
+
+    plot_runs(picture, runs)
 
 
 def _row(run: Run) -> dict[str, object]:

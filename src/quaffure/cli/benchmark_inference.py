@@ -1,16 +1,14 @@
 """`quaffure benchmark inference`: what a drape by the network costs."""
 
-import importlib.util
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, TimeElapsedColumn
 
-from quaffure.cli.console import console, print_json, print_rows
-from quaffure.cli.outputs import check_out
+from quaffure.cli.benchmark_file import check_benchmark_out, write_benchmark
+from quaffure.cli.console import console, print_json, print_rows, progress_columns
 from quaffure.drapers.quaffure_model import Quaffure, load_model
 from quaffure.errors import InputError
 from quaffure.evaluation.inference_benchmark import (
@@ -25,7 +23,6 @@ from quaffure.evaluation.inference_benchmark import (
     time_parts,
     time_strands,
 )
-from quaffure.io.atomic import replacing
 from quaffure.io.load_groom import load_groom
 
 
@@ -45,15 +42,15 @@ class InferenceCommand:
     """Print the file's content instead of a table."""
 
     def run(self) -> None:
-        check_out(self.out, ".json")
-        check_out(self.out.with_suffix(".png"), ".png")
+        check_benchmark_out(self.out)
         model = load_model(self.weights)
         if not model.draper.is_compiled(model.body):
             raise InputError(self.weights or "weights", "a network that is compiled to drape", "another configuration")
         grooms = [load_groom(name, model.body) for name in self.groom or ("long_straight",)]
         counts = QUICK_COUNTS if self.quick else COUNTS
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=console, transient=True, disable=self.json) as progress:
+        with Progress(
+            *progress_columns(TimeElapsedColumn()), console=console, transient=True, disable=self.json
+        ) as progress:
             task = progress.add_task("preparing", total=len(counts))
 
             def on_count(count: int) -> None:
@@ -65,9 +62,7 @@ class InferenceCommand:
             fitting = time_fitting(model, grooms[0])
             least = floor(model.draper.compiled(), model.draper.packed(grooms[0], model.body))
         written = report(model, timings, strands, parts, fitting, least)
-        with replacing(self.out) as beside:
-            beside.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
-        drawn = self._plot(timings, least)
+        drawn = write_benchmark(self.out, written, lambda picture: _plot(picture, timings, least))
         if self.json:
             print_json(written)
             return
@@ -75,14 +70,11 @@ class InferenceCommand:
         console.print(f"once for a new groom: {1000 * fitting:.0f} ms of processor time")
         console.print(drawn)
 
-    def _plot(self, timings: Sequence[Timing], least: Floor) -> str:
-        if importlib.util.find_spec("matplotlib") is None:
-            return f"written: {self.out}; no plot without matplotlib: pip install 'quaffure\\[docs]'"
-        from quaffure.evaluation.inference_plot import plot_timings
 
-        picture = self.out.with_suffix(".png")
-        plot_timings(picture, timings, least)
-        return f"written: {self.out}, {picture}"
+def _plot(picture: Path, timings: Sequence[Timing], least: Floor) -> None:
+    from quaffure.evaluation.inference_plot import plot_timings
+
+    plot_timings(picture, timings, least)
 
 
 def _print(model: Quaffure, timings: Sequence[Timing], parts: dict[str, float], least: Floor) -> None:

@@ -4,10 +4,16 @@ import json
 import sys
 
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, TextColumn
 from rich.table import Table
 
 # Where the output is no terminal, rich would fold tables to 80 columns.
 console = Console() if sys.stdout.isatty() else Console(width=140)
+
+
+def progress_columns(time: ProgressColumn) -> tuple[ProgressColumn, ...]:
+    """What is done, how many of how many, and how much time it took or will take."""
+    return TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time
 
 
 def print_rows(rows: list[dict[str, object]], title: str) -> None:

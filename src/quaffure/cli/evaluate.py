@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, TaskID, TimeElapsedColumn
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
-from quaffure.cli.console import console, print_json, print_rows
+from quaffure.cli.console import console, print_json, print_rows, progress_columns
 from quaffure.cli.inputs import body_shape_of, motion_of
 from quaffure.cli.outputs import check_out
 from quaffure.errors import InputError
@@ -97,8 +97,9 @@ class EvaluateCommand:
         material = rows[0].draper.material
         selection = self._own(body) if self.groom or self.motion else self._of_set(body)
         draper = CaseDraper(body, DrapeCache(self.cache))
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=console, transient=True, disable=self.json) as progress:
+        with Progress(
+            *progress_columns(TimeElapsedColumn()), console=console, transient=True, disable=self.json
+        ) as progress:
             task = progress.add_task("loading", total=selection.frames * len(rows))
             by_name = {row.name: _watched(row.name, partial(draper.drape, row), progress, task) for row in rows}
             solvers = [row.name for row in rows if row.is_solver]

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import Progress, TimeRemainingColumn
 
 from quaffure.body.body_model import load_body
-from quaffure.cli.console import console
+from quaffure.cli.console import console, progress_columns
 from quaffure.drapers.quaffure_model import load_model
 from quaffure.drapers.solvers import SOLVERS, solver
 from quaffure.errors import InputError
@@ -53,8 +53,7 @@ class GroomgenDataCommand:
         folder = started_folder(self.out, groom, body, self.draper, draper, self.seed)
         missing = folder.missing(poses)
         console.print(f"{len(missing)} of {len(poses)} poses of {len(groom)} strands left to drape with {self.draper}")
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=console) as progress:
+        with Progress(*progress_columns(TimeRemainingColumn()), console=console) as progress:
             task = progress.add_task("draping", total=len(poses), completed=len(poses) - len(missing))
             start = told = time.monotonic()
             for done, pose in enumerate(missing, start=1):

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import torch
 import tyro
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import Progress, TimeRemainingColumn
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
-from quaffure.cli.console import console
+from quaffure.cli.console import console, progress_columns
 from quaffure.cli.inputs import motion_of
 from quaffure.drapers.quaffure_model import WEIGHTS
 from quaffure.errors import InputError
@@ -74,7 +74,9 @@ class TrainCommand:
                     return
             elif begun is not None:
                 training.start_from(begun)
-            with Progress(*_columns(), console=console, disable=not worker.is_first) as progress:
+            with Progress(
+                *progress_columns(TimeRemainingColumn()), console=console, disable=not worker.is_first
+            ) as progress:
                 train(training, _validation(), _report(training, progress))
 
     def _check(self) -> None:
@@ -121,10 +123,6 @@ class TrainCommand:
 def _say(worker: Worker, text: str) -> None:
     if worker.is_first:
         console.print(text)
-
-
-def _columns() -> tuple[TextColumn | BarColumn | MofNCompleteColumn | TimeRemainingColumn, ...]:
-    return TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
 
 
 def _report(training: DecoderTraining, progress: Progress) -> Callable[[int, dict[str, float]], None]:

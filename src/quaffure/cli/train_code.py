@@ -11,10 +11,10 @@ from typing import Any
 
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress, TaskID, TimeRemainingColumn
 
 from quaffure.body.body_model import BodyModel, load_body
-from quaffure.cli.console import print_json, print_rows
+from quaffure.cli.console import print_json, print_rows, progress_columns
 from quaffure.evaluation.evaluation_set import refuse_evaluation_data
 from quaffure.evaluation.groom_code_figures import (
     code_figures,
@@ -165,7 +165,6 @@ def _print(figures: dict[str, Any]) -> None:
 
 @contextmanager
 def _progress(what: str, total: int, done: int) -> Iterator[tuple[Progress, TaskID]]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     # The standard output is for the figures, which other programs may read.
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    with Progress(*progress_columns(TimeRemainingColumn()), console=Console(stderr=True)) as progress:
         yield progress, progress.add_task(what, total=total, completed=done)

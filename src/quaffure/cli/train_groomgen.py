@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import Progress, TimeRemainingColumn
 
 from quaffure.body.body_model import load_body
-from quaffure.cli.console import console
+from quaffure.cli.console import console, progress_columns
 from quaffure.training.groomgen_data import DrapedPoses, DrapeFolder
 from quaffure.training.train_groomgen import GroomGenConfig, GroomGenTraining, train
 
@@ -32,8 +32,7 @@ class TrainGroomgenCommand:
 
     def run(self) -> None:
         drapes = DrapeFolder(self.data, load_body())
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=console) as progress:
+        with Progress(*progress_columns(TimeRemainingColumn()), console=console) as progress:
             training = GroomGenTraining(self.config, drapes, _read(drapes, progress), self.out)
             if training.resume():
                 console.print(f"carrying on from step {training.step}")

@@ -1,8 +1,10 @@
 """Where the programs of benchmarks/peers leave the same hundred strands, side by side.
 
-Draws what `python benchmarks/peers/compare.py` left in its folder. Strands are drawn as they are, none between them.
+Draws what `python benchmarks/peers/compare.py --out docs/peers.json` left in its folder. Strands are drawn as they are,
+none between them.
 """
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from quaffure.render.contact_sheet import NATURAL_COLOURS
 from quaffure.render.scene import StrandRenderer
 
 OUT = FIGURES / "peers.jpg"
+RESULTS = FIGURES.parent / "peers.json"
 TILES = {
     "ours_posed": "posed",
     "ours_neural": "neural",
@@ -27,12 +30,12 @@ TILES = {
 }
 VIEWS = (View(40.0, 0.42, 0.04), View(-150.0, 0.42, 0.04))
 STRAND_WIDTH = 1.5e-3  # m
-MOTION, FRAME = "nod", 22  # of the scene that compare.py makes
 
 
 def main(folder: Path = Path("runs/peers")) -> list[Path]:
     body = load_body()
-    bodies = BodyBatch(body, bundled_clip(MOTION, body).body_pose[FRAME : FRAME + 1], torch.zeros(1, 10))
+    _, motion, frame = json.loads(RESULTS.read_text())["scene"]
+    bodies = BodyBatch(body, bundled_clip(motion, body).body_pose[frame : frame + 1], torch.zeros(1, 10))
     skin, faces = bodies.posed.vertices[0].numpy(), body.faces.numpy()
     tiles = []
     with StrandRenderer(170, 200, supersampling=3, strand_width=STRAND_WIDTH) as renderer:

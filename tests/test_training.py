@@ -3,6 +3,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from typing import Literal
 
 import pytest
 import torch
@@ -204,6 +205,19 @@ def test_contact_counts_in_the_loss_as_often_as_it_is_asked_to(body: BodyModel, 
     contact, same_contact = (float(row["body_collision"]) for row in rows)
     assert contact == same_contact > 0
     assert float(rows[1]["loss"]) - float(rows[0]["loss"]) == pytest.approx(2 * contact, rel=1e-3)
+
+
+@pytest.mark.parametrize("elastic", ["cosserat", "mass_spring"])
+def test_the_loss_holds_strands_together_with_the_elastic_model_that_is_asked_for(
+    body: BodyModel, groom: Groom, tmp_path: Path, elastic: Literal["cosserat", "mass_spring"]
+) -> None:
+    config = replace(TINY, elastic=elastic, steps=1)
+    run = training(body, groom, tmp_path, config)
+    train(run, validation(), silent)
+    assert float(rows_of(tmp_path / "training.csv")[0]["elastic"]) > 0
+    assert load_network(tmp_path / "best.safetensors")[2]["elastic"] == elastic
+    with pytest.raises(InputError, match="a run of"):
+        training(body, groom, tmp_path, replace(config, elastic="modified_cosserat")).resume()
 
 
 def test_the_best_weights_are_those_of_the_lowest_loss(

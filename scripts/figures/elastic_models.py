@@ -1,6 +1,6 @@
 """Fig. 10: curly hair by the elastic models of the paper, each with its default stiffness, settled by Adam.
 
-The paper trains a network with each; here a solver stands in for them.
+`elastic_networks.py` trains a network with each, as the paper does.
 """
 
 import time
@@ -27,14 +27,14 @@ VIEWS = (View(40.0, below_head=0.12), View(180.0, below_head=0.12))
 def main() -> list[Path]:
     body = load_body()
     scene = Scene(make_groom(GROOM, body), BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
-    designed = _mean_turn(scene.posed)
+    designed = mean_turn(scene.posed)
     tiles = []
     with TileRenderer(260, 290) as renderer:
         for title, (hair, seconds) in {"as designed": (scene.posed, 0.0), **_settled(scene)}.items():
             lower = 100 * float((scene.posed - hair)[:, :, -1, 2].mean())
             notes = (
                 f"tips {lower:.1f} cm lower",
-                f"curls {100 * _mean_turn(hair) / designed:.0f} % as curved",
+                f"curls {100 * mean_turn(hair) / designed:.0f} % as curved",
                 f"{seconds:.0f} s" if seconds else "",
             )
             print(title, *notes, sep=", ")
@@ -54,7 +54,7 @@ def _settled(scene: Scene) -> dict[str, tuple[Positions, float]]:
     return settled
 
 
-def _mean_turn(hair: Positions) -> float:
+def mean_turn(hair: Positions) -> float:
     """Mean angle between an edge and the next [rad]."""
     tangent = torch.nn.functional.normalize(hair.diff(dim=2), dim=-1)
     return float((tangent[:, :, 1:] * tangent[:, :, :-1]).sum(-1).clamp(-1, 1).acos().mean())

@@ -59,6 +59,10 @@ class HairEnergy:
         """The elastic model's unknowns, carried along by the edges and changed by `turns` (`ElasticState`)."""
         return turns if self._is_modified else self._state(director).following(positions, turns)
 
+    def carried(self, positions: Positions, director: EdgeVectors) -> Unknowns:
+        """The elastic model's unknowns as the edges alone carry them along: without a turn about any of them."""
+        return self.following(positions, director, self.no_turns(director))
+
     def total(
         self, positions: Positions, director: EdgeVectors, surface: Surface, unknowns: Unknowns | None = None
     ) -> Energy:

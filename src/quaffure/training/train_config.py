@@ -3,9 +3,11 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.config import HairMaterial
+from quaffure.energies.elastic_model import elastic_model
 from quaffure.errors import InputError
 from quaffure.geometry.clear_cells import REACH
 from quaffure.networks.quaffure_network import NetworkConfig
@@ -35,6 +37,8 @@ class TrainConfig:
     body_contact_weight: float = 1.0
     """Of Eq. 10 in the loss, over its part in the energy; forces that are saturated stay so. Above 1, less hair ends up
     inside bodies of unfamiliar poses, for a little more of the other terms elsewhere."""
+    elastic: Literal["modified_cosserat", "cosserat", "mass_spring"] = "modified_cosserat"
+    """The elastic model that the loss holds strands together with. Frames of `cosserat` follow their edges."""
     bf16: bool = False
     """Run the network's layers in bfloat16."""
     seed: int = 0
@@ -46,6 +50,7 @@ class TrainConfig:
     """Seconds between two checkpoints that the run can be resumed from."""
 
     def __post_init__(self) -> None:
+        elastic_model(self.elastic)
         counts = ("steps", "runs", "frames", "grooms_per_step", "self_collision_every", "log_every", "validate_every")
         refuse_impossible({name: getattr(self, name) for name in counts}, self.learning_rate, self.seed)
         if not 0 < self.body_contact_weight < math.inf:

@@ -13,6 +13,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import world_from_head
 from quaffure.drapers.neural import NeuralDraper
 from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.energies.elastic_model import ModifiedCosserat
 from quaffure.energies.force_limit import limit_forces
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.pose_regularization import energy_pose_regularization
@@ -27,7 +28,7 @@ from quaffure.training.distributed import ALONE, Worker
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.run_folder import RunFolder, body_digest
 from quaffure.training.train_config import TrainConfig
-from quaffure.training.validation import Validation, loss_unit, validation_figures
+from quaffure.training.validation import Validation, carried_terms, loss_unit, validation_figures
 from quaffure.types import Tensor
 
 MEMORY = 0.998
@@ -71,10 +72,10 @@ class DecoderTraining:
         network.encoder.load_state_dict(load_groom_encoder().state_dict())
         self.optimizer = AveragedAdam(network, config.learning_rate, MEMORY)
         self.draper = NeuralDraper(network, config.material, config.bf16)
-        self.energies = [HairEnergy(groom, config.material) for groom in self.grooms]
+        self.energies = [HairEnergy(groom, config.material, config.elastic) for groom in self.grooms]
         self.loss_energies = self.energies
         if config.body_contact_weight != 1:
-            self.loss_energies = [HairEnergy(groom, config.loss_material) for groom in self.grooms]
+            self.loss_energies = [HairEnergy(groom, config.loss_material, config.elastic) for groom in self.grooms]
         self.step = 0
         self.best = float("inf")
         self.seconds = 0.0
@@ -135,7 +136,8 @@ class DecoderTraining:
         draped = self.draper.deform(scene)
         # The gradient that arrives is that of the mean over samples and grooms.
         positions = limit_forces(draped, energy.rest, len(draped) * grooms * unit)
-        total = energy.along_strands(positions, scene.director, scene.surface)
+        carried = energy.carried(positions, scene.director)
+        total = energy.along_strands(positions, scene.director, scene.surface, carried)
         if self.step % config.self_collision_every == 0:
             total = total + config.self_collision_every * energy.self_collision(positions)
         head = world_from_head(self.body, scene.bodies.posed.joint_rotations)[:, None]
@@ -143,7 +145,7 @@ class DecoderTraining:
         smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg).mean() / config.frames
         terms: dict[str, float] = {}
         if self.worker.is_first and self.logs(self.step + 1):
-            named = self.energies[index].terms(draped.detach(), scene.director, scene.surface)
+            named = carried_terms(self.energies[index], draped.detach(), scene)
             terms = {name: float(term.mean()) / unit for name, term in named.items()}
             terms["pose_regularization"] = float(smoothness.detach()) / unit
         return (total.mean() + smoothness) / unit, terms
@@ -161,6 +163,7 @@ class DecoderTraining:
             self.best = loss
             names = ",".join(groom.name for groom in self.grooms)
             notes = {"step": str(self.step), "grooms": names, "version": self.folder.version}
+            notes["elastic"] = self.config.elastic
             with replacing(self.folder.path / "best.safetensors") as path:
                 save_network(path, self.optimizer.averaged, self.config.material, notes)
         self.folder.log("validation", self._row(figures))
@@ -236,7 +239,8 @@ class DecoderTraining:
         """What may not change in a run: grooms, network, material, what the loss is, and seed."""
         config, names = self.config, [groom.name for groom in self.grooms]
         weight = f"body contact {config.body_contact_weight:g} times, " if config.body_contact_weight != 1 else ""
-        return f"{names}, {config.network}, {config.material}, {weight}seed {config.seed}"
+        elastic = f"{config.elastic}, " if config.elastic != ModifiedCosserat.name else ""
+        return f"{names}, {config.network}, {config.material}, {elastic}{weight}seed {config.seed}"
 
     def _geometry(self) -> str:
         """The body, and the sizes of the grooms, which are grown or registered anew by every process, so that their

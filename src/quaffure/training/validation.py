@@ -8,7 +8,7 @@ from quaffure.drapers.scene import Scene
 from quaffure.energies.elastic import length_errors, orientation_errors
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.types import BodyPose, BodyShape, Float, Positions, Tensor
+from quaffure.types import BodyPose, BodyShape, Energy, Float, Positions, Tensor
 
 # Exact distances cost twice what all energies do; as many strands, spread over the groom, tell the share to a
 # twentieth of itself.
@@ -51,8 +51,13 @@ def validation_figures(draper: NeuralDraper, scenes: Iterable[tuple[Scene, HairE
     return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
 
 
+def carried_terms(energy: HairEnergy, draped: Positions, scene: Scene) -> dict[str, Energy]:
+    """Every term [J] of drapes whose frames, where the elastic model has some, follow their edges."""
+    return energy.terms(draped, scene.director, scene.surface, energy.carried(draped, scene.director))
+
+
 def _of_groom(draped: Positions, scene: Scene, energy: HairEnergy) -> dict[str, float]:
-    terms = energy.terms(draped, scene.director, scene.surface)
+    terms = carried_terms(energy, draped, scene)
     figures = {name: float(term.mean()) / loss_unit(energy) for name, term in terms.items()}
     figures["energy"] = sum(figures.values())
     figures["body_intersection_percent"] = float(_inside(draped, scene).mean()) * 100

@@ -1,0 +1,83 @@
+"""Fig. 10 by networks: one trained with each elastic model on curly hair, and how fast the three trainings converge.
+
+Trains what `runs_folder` does not hold yet, all with the same samples, and carries on where it was stopped; then draws.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+from convergence import plot_convergence, read_curve
+from elastic_models import GROOM, VIEWS, mean_turn
+from tiles import FIGURES, Caption, TileRenderer, captioned, grid, run_figure, save_picture
+
+from quaffure.body.clips import bundled_clip
+from quaffure.drapers.quaffure_model import load_model
+from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.energies.elastic import length_errors
+from quaffure.energies.elastic_model import ELASTIC_MODELS
+from quaffure.evaluation.figures import intersection_percent
+from quaffure.groom.procedural import make_groom
+from quaffure.render.contact_sheet import NATURAL_COLOURS
+from quaffure.types import Positions
+
+PICTURE, PLOT = FIGURES / "elastic_networks.jpg", FIGURES / "elastic_training.png"
+TURNED = ("neck_turn", 30)  # a clip, and a frame of it
+RUN = (
+    *("--groom", GROOM, "--steps", "500", "--runs", "4", "--frames", "2", "--self-collision-every", "3", "--bf16"),
+    *("--learning-rate", "1.5e-3", "--warmup", "50", "--validate-every", "25"),
+)
+
+
+def main(runs_folder: Path = Path("runs/elastic")) -> list[Path]:
+    runs = {name: runs_folder / name for name in ELASTIC_MODELS}
+    for name, folder in runs.items():
+        command = [str(Path(sys.executable).with_name("quaffure")), "train", "--out", str(folder), "--elastic", name]
+        subprocess.run([*command, *RUN], check=True)
+    _draw({name: folder / "best.safetensors" for name, folder in runs.items()})
+    curves = [read_curve(name.replace("_", " "), folder) for name, folder in runs.items()]
+    # Energies of several models cannot be compared: each is measured from its own lowest.
+    plot_convergence(PLOT, curves, [min(curve.energy) for curve in curves])
+    return [PICTURE, PLOT]
+
+
+def _draw(weights: dict[str, Path]) -> None:
+    scene = _scene()
+    columns = {"as designed": scene.posed} | {
+        name.replace("_", " "): load_model(path).draper.drape(scene) for name, path in weights.items()
+    }
+    with TileRenderer(210, 230) as renderer:
+        tiles = []
+        for title, hair in columns.items():
+            notes = _notes(hair, scene)
+            print(title, *notes, sep=", ")
+            views = [tile for view in VIEWS for tile in renderer.tiles(scene, hair, view, NATURAL_COLOURS[2])]
+            tiles.append(captioned(np.vstack(views), Caption(title, notes)))
+    save_picture(PICTURE, grid([tiles]))
+
+
+def _scene() -> Scene:
+    """The groom on a body at rest, and on one whose head is turned."""
+    body = load_model().body
+    clip, frame = TURNED
+    poses = torch.stack([torch.zeros(81), bundled_clip(clip, body).body_pose[frame]])
+    return Scene(make_groom(GROOM, body), BodyBatch(body, poses, torch.zeros(2, 10)))
+
+
+def _notes(hair: Positions, scene: Scene) -> tuple[str, ...]:
+    """Of the body at rest: how far the hair hangs and what is left of its curls; of both: what is inside the body."""
+    lower = 100 * float((scene.posed - hair)[0, :, -1, 2].mean())
+    inside = float(intersection_percent(hair, scene).mean())
+    rest_length = scene.groom.rest_strands.diff(dim=1).norm(dim=-1)
+    return (
+        f"tips {lower:.1f} cm lower",
+        f"curls {100 * mean_turn(hair[:1]) / mean_turn(scene.posed[:1]):.0f} % as curved",
+        f"{inside:.2g} % inside the body",
+        f"lengths {100 * float(length_errors(hair, rest_length).mean()):.2g} % off",
+    )
+
+
+if __name__ == "__main__":
+    run_figure(main)

@@ -25,7 +25,7 @@ from quaffure.io.atomic import replacing
 from quaffure.render.camera import Camera
 from quaffure.render.contact_sheet import FAINT_INK, INK, PAPER
 from quaffure.render.scene import StrandRenderer
-from quaffure.types import Positions
+from quaffure.types import Float, Positions, Tensor
 
 FIGURES = Path(__file__).parents[2] / "docs" / "figures"
 MOTION_FOLDER = Path("data/motion")
@@ -94,6 +94,14 @@ class TileRenderer:
             self._renderer.render(between.strands(guides, skin), skin, faces, view.camera(bodies, sample), colour)
             for sample, (guides, skin) in enumerate(zip(draped.numpy(), vertices))
         ]
+
+    def strands_alone(
+        self, strands: Float[Tensor, "s n 3"], bodies: BodyBatch, sample: int, view: View, colour: Colour
+    ) -> Picture:
+        """A tile of just these strands [m, world] on one of the bodies; of the bare body where there are none."""
+        faces, skin = bodies.body.faces.numpy(), bodies.posed.vertices[sample].numpy()
+        drawn = strands.numpy() if len(strands) else np.repeat(skin[:1, None], 2, axis=1)  # a strand without length
+        return self._renderer.render(drawn, skin, faces, view.camera(bodies, sample), colour)
 
     def _interpolation(self, scene: Scene) -> GuideInterpolation:
         groom = scene.groom

@@ -17,7 +17,7 @@ from quaffure.errors import InputError
 from quaffure.evaluation.intersection import winding_numbers
 from quaffure.groom.drape_sequence import DrapeSequence
 from quaffure.groom.groom import Groom
-from quaffure.types import Energy, Float, Positions, Tensor
+from quaffure.types import Bool, Energy, Float, Positions, Tensor
 
 PerFrame = dict[str, Float[Tensor, " b"]]
 
@@ -89,10 +89,15 @@ def figures_of_merit(
 
 def intersection_percent(draped: Positions, scene: Scene) -> Float[Tensor, " b"]:
     """Share of vertices, roots left out, that the body winds round [%]."""
+    return 100 * inside_body(draped, scene).to(draped).mean(dim=(1, 2))
+
+
+def inside_body(draped: Positions, scene: Scene) -> Bool[Tensor, "b s m"]:
+    """Which vertices, roots left out, the body winds round."""
     points = draped[:, :, 1:].flatten(1, 2).detach().cpu().numpy()
     vertices, faces = scene.surface.vertices.detach().cpu().numpy(), scene.surface.topology.faces.cpu().numpy()
-    inside = [winding_numbers(*sample, faces) > 0 for sample in zip(points, vertices)]
-    return 100 * torch.from_numpy(np.mean(inside, axis=1)).to(draped)
+    inside = np.stack([winding_numbers(*sample, faces) > 0 for sample in zip(points, vertices)])
+    return torch.from_numpy(inside).to(draped.device).view(*draped.shape[:2], -1)
 
 
 def total_energy(draped: Positions, scene: Scene, energy: HairEnergy) -> Energy:

@@ -24,6 +24,8 @@ from quaffure.groom.groom import Groom
 from quaffure.groom.pose_transform import triangle_frames
 from quaffure.groom.procedural import make_groom
 from quaffure.groom.strand_packets import strand_packets
+from quaffure.networks import inference_network
+from quaffure.networks.activated_layers import fused
 from quaffure.networks.inference_network import InferenceNetwork, fast_bfloat16, folded_doubling, texel_rows
 from quaffure.networks.quaffure_network import DirectionNetwork, NetworkConfig, NetworkInputs, build_network
 
@@ -172,10 +174,14 @@ def test_a_folded_doubling_is_a_doubling_and_a_convolution() -> None:
     torch.testing.assert_close(folded, expected, atol=1e-4, rtol=0)
 
 
+@pytest.mark.parametrize("is_fused", [True, False])
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-5), (torch.bfloat16, 0.03)])
 def test_the_network_laid_out_for_speed_answers_the_same(
-    network: DirectionNetwork, dtype: torch.dtype, tolerance: float
+    network: DirectionNetwork, dtype: torch.dtype, tolerance: float, is_fused: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if is_fused and not fused(dtype):
+        pytest.skip("no fused layers here")
+    monkeypatch.setattr(inference_network, "fused", lambda dtype: is_fused)
     torch.manual_seed(1)
     inputs = NetworkInputs(torch.randn(16), torch.randperm(4096)[:50], torch.randn(2, 91 + FEATURE_COUNT))
     seen = 0.1 * torch.randn(2, 50, 184)

@@ -8,8 +8,15 @@ from collections.abc import Callable
 
 import torch
 from torch import nn
-from torch.nn.functional import conv2d, conv_transpose2d, interpolate, linear, silu
+from torch.nn.functional import interpolate, linear, silu
 
+from quaffure.networks.activated_layers import (
+    ActivatedLayer,
+    activated_convolution,
+    activated_doubling,
+    activated_linear,
+    fused,
+)
 from quaffure.networks.quaffure_network import DirectionNetwork
 from quaffure.types import Float, Int, Tensor
 
@@ -36,17 +43,19 @@ class InferenceNetwork:
 
     @torch.no_grad()
     def __init__(self, network: DirectionNetwork, dtype: torch.dtype) -> None:
-        self.dtype, self.config = dtype, network.config
+        self.dtype, self.config, is_fused = dtype, network.config, fused(dtype)
         self.told_size = network.from_strand.in_features
         decoder = network.decoder
-        self._dense = [self._affine(layer) for layer in decoder.dense if isinstance(layer, nn.Linear)]
+        dense = (layer for layer in decoder.dense if isinstance(layer, nn.Linear))
+        self._dense = [activated_linear(*self._affine(layer), is_fused) for layer in dense]
         self._first_size = decoder.widths[0]
-        self._stages: list[tuple[bool, Layer, Layer]] = []
+        self._stages: list[tuple[bool, ActivatedLayer, ActivatedLayer]] = []
         for index, stage in enumerate(decoder.stages):
             doubled, second = (layer for layer in stage.children() if isinstance(layer, nn.Conv2d))
             folded = 4 << index >= _FOLD_FROM
             weight = folded_doubling(doubled.weight) if folded else doubled.weight
-            self._stages.append((folded, self._kernel(weight, doubled), self._kernel(second.weight, second)))
+            first = (activated_doubling if folded else activated_convolution)(*self._kernel(weight, doubled), is_fused)
+            self._stages.append((folded, first, activated_convolution(*self._kernel(second.weight, second), is_fused)))
         to_texels = decoder.to_texels[0]
         assert isinstance(to_texels, nn.Conv2d)
         assert to_texels.bias is not None
@@ -56,24 +65,19 @@ class InferenceNetwork:
             self._stored(to_texels.weight[:, :, 0, 0].unflatten(0, (outputs, 4)).transpose(0, 1).flatten(0, 1)),
             self._stored(to_texels.bias.unflatten(0, (outputs, 4)).T.flatten()),
         )
-        first = torch.cat([network.strand_weight(), network.from_texel.weight], dim=1)
-        self._strand = [(self._stored(first), self._stored(network.from_texel.bias))]
+        before = torch.cat([network.strand_weight(), network.from_texel.weight], dim=1)
+        self._strand = [(self._stored(before), self._stored(network.from_texel.bias))]
         self._strand += [self._affine(layer) for layer in network.strand if isinstance(layer, nn.Linear)]
 
     @torch.inference_mode()
     def textures(self, code: Float[Tensor, "b inputs"]) -> Float[Tensor, "b texels channels"]:
         """What `DeformationDecoder` answers, places of 2 x 2 texels one after another; see `texel_rows`."""
         values = code.to(self.dtype)
-        for weight, bias in self._dense:
-            values = silu(linear(values, weight, bias), inplace=True)
+        for layer in self._dense:
+            values = layer(values)
         texture = values.reshape(len(code), self._first_size, 4, 4).contiguous(memory_format=torch.channels_last)
-        for folded, doubled, second in self._stages:
-            if folded:
-                texture = conv_transpose2d(texture, *doubled, stride=2, padding=1)
-            else:
-                texture = conv2d(interpolate(texture, scale_factor=2), *doubled, padding=1)
-            texture = conv2d(silu(texture, inplace=True), *second, padding=1)
-            texture = silu(texture, inplace=True)
+        for folded, first, second in self._stages:
+            texture = second(first(texture if folded else interpolate(texture, scale_factor=2)))
         places = texture.permute(0, 2, 3, 1).flatten(1, 2)
         return linear(places, *self._to_texels).unflatten(2, (4, -1)).flatten(1, 2)
 
@@ -100,22 +104,25 @@ class InferenceNetwork:
 
     def operations(self, strands: int) -> float:
         """Floating-point operations of one sample, activation functions left out."""
-        products = sum(weight.numel() for weight, _ in self._dense) + strands * sum(w.numel() for w, _ in self._strand)
-        for side, (folded, (first, _), (second, _)) in zip(self._sides(), self._stages):
+        products = sum(layer.weight.numel() for layer in self._dense) + strands * sum(
+            w.numel() for w, _ in self._strand
+        )
+        for side, (folded, first, second) in zip(self._sides(), self._stages):
             # Of the 16 taps of a transposed convolution of stride 2 each texel meets 4.
-            products += side**2 * (first.numel() // (4 if folded else 1) + second.numel())
+            products += side**2 * (first.weight.numel() // (4 if folded else 1) + second.weight.numel())
         return 2.0 * (products + self._sides()[-1] ** 2 * self._to_texels[0].numel())
 
     def activations(self, strands: int) -> int:
         """Numbers that the layers write for one sample."""
-        written = sum(len(bias) for _, bias in self._dense) + strands * sum(len(bias) for _, bias in self._strand)
-        for side, (_, (_, first), (_, second)) in zip(self._sides(), self._stages):
-            written += side**2 * (len(first) + len(second))
+        written = sum(len(layer.bias) for layer in self._dense) + strands * sum(len(bias) for _, bias in self._strand)
+        for side, (_, first, second) in zip(self._sides(), self._stages):
+            written += side**2 * (len(first.bias) + len(second.bias))
         return written + self._sides()[-1] ** 2 * len(self._to_texels[1]) + strands * self._strand[0][0].shape[1]
 
     def weights(self) -> list[Tensor]:
-        stages = [layer for _, first, second in self._stages for layer in (first, second)]
-        return [values for layer in (*self._dense, *stages, self._to_texels, *self._strand) for values in layer]
+        activated = [*self._dense, *(layer for _, first, second in self._stages for layer in (first, second))]
+        layers = [(layer.weight, layer.bias) for layer in activated]
+        return [values for layer in (*layers, self._to_texels, *self._strand) for values in layer]
 
     def _sides(self) -> list[int]:
         """Texels a side after each stage."""

@@ -9,12 +9,11 @@ SETUP := .venv/setup-done
 .PHONY: demo test setup clean
 .DEFAULT_GOAL := demo
 
-DEMO_OUTPUTS := out/demo.png out/demo.mp4 out/demo.usd out/demo.npz
-
 demo: $(SETUP)
 	@mkdir -p out
 	@echo "Draping the bundled groom long_straight on the bundled motion neck_turn, then drawing it: some minutes."
-	$(BIN)/quaffure drape long_straight --motion neck_turn --frames ::4 $(addprefix --out ,$(DEMO_OUTPUTS))
+	$(BIN)/quaffure drape long_straight --motion neck_turn --frames ::4 $(addprefix --out out/demo.,npz usd mp4)
+	$(BIN)/quaffure render out/demo.npz --strands 12000 --out out/demo.png
 
 # pytest stays last: its summary is the last line of the output.
 test: $(SETUP)

@@ -141,6 +141,7 @@ def test_evaluate_writes_the_same_on_file_page_and_screen(
     assert (report / PICTURE).read_bytes().startswith(b"\x89PNG")
     assert "left out" in screen
     assert "13_26.bvh" in screen
+    assert "tiny-bow-a: 3 frames" in screen
     assert results["skipped"] == {"tiny-13_26-a": "13_26.bvh"}
     assert "tiny-13_26-a" in text
     assert (results["evaluation_set"], results["drapes_made"], results["drapes_fetched"]) == (7, 12, 0)

@@ -11,7 +11,7 @@ from quaffure.body.body_model import load_body
 from quaffure.cli.console import console, print_json, print_rows
 from quaffure.cli.inputs import body_shape_of, motion_of
 from quaffure.cli.outputs import writer_for
-from quaffure.drapers.drape_motion import drape_motion
+from quaffure.drapers.drape_motion import FRAMES_AT_ONCE, drape_motion
 from quaffure.drapers.draper import Draper
 from quaffure.drapers.groomgen import GroomGenDraper, load_groomgen
 from quaffure.drapers.quaffure_model import load_model
@@ -75,7 +75,7 @@ class DrapeCommand:
         interpolation = None if self.strands is None else interpolation_of(groom, body, self.strands)
         if reference is not None:
             self._check_reference(reference, (len(motion), *groom.rest_strands.shape))
-        self._say(f"draping {len(groom)} strands in {len(motion)} frames with {self.draper}")
+        self._say(f"draping {len(groom)} strands in {_frames(len(motion))} with {self.draper}")
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task(f"draping {len(groom)} strands", total=len(motion))
             sequence = drape_motion(
@@ -137,7 +137,16 @@ class DrapeCommand:
                 known = figures.get(key)
                 row[name] = "" if known is None else float(known.mean())
                 row[f"{name}, worst frame"] = "" if known is None else float(known.max())
-            row["frames better"] = "" if key not in posed else f"{int((figure < posed[key]).sum())} of {len(figure)}"
+            # Posed hair has no orientation error by definition: nothing is better at it.
+            judged = key in posed and key != "orientation_error_deg"
+            row["frames better"] = f"{int((figure < posed[key]).sum())} of {len(figure)}" if judged else ""
             rows_printed.append(row)
-        print_rows(rows_printed, f"{sequence.meta['groom']} on {sequence.meta['motion']}, {len(sequence)} frames")
-        console.print(f"{sequence.meta['milliseconds']:.3g} ms a drape; written: {', '.join(map(str, self.out))}")
+        print_rows(rows_printed, f"{sequence.meta['groom']} on {sequence.meta['motion']}, {_frames(len(sequence))}")
+        first = "" if len(sequence) > FRAMES_AT_ONCE else ", with what is prepared once (kernels, the groom)"
+        console.print(
+            f"{sequence.meta['milliseconds']:.3g} ms a drape{first}; written: {', '.join(map(str, self.out))}"
+        )
+
+
+def _frames(count: int) -> str:
+    return "1 frame" if count == 1 else f"{count} frames"

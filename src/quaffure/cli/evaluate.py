@@ -3,7 +3,7 @@
 import importlib.util
 import json
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -103,7 +103,7 @@ class EvaluateCommand:
             task = progress.add_task("loading", total=selection.frames * len(rows))
             by_name = {row.name: _watched(row.name, partial(draper.drape, row), progress, task) for row in rows}
             solvers = [row.name for row in rows if row.is_solver]
-            compared = compare(selection.cases, by_name, solvers, body, material)
+            compared = compare(self._announced(selection.cases), by_name, solvers, body, material)
         about = {
             "evaluation_set": selection.set_version,
             "quick": self.quick,
@@ -181,6 +181,13 @@ class EvaluateCommand:
         if self.report is not None and importlib.util.find_spec("matplotlib") is None:
             self._say("no picture without matplotlib: pip install 'quaffure\\[docs]'")
         self._say(f"written: {', '.join(map(str, written))}")
+
+    def _announced(self, cases: Iterable[EvaluationCase]) -> Iterator[EvaluationCase]:
+        """The cases, each told of where no terminal shows a bar."""
+        for case in cases:
+            if not console.is_terminal:
+                self._say(f"{case.name}: {len(case.frames)} frames")
+            yield case
 
     def _say_missing(self, results: Results, rows: list[str]) -> None:
         """Which rows had no answer to some cases."""

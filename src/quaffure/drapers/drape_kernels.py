@@ -48,7 +48,7 @@ _TOLD = _FRAME + 9 * LANES  # as many as before `_DIRECTION`, as the network is 
 _ROWS = _TOLD + _DIRECTION
 # Rows of what an edge feels: what the skin pushes it with by itself and through the edges beyond, the skin's normal,
 # and how hard the skin holds its end alone; forces over k_Cosserat [1/m].
-_PUSH, _OUT, _FELT, _FEELS = 0, 3 * LANES, 6 * LANES, 7 * LANES
+_PUSH, _OUT, _HELD, _FELT_SIZE = 0, 3 * LANES, 6 * LANES, 7 * LANES
 
 
 @no_type_check
@@ -70,7 +70,7 @@ def grow(
     """
     batch, packets, count = len(scalp), len(row_of), rest_edges.shape[1]
     # Made outside of the parallel loop, where arrays are not counted: counting costs as much as looking.
-    room, felt = np.empty((threads, _ROWS), np.float32), np.empty((threads, count, _FEELS), np.float32)
+    room, felt = np.empty((threads, _ROWS), np.float32), np.empty((threads, count, _FELT_SIZE), np.float32)
     covers, flags = np.empty((threads, 4), np.float32), np.empty((threads, places.shape[2]), np.uint8)
     lists = np.empty((threads, points.shape[1] + AT_ONCE), np.uint32)
     for thread in prange(threads):
@@ -276,7 +276,7 @@ def _feel(feels: np.ndarray, rows: np.ndarray) -> None:
         dz = rows[_DIRECTION + 2 * LANES + i] - rows[_SAG + 2 * LANES + i]
         strength = rows[_STRENGTH + i] / max(rows[_LENGTH + i], np.float32(SHORTEST))
         feels[_OUT + i], feels[_OUT + LANES + i], feels[_OUT + 2 * LANES + i] = x, y, z
-        feels[_FELT + i] = (dx * x + dy * y + dz * z) * strength
+        feels[_HELD + i] = (dx * x + dy * y + dz * z) * strength
 
 
 @no_type_check
@@ -289,7 +289,7 @@ def _hand_back(feels: np.ndarray) -> None:
         for i in range(LANES):
             x, y, z = beyond[_PUSH + i], beyond[_PUSH + LANES + i], beyond[_PUSH + 2 * LANES + i]
             ox, oy, oz = own[_OUT + i], own[_OUT + LANES + i], own[_OUT + 2 * LANES + i]
-            force = max(own[_FELT + i] - max(x * ox + y * oy + z * oz, none), none)
+            force = max(own[_HELD + i] - max(x * ox + y * oy + z * oz, none), none)
             own[_PUSH + i], own[_PUSH + LANES + i] = x + force * ox, y + force * oy
             own[_PUSH + 2 * LANES + i] = z + force * oz
 

@@ -106,6 +106,7 @@ def test_controls_that_must_be_positive_exist() -> None:
         ("frizz=inf", "expected within +-100"),
         ("clump_spacing=0", "expected above 0"),
         ("root_rows=65", "expected at most 64"),
+        ("length=50", "expected at most 2 m"),
         ("root_rows=2.5", "expected a whole number"),
         ("length_map=1,1", "expected 4 numbers separated by commas, found 2"),
         ("length=none", "expected a number"),

@@ -26,6 +26,7 @@ from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
 
 NEURAL, GROOMGEN = "neural", GroomGenDraper.name
+FAMILIAR_SHAPE = 3.0  # standard deviations
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,8 @@ class DrapeCommand:
         body = load_body()
         motion = motion_of(self.motion, body).frames(self.frames)
         body_shape = body_shape_of(self.shape)
+        if float(body_shape.abs().max()) > FAMILIAR_SHAPE:
+            self._say(f"shape: nothing was trained or measured beyond +-{FAMILIAR_SHAPE:g} standard deviations")
         reference = None if self.reference is None else read_drape(self.reference)
         draper = self._draper()
         self._say(f"reading the groom {self.groom}")

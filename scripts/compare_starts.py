@@ -51,7 +51,7 @@ def _starts(scene: Scene, energy: HairEnergy) -> dict[str, torch.Tensor]:
     rest, body, root = energy.rest, scene.bodies.body, scene.posed[:, :, 0]
     sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
     surface = soft_body(body, scene.bodies.posed)
-    layered = starting_margin(scene.groom, rest, body)
+    layered = starting_margin(scene.groom, rest, energy.material, body)
     margins = {"slid": rest.collision_margin, "slid in layers": layered}
     slid = {name: slide_reference(root, sag, rest.rest_length, margin, surface)[0] for name, margin in margins.items()}
     twice = {

@@ -112,7 +112,7 @@ def test_two_vertices_in_one_place_stay_there(model: Quaffure, groom: Groom, bod
 
 def test_compiled_start_is_that_of_the_twin(groom: Groom, bodies: BodyBatch) -> None:
     body, arguments = bodies.body, (bodies.body_pose, bodies.body_shape)
-    margin = starting_margin(groom, rest_state(groom.rest_strands, MATERIAL), body)
+    margin = starting_margin(groom, rest_state(groom.rest_strands, MATERIAL), MATERIAL, body)
     compiled = undeformed(strand_packets(groom, body, margin), head_view(body, *arguments), MATERIAL)
     expected = undeformed_reference(groom, body, head_view_reference(body, *arguments), MATERIAL, margin)
     torch.testing.assert_close(compiled.roots, expected.roots, atol=2e-6, rtol=0)

@@ -10,7 +10,7 @@ from quaffure.body.pose_features import FEATURE_COUNT, pose_features
 from quaffure.body.soft_body import soft_body
 from quaffure.config import HairMaterial
 from quaffure.drapers import fitted_groom
-from quaffure.drapers.fitted_groom import THICKNESS, starting_margin
+from quaffure.drapers.fitted_groom import MOST_TOLERATED, THICKNESS, starting_margin
 from quaffure.drapers.neural import NeuralDraper
 from quaffure.drapers.quaffure_model import load_model
 from quaffure.drapers.scene import BodyBatch, Scene
@@ -27,6 +27,7 @@ from quaffure.networks.checkpoint import load_network, save_network
 from quaffure.networks.quaffure_network import NetworkConfig, build_network
 from quaffure.types import Positions
 
+MATERIAL = HairMaterial()
 DIRECTIONS = NetworkConfig(pose_features=FEATURE_COUNT)
 DISPLACEMENT = NetworkConfig(output="displacement")
 
@@ -54,34 +55,34 @@ def shaken(config: NetworkConfig, strength: float = 0.05) -> NeuralDraper:
     network = build_network(config)
     for parameter in network.parameters():
         parameter.data += strength * torch.randn_like(parameter)
-    return NeuralDraper(network.eval(), HairMaterial())
+    return NeuralDraper(network.eval(), MATERIAL)
 
 
 def sagged_and_slid(scene: Scene) -> tuple[Positions, Positions]:
     """The closed-form sag, and the same slid along the softened body, twice."""
-    rest, root = rest_state(scene.groom.rest_strands, HairMaterial()), scene.posed[:, :, 0]
-    sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, HairMaterial().k_cosserat)
+    rest, root = rest_state(scene.groom.rest_strands, MATERIAL), scene.posed[:, :, 0]
+    sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, MATERIAL.k_cosserat)
     surface = soft_body(scene.bodies.body, scene.bodies.posed)
-    margin = starting_margin(scene.groom, rest, scene.bodies.body)
+    margin = starting_margin(scene.groom, rest, MATERIAL, scene.bodies.body)
     edges, _ = slid_twice(root, sag, rest.rest_length, margin, surface)
     return tuple(integrate_directions(root, vectors, rest.rest_length) for vectors in (sag, edges))  # type: ignore[return-value]
 
 
 def test_untrained_directions_are_the_sag_slid_along_the_body(scene: Scene) -> None:
     sag, slid = sagged_and_slid(scene)
-    drape = NeuralDraper(build_network(DIRECTIONS), HairMaterial()).drape(scene)
+    drape = NeuralDraper(build_network(DIRECTIONS), MATERIAL).drape(scene)
     torch.testing.assert_close(drape, slid, atol=1e-4, rtol=0)
     assert (slid - sag).norm(dim=-1).max() > 0.01
     only_sags = replace(DIRECTIONS, slides=False)
-    drape = NeuralDraper(build_network(only_sags), HairMaterial()).drape(scene)
+    drape = NeuralDraper(build_network(only_sags), MATERIAL).drape(scene)
     torch.testing.assert_close(drape, sag, atol=1e-5, rtol=0)
     assert (sag - scene.posed).norm(dim=-1).max() > 0.01
 
 
 def test_strands_of_the_crown_start_above_those_of_the_neck(groom: Groom, body: BodyModel) -> None:
-    rest = rest_state(groom.rest_strands, HairMaterial())
+    rest = rest_state(groom.rest_strands, MATERIAL)
     away = replace(groom, rest_strands=groom.rest_strands + groom.rest_strands.new_tensor([0.0, 0.0, 1.0]))
-    above = starting_margin(away, rest, body) - rest.collision_margin  # where the body hinders nothing
+    above = starting_margin(away, rest, MATERIAL, body) - rest.collision_margin  # where the body hinders nothing
     heights = groom.rest_strands[:, 0, 2]
     assert (above[heights.argmax(), 1:] > above[heights.argmin(), 1:]).all()
     assert above[:, 0].max() == 0
@@ -89,16 +90,28 @@ def test_strands_of_the_crown_start_above_those_of_the_neck(groom: Groom, body: 
 
 
 def test_hair_starts_no_further_out_than_it_is_at_rest(groom: Groom, body: BodyModel) -> None:
-    rest = rest_state(groom.rest_strands, HairMaterial())
+    rest = rest_state(groom.rest_strands, MATERIAL)
     posed = Scene(groom, BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
     surface = soft_body(body, posed.bodies.posed)
-    margin = starting_margin(groom, rest, body)
+    margin = starting_margin(groom, rest, MATERIAL, body)
     edges, _ = slide_reference(posed.posed[:, :, 0], posed.director, rest.rest_length, margin, surface)
     torch.testing.assert_close(edges, posed.director, atol=1e-3, rtol=0)
 
 
+def test_stubble_is_not_bent_where_the_softened_skin_is_less_true_than_it_is_stiff(body: BodyModel) -> None:
+    strict = replace(MATERIAL, k_body_collision=1e9)
+    deeper = {}
+    for name in ("crew_cut", "long_straight"):
+        groom = make_groom(name, body).select(torch.arange(0, 2400, 40))
+        rest = rest_state(groom.rest_strands, MATERIAL)
+        within = starting_margin(groom, rest, strict, body) - starting_margin(groom, rest, MATERIAL, body)
+        deeper[name] = float(within.max())
+    assert 2e-3 < deeper["crew_cut"] < MOST_TOLERATED + 1e-6
+    assert 0 < deeper["long_straight"] < 1e-4
+
+
 def test_untrained_displacements_are_zero(scene: Scene) -> None:
-    torch.testing.assert_close(NeuralDraper(build_network(DISPLACEMENT), HairMaterial()).drape(scene), scene.posed)
+    torch.testing.assert_close(NeuralDraper(build_network(DISPLACEMENT), MATERIAL).drape(scene), scene.posed)
 
 
 def test_directions_keep_lengths_and_roots(scene: Scene) -> None:
@@ -169,7 +182,7 @@ def test_checkpoints_round_trip_in_half_precision(tmp_path: Path, scene: Scene) 
     save_network(tmp_path / "n.safetensors", draper.network, material, {"step": "7"})
     network, loaded_material, notes = load_network(tmp_path / "n.safetensors")
     assert (loaded_material, notes["step"], network.config) == (material, "7", DIRECTIONS)
-    again = NeuralDraper(network, HairMaterial()).drape(scene)
+    again = NeuralDraper(network, MATERIAL).drape(scene)
     torch.testing.assert_close(again, draper.drape(scene), atol=5e-3, rtol=0)
 
 

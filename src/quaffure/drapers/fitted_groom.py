@@ -20,6 +20,9 @@ THICKNESS, THICK_FROM = 0.03, 0.1
 """How far above the lowest hair the uppermost starts, and after which length of strand all of it [m]."""
 ANY_DEPTH = -10.0
 """A margin that no strand falls short of [m]."""
+TOLERATED, MOST_TOLERATED = 0.25, 0.004
+"""How far below its clearance at rest hair may start: a share of the depth at which Eq. 10 pushes an edge as hard as the
+edge resists, and at most so far [m]."""
 SEEN = 0.05
 """From which amount of a view on it tells a distance."""
 
@@ -65,7 +68,9 @@ def fit_groom(groom: Groom, body: BodyModel, network: QuaffureNetwork, material:
     """
     rest = rest_state(groom.rest_strands, material)
     slides = network.config.slides
-    margin = starting_margin(groom, rest, body) if slides else torch.full_like(groom.rest_strands[..., 0], ANY_DEPTH)
+    margin = torch.full_like(groom.rest_strands[..., 0], ANY_DEPTH)
+    if slides:
+        margin = starting_margin(groom, rest, material, body)
     return FittedGroom(groom_code(groom, body, network.encoder), rest.rest_length, margin)
 
 
@@ -81,12 +86,13 @@ def pack_groom(groom: Groom, body: BodyModel, fitted: FittedGroom) -> PackedGroo
     return PackedGroom(fitted.code, fitted.rest_length.detach(), fitted.margin, packets, texels)
 
 
-def starting_margin(groom: Groom, rest: RestState, body: BodyModel) -> Float[Tensor, "s n"]:
+def starting_margin(groom: Groom, rest: RestState, material: HairMaterial, body: BodyModel) -> Float[Tensor, "s n"]:
     """Distance from the softened body that strands start with [m].
 
     Hair that roots higher lies on top: without it all hair would start in one layer, pressed to many times its density.
     Nothing has to be further out than it is at rest, where hair may lie closer to the head than a softened body is
-    true.
+    true. Where the nape wrinkles it is no truer: stubble, whose edges resist more than contact would push them, is not
+    bent for some tenths of a millimetre.
     """
     height = groom.rest_strands[:, 0, 2].argsort().argsort() / len(groom)
     arc = torch.nn.functional.pad(rest.rest_length.cumsum(dim=1), (1, 0))
@@ -96,4 +102,5 @@ def starting_margin(groom: Groom, rest: RestState, body: BodyModel) -> Float[Ten
     views = soft_views(groom.rest_strands.flatten(0, 1)[None], surface).unflatten(1, layered.shape)[0]
     seen = views[..., 4]
     clearance = torch.where(seen > SEEN, surface.radius * views[..., 0] / seen.clamp(min=SEEN), torch.inf)
-    return torch.minimum(layered, clearance)
+    resisted = material.k_cosserat / (3 * material.k_body_collision * rest.rest_length.mean(1, keepdim=True).square())
+    return torch.minimum(layered, clearance - (TOLERATED * resisted).clamp(max=MOST_TOLERATED))

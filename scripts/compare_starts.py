@@ -11,15 +11,16 @@ from quaffure.body.body_model import load_body
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.body.soft_body import soft_body
 from quaffure.config import HairMaterial
-from quaffure.drapers.drape_kernels import HANDED_BACK
 from quaffure.drapers.fitted_groom import starting_margin
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.drapers.undeformed import slid_twice
+from quaffure.drapers.undeformed_kernels import HANDED_BACK
 from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.evaluation.figures import intersection_percent
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.geometry.soft_surface import slide_reference
+from quaffure.groom.strand_packets import leader_of
 from quaffure.io.load_groom import load_groom
 from quaffure.training.pose_sampler import PoseSampler
 
@@ -55,7 +56,9 @@ def _starts(scene: Scene, energy: HairEnergy) -> dict[str, torch.Tensor]:
     margins = {"slid": rest.collision_margin, "slid in layers": layered}
     slid = {name: slide_reference(root, sag, rest.rest_length, margin, surface)[0] for name, margin in margins.items()}
     twice = {
-        f"slid twice, {share:g} handed back": slid_twice(root, sag, rest.rest_length, layered, surface, share)[0]
+        f"slid twice, {share:g} handed back": slid_twice(
+            root, sag, rest.rest_length, layered, surface, leader_of(scene.groom), share
+        )[0]
         for share in SHARES
     }
     return {"posed": scene.director, "sag": sag, **slid, **twice}

@@ -18,7 +18,8 @@ HEAVY = ("pxr", "moderngl", "av", "anny", "igl", "trimesh", "PIL", "viser")
 
 # Numba compiles no structs of arrays, so a kernel takes its arrays one by one.
 KERNELS_WITH_MANY_PARAMETERS = {
-    "drapers/drape_kernels.py": {"grow", "finish"},
+    "drapers/compiled_drape.py": {"finish"},
+    "drapers/undeformed_kernels.py": {"feel", "grow"},
     "drapers/xpbd_kernels.py": {"find_planes", "sweep_strands"},
     "energies/density_hessian.py": {"_multiply"},
     "energies/density_pairs.py": {"_list"},

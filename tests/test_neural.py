@@ -23,6 +23,7 @@ from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_
 from quaffure.geometry.soft_surface import slide_reference
 from quaffure.groom.groom import Groom
 from quaffure.groom.procedural import make_groom
+from quaffure.groom.strand_packets import leader_of
 from quaffure.networks.checkpoint import load_network, save_network
 from quaffure.networks.quaffure_network import NetworkConfig, build_network
 from quaffure.types import Positions
@@ -64,7 +65,7 @@ def sagged_and_slid(scene: Scene) -> tuple[Positions, Positions]:
     sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, MATERIAL.k_cosserat)
     surface = soft_body(scene.bodies.body, scene.bodies.posed)
     margin = starting_margin(scene.groom, rest, MATERIAL, scene.bodies.body)
-    edges, _ = slid_twice(root, sag, rest.rest_length, margin, surface)
+    edges, _ = slid_twice(root, sag, rest.rest_length, margin, surface, leader_of(scene.groom))
     return tuple(integrate_directions(root, vectors, rest.rest_length) for vectors in (sag, edges))  # type: ignore[return-value]
 
 

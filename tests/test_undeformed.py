@@ -59,7 +59,7 @@ def test_hair_that_slides_twice_lies_on_a_shoulder_at_less_energy() -> None:
     vectors[..., :2] = 0.3 * normalize(root, dim=-1)[:, :, None, :2]
     lengths, margin = torch.full((50, 20), 0.05), torch.full((50, 21), 0.02)
     once, _ = slide_reference(root, vectors, lengths, margin, ball())
-    twice, _ = slid_twice(root, vectors, lengths, margin, ball())
+    twice, _ = slid_twice(root, vectors, lengths, margin, ball(), torch.arange(50))
     ends = root[:, :, None] + (lengths[..., None] * twice).cumsum(2)
     assert ends.norm(dim=-1).min() > 0.99
     energy_once, energy_twice = (-(vectors * edges).sum((-1, -2)) for edges in (once, twice))

@@ -2,18 +2,18 @@
 
 import time
 from collections.abc import Sequence
+from typing import no_type_check
 
 import numpy as np
 import torch
-from numba import get_num_threads
+from numba import get_num_threads, njit, prange
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.head_view import HeadView, head_view
 from quaffure.config import EDGES_PER_STRAND, HairMaterial
-from quaffure.drapers.drape_kernels import finish
 from quaffure.drapers.fitted_groom import PackedGroom
 from quaffure.drapers.undeformed import Undeformed, bits, fill_undeformed
-from quaffure.geometry.soft_surface import PointRecords, point_records
+from quaffure.geometry.soft_surface import FAST, PointRecords, point_records
 from quaffure.networks.inference_network import InferenceNetwork
 from quaffure.networks.quaffure_network import POSE_SIZE, SHAPE_SIZE
 from quaffure.types import BodyPose, BodyShape, Float, Tensor
@@ -95,3 +95,37 @@ class CompiledDrape:
             start.roots[0].numpy(), groom.packets.strand.reshape(-1), view.world_from_head[0].numpy(),
             view.head[0].numpy(), get_num_threads(), draped.numpy(),
         )  # fmt: skip
+
+
+@no_type_check
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def finish(
+    edges: np.ndarray, compliance: np.ndarray, answers: np.ndarray, rest_length: np.ndarray, roots: np.ndarray,
+    strand: np.ndarray, world_from_head: np.ndarray, head: np.ndarray, threads: int, draped: np.ndarray,
+) -> None:  # fmt: skip
+    """Turn edges by the network's answers, put them one after another and carry them into the world.
+
+    Args:
+        answers: the bits of float32, or of bfloat16.
+        strand: which strand of `rest_length` and `draped` each row of the others is.
+    """
+    count, columns = edges.shape[1], answers.shape[1]
+    room, shift = np.empty((threads, columns), np.uint32), np.uint32(32 - 8 * answers.itemsize)
+    a, b, c = world_from_head[0], world_from_head[1], world_from_head[2]
+    for thread in prange(threads):
+        bits, answer = room[thread], room[thread].view(np.float32)
+        for row in range(thread, len(rest_length), threads):  # the rows after these repeat the last strand
+            for k in range(columns):
+                bits[k] = np.uint32(answers[row, k]) << shift
+            own, x, y, z = strand[row], roots[row, 0], roots[row, 1], roots[row, 2]
+            for vertex in range(count + 1):
+                draped[own, vertex, 0] = head[0] + a[0] * x + a[1] * y + a[2] * z
+                draped[own, vertex, 1] = head[1] + b[0] * x + b[1] * y + b[2] * z
+                draped[own, vertex, 2] = head[2] + c[0] * x + c[1] * y + c[2] * z
+                if vertex < count:
+                    yielding = compliance[row, vertex]
+                    ux = edges[row, vertex, 0] + yielding * answer[3 * vertex]
+                    uy = edges[row, vertex, 1] + yielding * answer[3 * vertex + 1]
+                    uz = edges[row, vertex, 2] + yielding * answer[3 * vertex + 2]
+                    scale = rest_length[own, vertex] / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
+                    x, y, z = x + scale * ux, y + scale * uy, z + scale * uz

@@ -21,8 +21,8 @@ THICKNESS, THICK_FROM = 0.03, 0.1
 ANY_DEPTH = -10.0
 """A margin that no strand falls short of [m]."""
 TOLERATED, MOST_TOLERATED = 0.25, 0.004
-"""How far below its clearance at rest hair may start: a share of the depth at which Eq. 10 pushes an edge as hard as the
-edge resists, and at most so far [m]."""
+"""How far below its clearance at rest hair may start: a share of the depth at which Eq. 10 pushes an edge as hard as
+the edge resists, and at most so far [m]."""
 SEEN = 0.05
 """From which amount of a view on it tells a distance."""
 

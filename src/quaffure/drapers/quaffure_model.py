@@ -8,7 +8,6 @@ from pathlib import Path
 import torch
 
 from quaffure.body.body_model import BodyModel, load_body
-from quaffure.config import VERTICES_PER_STRAND
 from quaffure.drapers.compiled_drape import BATCH
 from quaffure.drapers.neural import NeuralDraper
 from quaffure.drapers.scene import BodyBatch, Scene
@@ -114,10 +113,6 @@ def _check_groom(groom: Groom) -> None:
         raise InputError("groom", "a Groom (`quaffure.load_groom`)", f"{groom!r}")
     if groom.rest_strands.dtype != torch.float32:
         raise InputError(groom.name, "vertices in torch.float32", f"{groom.rest_strands.dtype}")
-    if groom.rest_strands.shape[1] != VERTICES_PER_STRAND:
-        raise InputError(groom.name, f"{VERTICES_PER_STRAND} vertices a strand", f"{groom.rest_strands.shape[1]}")
-    if groom.texels().unique().numel() != len(groom):
-        raise InputError(groom.name, "one strand a texel (`select_guides`)", "several in one")
 
 
 def load_model(

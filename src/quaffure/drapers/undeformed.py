@@ -1,7 +1,8 @@
 """Where strands are before the network: carried by the scalp, bent by their weight, slid along the softened body.
 
 Sliding alone turns every edge by itself: hair over a shoulder would stand out from it like a cape, where the skin's
-push turns the edges above as well. So strands slide twice: first to feel how hard the skin pushes, then for good.
+push turns the edges above as well. So strands slide twice: first to feel how hard the skin pushes, then for good. One
+of a few neighbours feels for all of them.
 """
 
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from numba import get_num_threads
 from quaffure.body.body_model import BodyModel
 from quaffure.body.head_view import HeadView
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.drapers.drape_kernels import HANDED_BACK, SHARE, grow
+from quaffure.drapers.undeformed_kernels import HANDED_BACK, SHARE, feel, grow
 from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.rest_state import rest_state
 from quaffure.geometry.soft_surface import (
@@ -26,7 +27,7 @@ from quaffure.geometry.soft_surface import (
 )
 from quaffure.groom.groom import Groom
 from quaffure.groom.pose_transform import triangle_frames
-from quaffure.groom.strand_packets import StrandPackets, scalp_corners
+from quaffure.groom.strand_packets import StrandPackets, leader_of, scalp_corners
 from quaffure.types import EdgeVectors, Float, Int, RestLengths, Tensor
 
 
@@ -71,7 +72,7 @@ def undeformed_reference(
         director @ view.world_from_head[:, None].mT, rest.rest_length, rest.mass_beyond, material.k_cosserat
     )
     sag = sag @ view.world_from_head[:, None]
-    edges, views = slid_twice(roots, sag, rest.rest_length, margin, view.surface)
+    edges, views = slid_twice(roots, sag, rest.rest_length, margin, view.surface, leader_of(groom))
     turned = (edges - torch.nn.functional.normalize(sag, dim=-1)).norm(dim=-1)
     load = STANDARD_GRAVITY * (
         rest.mass_beyond + SHARE * material.linear_density * rest.rest_length.sum(1, keepdim=True)
@@ -87,12 +88,17 @@ def slid_twice(
     rest_length: RestLengths,
     margin: Float[Tensor, "s n"],
     surface: SoftSurface,
+    leader: Int[Tensor, " s"],
     share: float = HANDED_BACK,
 ) -> tuple[EdgeVectors, Float[Tensor, "b s e 5"]]:
-    """`slide_reference`, once to feel the skin, then with a share of its push handed back to the edges above."""
+    """`slide_reference`, once to feel the skin, then with a share of its push handed back to the edges above.
+
+    Args:
+        leader: the strand that feels for each.
+    """
     edges, seen = slide_reference(root, vectors, rest_length, margin, surface)
-    push = rest_length[..., None] * handed_back(vectors, edges, seen[..., 1:4], rest_length)
-    return slide_reference(root, vectors + share * push, rest_length, margin, surface)
+    push = handed_back(vectors, edges, seen[..., 1:4], rest_length)[:, leader]
+    return slide_reference(root, vectors + share * rest_length[..., None] * push, rest_length, margin, surface)
 
 
 def handed_back(
@@ -148,13 +154,22 @@ def fill_undeformed(
         row_of: the row of `into` for the strand in each lane.
         into: its last field may be in bfloat16, and may have more columns.
     """
-    weight = np.float32(material.linear_density * STANDARD_GRAVITY / material.k_cosserat)
+    weight, radius = material.linear_density * STANDARD_GRAVITY / material.k_cosserat, view.surface.radius
+    seen = (
+        view.scalp.numpy(), -view.world_from_head[:, 2].numpy(), *records,
+        np.float32(radius), np.float32(weight), get_num_threads(),
+    )  # fmt: skip
+    leaders, strands = packets.leaders, int(packets.strand.max()) + 1
+    push = np.empty((len(view.head), *leaders.edges.shape[:2], leaders.edges[0, 0].size), np.float32)
+    feel(*_rest(leaders), *seen, push)
     grow(
-        packets.edges, packets.offset, packets.corners, packets.barycentric, packets.margin, row_of,
-        view.scalp.numpy(), -view.world_from_head[:, 2].numpy(), records.points, records.places,
-        np.float32(view.surface.radius), weight, get_num_threads(),
+        *_rest(packets), *seen, push, strands, row_of,
         into.roots.numpy(), into.edges.numpy(), into.compliance.numpy(), bits(into.told),
     )  # fmt: skip
+
+
+def _rest(packets: StrandPackets) -> tuple[np.ndarray, ...]:
+    return packets.edges, packets.offset, packets.corners, packets.barycentric, packets.margin
 
 
 def bits(values: Tensor) -> np.ndarray:

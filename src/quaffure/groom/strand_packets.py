@@ -4,7 +4,8 @@ A kernel works on a packet at once, a strand in each lane of the processor's vec
 skin. Edges are kept in the frame of the scalp triangle that carries the strand, where no pose changes them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -17,6 +18,9 @@ from quaffure.geometry.spread import neighbours_together
 from quaffure.groom.groom import Groom
 from quaffure.groom.pose_transform import root_positions, triangle_frames
 from quaffure.types import Float, Int, Tensor
+
+PER_LEADER = 8
+"""Strands of which one, the leader, feels for all where the skin will push them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +42,11 @@ class StrandPackets:
     corners: Int[np.ndarray, "packet 3 lane"]
     barycentric: Float[np.ndarray, "packet 3 lane"]
     margin: Float[np.ndarray, "packet e lane"]
+
+    @cached_property
+    def leaders(self) -> "StrandPackets":
+        """The first of every `PER_LEADER` neighbours alone, in packets of their own."""
+        return StrandPackets(*(_leading(getattr(self, field.name)) for field in fields(self)))
 
 
 def strand_packets(groom: Groom, body: BodyModel, margin: Float[Tensor, "s n"]) -> StrandPackets:
@@ -75,6 +84,21 @@ def scalp_corners(groom: Groom, body: BodyModel) -> Int[Tensor, "s 3"]:
     if not torch.equal(vertices[corners], carriers):
         raise InputError(groom.name, "roots on the scalp", "roots elsewhere")
     return corners
+
+
+def leader_of(groom: Groom) -> Int[Tensor, " s"]:
+    """The leader of every strand; leaders lead themselves."""
+    order = _neighbours_together(groom)
+    leader = torch.empty_like(order)
+    leader[order] = order[torch.arange(len(order), device=order.device) // PER_LEADER * PER_LEADER]
+    return leader
+
+
+def _leading(values: np.ndarray) -> np.ndarray:
+    """Every `PER_LEADER`-th lane of [packet, ..., lane], packed anew."""
+    rows = np.moveaxis(values, -1, 1).reshape(-1, *values.shape[1:-1])[::PER_LEADER]
+    rows = np.concatenate([rows, np.repeat(rows[-1:], -len(rows) % LANES, axis=0)])
+    return np.ascontiguousarray(np.moveaxis(rows.reshape(-1, LANES, *rows.shape[1:]), 1, -1))
 
 
 def _packed(values: Tensor) -> np.ndarray:

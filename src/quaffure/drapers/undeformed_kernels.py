@@ -1,8 +1,7 @@
-"""The kernels of a drape without gradient, a packet of strands in the lanes of the processor's vectors.
+"""The kernels before the network, a packet of strands in the lanes of the processor's vectors.
 
-`grow` is everything before the network, with its torch twin in `quaffure.drapers.undeformed`; `finish` is everything
-after it, which `NeuralDraper.deform` does in torch. Shapes cannot be checked at run time inside compiled code, hence
-`no_type_check`.
+`feel` is the first slide, of the leading strands alone, and `grow` the second, of all of them; their torch twin is in
+`quaffure.drapers.undeformed`. Shapes cannot be checked at run time inside compiled code, hence `no_type_check`.
 """
 
 from typing import no_type_check
@@ -24,6 +23,7 @@ from quaffure.geometry.soft_surface import (
     look,
     mean_view,
 )
+from quaffure.groom.strand_packets import PER_LEADER
 
 # How much farther than needed a packet's list of skin points reaches, and how far ahead its centre is [radii].
 _SLACK, _AHEAD = 0.1, 0.15
@@ -46,35 +46,70 @@ _STRENGTH = _COMPLIANCE + LANES
 _FRAME = _STRENGTH + LANES
 _TOLD = _FRAME + 9 * LANES  # as many as before `_DIRECTION`, as the network is told them
 _ROWS = _TOLD + _DIRECTION
-# Rows of what an edge feels: what the skin pushes it with by itself and through the edges beyond, the skin's normal,
-# and how hard the skin holds its end alone; forces over k_Cosserat [1/m].
-_PUSH, _OUT, _HELD, _FELT_SIZE = 0, 3 * LANES, 6 * LANES, 7 * LANES
+# Rows of what an edge feels: the skin's normal, and how hard the skin holds its end alone, over k_Cosserat [1/m].
+_OUT, _HELD, _FELT_SIZE = 0, 3 * LANES, 4 * LANES
+
+
+@no_type_check
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def feel(
+    rest_edges: np.ndarray, offset: np.ndarray, corners: np.ndarray, barycentric: np.ndarray, margin: np.ndarray,
+    scalp: np.ndarray, down: np.ndarray, points: np.ndarray, places: np.ndarray,
+    radius: float, weight: float, threads: int, push: np.ndarray,
+) -> None:  # fmt: skip
+    """Slide strands as if nothing pushed them, and fill what the skin pushes each edge with (`handed_back`).
+
+    Args:
+        push: [body, packet, edge, axis and lane], over k_Cosserat [1/m]; the other arguments are those of `grow`.
+    """
+    batch, packets, count = len(scalp), len(rest_edges), rest_edges.shape[1]
+    # Made outside of the parallel loop, where arrays are not counted: counting costs as much as looking.
+    room, felt = np.empty((threads, _ROWS), np.float32), np.empty((threads, count, _FELT_SIZE), np.float32)
+    covers, flags = np.empty((threads, 4), np.float32), np.empty((threads, places.shape[2]), np.uint8)
+    lists, none = np.empty((threads, points.shape[1] + AT_ONCE), np.uint32), np.zeros(3 * LANES, np.float32)
+    for thread in prange(threads):
+        rows, feels, cover, inside, near = room[thread], felt[thread], covers[thread], flags[thread], lists[thread]
+        for item in range(thread, batch * packets, threads):
+            sample, packet = item // packets, item % packets
+            own_edges, own_margin, own_down = rest_edges[packet], margin[packet], down[sample]
+            own_points, own_places = points[sample], places[sample]
+            _place_roots(corners[packet], barycentric[packet], offset[packet], scalp[sample], rows)
+            _measure(own_edges, rows)
+            cover[3], listed = np.float32(-1.0), 0
+            for edge in range(count):
+                _aim(own_edges, edge, own_down, weight, none, rows)
+                listed = _see(own_points, own_places, radius, cover, listed, inside, near, rows)
+                _turn(own_margin, edge, radius, rows)
+                _feel(feels[edge], rows)
+                _advance(rows)
+            _hand_back(feels, push[sample, packet])
 
 
 @no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def grow(
     rest_edges: np.ndarray, offset: np.ndarray, corners: np.ndarray, barycentric: np.ndarray, margin: np.ndarray,
-    row_of: np.ndarray, scalp: np.ndarray, down: np.ndarray, points: np.ndarray, places: np.ndarray,
-    radius: float, weight: float, threads: int,
+    scalp: np.ndarray, down: np.ndarray, points: np.ndarray, places: np.ndarray,
+    radius: float, weight: float, threads: int, push: np.ndarray, strands: int, row_of: np.ndarray,
     roots: np.ndarray, edges: np.ndarray, compliance: np.ndarray, told: np.ndarray,
 ) -> None:  # fmt: skip
     """Fill roots, edges, their compliance and what the network is told, see `quaffure.drapers.undeformed.Undeformed`.
 
     Args:
-        row_of: [packet, lane], of the results for each strand.
         down: unit, in the head's frame.
         radius: of the softened body's points [m].
         weight: of a strand over k_Cosserat [1/m^2].
+        push: of the leading strands, as `feel` has filled it.
+        strands: how many there are; lanes beyond them repeat the last one.
+        row_of: [packet, lane], of the results for each strand.
         told: the bits of float32, or of bfloat16.
     """
     batch, packets, count = len(scalp), len(row_of), rest_edges.shape[1]
-    # Made outside of the parallel loop, where arrays are not counted: counting costs as much as looking.
-    room, felt = np.empty((threads, _ROWS), np.float32), np.empty((threads, count, _FELT_SIZE), np.float32)
+    room, pushes = np.empty((threads, _ROWS), np.float32), np.empty((threads, count, 3 * LANES), np.float32)
     covers, flags = np.empty((threads, 4), np.float32), np.empty((threads, places.shape[2]), np.uint8)
     lists = np.empty((threads, points.shape[1] + AT_ONCE), np.uint32)
     for thread in prange(threads):
-        rows, feels, cover, inside, near = room[thread], felt[thread], covers[thread], flags[thread], lists[thread]
+        rows, pushed, cover, inside, near = room[thread], pushes[thread], covers[thread], flags[thread], lists[thread]
         for item in range(thread, batch * packets, threads):
             sample, packet = item // packets, item % packets
             own_rows, own_points, own_places, own_told = row_of[packet], points[sample], places[sample], told[sample]
@@ -84,20 +119,11 @@ def grow(
             for i in range(LANES):
                 for axis in range(3):
                     own_roots[own_rows[i], axis] = rows[_VERTEX + axis * LANES + i]
+            _follow(push[sample], packet, strands, pushed)
             _measure(own_edges, rows)
-            feels[:, : _PUSH + 3 * LANES] = np.float32(0.0)
             cover[3], listed = np.float32(-1.0), 0
             for edge in range(count):
-                _aim(own_edges, edge, own_down, weight, feels[edge], rows)
-                listed = _see(own_points, own_places, radius, cover, listed, inside, near, rows)
-                _turn(own_margin, edge, radius, rows)
-                _feel(feels[edge], rows)
-                _advance(rows)
-            _hand_back(feels)
-            _return_to_roots(own_roots, own_rows, rows)
-            cover[3] = np.float32(-1.0)
-            for edge in range(count):
-                _aim(own_edges, edge, own_down, weight, feels[edge], rows)
+                _aim(own_edges, edge, own_down, weight, pushed[edge], rows)
                 listed = _see(own_points, own_places, radius, cover, listed, inside, near, rows)
                 _turn(own_margin, edge, radius, rows)
                 _advance(rows)
@@ -151,7 +177,7 @@ def _measure(rest_edges: np.ndarray, rows: np.ndarray) -> None:
 @no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _aim(
-    rest_edges: np.ndarray, edge: int, down: np.ndarray, weight: float, feels: np.ndarray, rows: np.ndarray
+    rest_edges: np.ndarray, edge: int, down: np.ndarray, weight: float, push: np.ndarray, rows: np.ndarray
 ) -> None:
     """Directions of the next edges, posed, sagged (`sagged_vectors`) and pushed, and their lengths."""
     half, one = np.float32(0.5), np.float32(1.0)
@@ -169,7 +195,7 @@ def _aim(
         x, y, z = x + pull * gx, y + pull * gy, z + pull * gz
         scale = one / np.sqrt(x * x + y * y + z * z + np.float32(1e-24))
         rows[_SAG + i], rows[_SAG + LANES + i], rows[_SAG + 2 * LANES + i] = x * scale, y * scale, z * scale
-        px, py, pz = feels[_PUSH + i], feels[_PUSH + LANES + i], feels[_PUSH + 2 * LANES + i]
+        px, py, pz = push[i], push[LANES + i], push[2 * LANES + i]
         share = np.float32(HANDED_BACK) * length
         x, y, z = x + share * px, y + share * py, z + share * pz
         strength = np.sqrt(x * x + y * y + z * z)
@@ -281,27 +307,29 @@ def _feel(feels: np.ndarray, rows: np.ndarray) -> None:
 
 @no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _hand_back(feels: np.ndarray) -> None:
+def _hand_back(feels: np.ndarray, push: np.ndarray) -> None:
     """From the tips up, push every edge with all that the skin pushes those beyond it with (`handed_back`)."""
     none, last = np.float32(0.0), len(feels) - 1
+    push[last] = none
     for edge in range(last, -1, -1):
-        own, beyond = feels[edge], feels[min(edge + 1, last)]
+        felt, own, beyond = feels[edge], push[edge], push[min(edge + 1, last)]
         for i in range(LANES):
-            x, y, z = beyond[_PUSH + i], beyond[_PUSH + LANES + i], beyond[_PUSH + 2 * LANES + i]
-            ox, oy, oz = own[_OUT + i], own[_OUT + LANES + i], own[_OUT + 2 * LANES + i]
-            force = max(own[_HELD + i] - max(x * ox + y * oy + z * oz, none), none)
-            own[_PUSH + i], own[_PUSH + LANES + i] = x + force * ox, y + force * oy
-            own[_PUSH + 2 * LANES + i] = z + force * oz
+            x, y, z = beyond[i], beyond[LANES + i], beyond[2 * LANES + i]
+            ox, oy, oz = felt[_OUT + i], felt[_OUT + LANES + i], felt[_OUT + 2 * LANES + i]
+            force = max(felt[_HELD + i] - max(x * ox + y * oy + z * oz, none), none)
+            own[i], own[LANES + i], own[2 * LANES + i] = x + force * ox, y + force * oy, z + force * oz
 
 
 @no_type_check
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _return_to_roots(roots: np.ndarray, row_of: np.ndarray, rows: np.ndarray) -> None:
-    """Begin again: the last vertices are the roots, and the whole strands are beyond them."""
+@njit(cache=True)
+def _follow(push: np.ndarray, packet: int, strands: int, pushed: np.ndarray) -> None:
+    """What the leading strands of a packet's strands are pushed with."""
     for i in range(LANES):
-        rows[_BEYOND + i] = rows[_WHOLE + i]
-        for axis in range(3):
-            rows[_VERTEX + axis * LANES + i] = roots[row_of[i], axis]
+        leader = min(packet * LANES + i, strands - 1) // PER_LEADER
+        felt, lane = push[leader // LANES], leader % LANES
+        for edge in range(len(pushed)):
+            for axis in range(3):
+                pushed[edge, axis * LANES + i] = felt[edge, axis * LANES + lane]
 
 
 @no_type_check
@@ -348,37 +376,3 @@ def _round(bits: np.ndarray) -> None:
     for i in range(_DIRECTION):
         odd = (bits[i] >> np.uint32(16)) & np.uint32(1)
         bits[_TOLD + i] = (bits[i] + np.uint32(0x7FFF) + odd) >> np.uint32(16)
-
-
-@no_type_check
-@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
-def finish(
-    edges: np.ndarray, compliance: np.ndarray, answers: np.ndarray, rest_length: np.ndarray, roots: np.ndarray,
-    strand: np.ndarray, world_from_head: np.ndarray, head: np.ndarray, threads: int, draped: np.ndarray,
-) -> None:  # fmt: skip
-    """Turn edges by the network's answers, put them one after another and carry them into the world.
-
-    Args:
-        answers: the bits of float32, or of bfloat16.
-        strand: which strand of `rest_length` and `draped` each row of the others is.
-    """
-    count, columns = edges.shape[1], answers.shape[1]
-    room, shift = np.empty((threads, columns), np.uint32), np.uint32(32 - 8 * answers.itemsize)
-    a, b, c = world_from_head[0], world_from_head[1], world_from_head[2]
-    for thread in prange(threads):
-        bits, answer = room[thread], room[thread].view(np.float32)
-        for row in range(thread, len(rest_length), threads):  # the rows after these repeat the last strand
-            for k in range(columns):
-                bits[k] = np.uint32(answers[row, k]) << shift
-            own, x, y, z = strand[row], roots[row, 0], roots[row, 1], roots[row, 2]
-            for vertex in range(count + 1):
-                draped[own, vertex, 0] = head[0] + a[0] * x + a[1] * y + a[2] * z
-                draped[own, vertex, 1] = head[1] + b[0] * x + b[1] * y + b[2] * z
-                draped[own, vertex, 2] = head[2] + c[0] * x + c[1] * y + c[2] * z
-                if vertex < count:
-                    yielding = compliance[row, vertex]
-                    ux = edges[row, vertex, 0] + yielding * answer[3 * vertex]
-                    uy = edges[row, vertex, 1] + yielding * answer[3 * vertex + 1]
-                    uz = edges[row, vertex, 2] + yielding * answer[3 * vertex + 2]
-                    scale = rest_length[own, vertex] / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
-                    x, y, z = x + scale * ux, y + scale * uy, z + scale * uz

@@ -23,7 +23,7 @@ from quaffure.geometry.soft_surface import point_records
 from quaffure.groom.groom import Groom
 from quaffure.groom.pose_transform import triangle_frames
 from quaffure.groom.procedural import make_groom
-from quaffure.groom.strand_packets import strand_packets
+from quaffure.groom.strand_packets import PER_LEADER, leader_of, strand_packets
 from quaffure.networks import inference_network
 from quaffure.networks.activated_layers import fused
 from quaffure.networks.inference_network import InferenceNetwork, fast_bfloat16, folded_doubling, texel_rows
@@ -73,6 +73,17 @@ def test_packets_hold_every_strand(groom: Groom, body: BodyModel) -> None:
     assert torch.equal(torch.from_numpy(packets.margin).movedim(2, 1), margin[strand][..., 1:])
 
 
+def test_kernels_and_twin_follow_the_same_leaders(body: BodyModel) -> None:
+    groom = make_groom("bob", body).select(torch.arange(0, 2400, 8))
+    packets, leader = strand_packets(groom, body, torch.zeros(groom.rest_strands.shape[:2])), leader_of(groom)
+    strands, leaders = packets.strand.flatten()[: len(groom)], packets.leaders.strand.flatten()
+    assert len(packets.leaders.strand) == 3
+    for place, strand in enumerate(strands):
+        assert leader[strand] == leaders[place // PER_LEADER]
+    apart = (groom.rest_strands[:, 0] - groom.rest_strands[leader, 0]).norm(dim=-1)
+    assert apart.mean() < 0.03
+
+
 def test_roots_off_the_scalp_are_refused(groom: Groom, body: BodyModel) -> None:
     toe = body.faces[:, 0].new_full((len(groom),), int(body.rest_vertices[body.faces[:, 0], 2].argmin()))
     with pytest.raises(InputError, match="roots on the scalp"):
@@ -110,7 +121,9 @@ def test_two_vertices_in_one_place_stay_there(model: Quaffure, groom: Groom, bod
     torch.testing.assert_close(draped[:, 7, 12], draped[:, 7, 11])
 
 
-def test_compiled_start_is_that_of_the_twin(groom: Groom, bodies: BodyBatch) -> None:
+@pytest.mark.parametrize("every", [30, 8])
+def test_compiled_start_is_that_of_the_twin(bodies: BodyBatch, every: int) -> None:
+    groom = make_groom("bob", bodies.body).select(torch.arange(0, 2400, every))
     body, arguments = bodies.body, (bodies.body_pose, bodies.body_shape)
     margin = starting_margin(groom, rest_state(groom.rest_strands, MATERIAL), MATERIAL, body)
     compiled = undeformed(strand_packets(groom, body, margin), head_view(body, *arguments), MATERIAL)

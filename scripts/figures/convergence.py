@@ -15,6 +15,7 @@ from tiles import run_figure
 from quaffure.errors import InputError
 from quaffure.io.atomic import replacing
 
+LEAST_SHOWN = 1e-3  # of an energy; smaller differences come and go
 COLUMNS = ("seconds", "energy", "body_intersection_percent")
 
 
@@ -61,7 +62,7 @@ def plot_convergence(path: Path, curves: Sequence[Curve], lowest: Sequence[float
     figure = Figure(figsize=(8.4, 3.6), layout="constrained")
     above, inside = figure.subplots(1, 2)
     for curve, least in zip(curves, lowest):
-        above.semilogy(curve.seconds, [energy - least for energy in curve.energy], label=curve.name)
+        above.semilogy(curve.seconds, [max(energy - least, LEAST_SHOWN) for energy in curve.energy], label=curve.name)
         inside.semilogy(curve.seconds, curve.inside)
     above.set_ylabel("energy above the lowest [m g L]")
     inside.set_ylabel("inside the body [%]")

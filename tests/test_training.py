@@ -211,10 +211,13 @@ def test_contact_counts_in_the_loss_as_often_as_it_is_asked_to(body: BodyModel, 
 def test_the_loss_holds_strands_together_with_the_elastic_model_that_is_asked_for(
     body: BodyModel, groom: Groom, tmp_path: Path, elastic: Literal["cosserat", "mass_spring"]
 ) -> None:
-    config = replace(TINY, elastic=elastic, steps=1)
+    config = replace(TINY, elastic=elastic, steps=1, body_contact_weight=3.0)
     run = training(body, groom, tmp_path, config)
     train(run, validation(), silent)
-    assert float(rows_of(tmp_path / "training.csv")[0]["elastic"]) > 0
+    terms = {name: float(value) for name, value in rows_of(tmp_path / "training.csv")[0].items()}
+    assert terms["elastic"] > 1e-3
+    parts = ("elastic", "gravity", "self_collision", "pose_regularization")
+    assert terms["loss"] == pytest.approx(sum(terms[name] for name in parts) + 3 * terms["body_collision"], abs=2e-5)
     assert load_network(tmp_path / "best.safetensors")[2]["elastic"] == elastic
     with pytest.raises(InputError, match="a run of"):
         training(body, groom, tmp_path, replace(config, elastic="modified_cosserat")).resume()

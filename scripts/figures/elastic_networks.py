@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from convergence import plot_convergence, read_curve
 from elastic_models import GROOM, VIEWS, mean_turn
 from tiles import FIGURES, Caption, TileRenderer, captioned, grid, run_figure, save_picture
+from training_curves import plot_curves, read_curve
 
+from quaffure.body.body_model import load_body
 from quaffure.body.clips import bundled_clip
 from quaffure.drapers.quaffure_model import load_model
 from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.energies.elastic import length_errors
 from quaffure.energies.elastic_model import ELASTIC_MODELS
 from quaffure.evaluation.figures import intersection_percent
 from quaffure.groom.procedural import make_groom
@@ -39,7 +39,7 @@ def main(runs_folder: Path = Path("runs/elastic")) -> list[Path]:
     _draw({name: folder / "best.safetensors" for name, folder in runs.items()})
     curves = [read_curve(name.replace("_", " "), folder) for name, folder in runs.items()]
     # Energies of several models cannot be compared: each is measured from its own lowest.
-    plot_convergence(PLOT, curves, [min(curve.energy) for curve in curves])
+    plot_curves(PLOT, curves, [min(curve.energy) for curve in curves])
     return [PICTURE, PLOT]
 
 
@@ -60,7 +60,7 @@ def _draw(weights: dict[str, Path]) -> None:
 
 def _scene() -> Scene:
     """The groom on a body at rest, and on one whose head is turned."""
-    body = load_model().body
+    body = load_body()
     clip, frame = TURNED
     poses = torch.stack([torch.zeros(81), bundled_clip(clip, body).body_pose[frame]])
     return Scene(make_groom(GROOM, body), BodyBatch(body, poses, torch.zeros(2, 10)))
@@ -70,12 +70,10 @@ def _notes(hair: Positions, scene: Scene) -> tuple[str, ...]:
     """Of the body at rest: how far the hair hangs and what is left of its curls; of both: what is inside the body."""
     lower = 100 * float((scene.posed - hair)[0, :, -1, 2].mean())
     inside = float(intersection_percent(hair, scene).mean())
-    rest_length = scene.groom.rest_strands.diff(dim=1).norm(dim=-1)
     return (
         f"tips {lower:.1f} cm lower",
         f"curls {100 * mean_turn(hair[:1]) / mean_turn(scene.posed[:1]):.0f} % as curved",
         f"{inside:.2g} % inside the body",
-        f"lengths {100 * float(length_errors(hair, rest_length).mean()):.2g} % off",
     )
 
 

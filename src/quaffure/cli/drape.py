@@ -24,9 +24,9 @@ from quaffure.groom.drape_sequence import DrapeSequence
 from quaffure.groom.guide_interpolation import interpolation_of
 from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
+from quaffure.training.pose_sampler import LARGEST_COEFFICIENT
 
 NEURAL, GROOMGEN = "neural", GroomGenDraper.name
-FAMILIAR_SHAPE = 3.0  # standard deviations
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,8 @@ class DrapeCommand:
         body = load_body()
         motion = motion_of(self.motion, body).frames(self.frames)
         body_shape = body_shape_of(self.shape)
-        if float(body_shape.abs().max()) > FAMILIAR_SHAPE:
-            self._say(f"shape: nothing was trained or measured beyond +-{FAMILIAR_SHAPE:g} standard deviations")
+        if float(body_shape.abs().max()) > LARGEST_COEFFICIENT:
+            self._say(f"shape: nothing was trained or measured beyond +-{LARGEST_COEFFICIENT:g} standard deviations")
         reference = None if self.reference is None else read_drape(self.reference)
         draper = self._draper()
         self._say(f"reading the groom {self.groom}")

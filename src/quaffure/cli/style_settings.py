@@ -13,6 +13,7 @@ LARGEST = 100.0
 """Of a control, whatever its unit; lengths are in metres."""
 LONGEST = 2.0
 """Of hair [m]: 50 is meant in centimetres."""
+HAIR_LENGTHS = ("length", "tail_length")
 # Controls that something is divided by, or that count.
 ABOVE_ZERO = (
     "bun_radius", "clump_profile", "clump_spacing", "curl_length", "curl_start", "fade", "length", "radius",
@@ -90,7 +91,7 @@ def _number(kind: type, text: str, name: str, source: str) -> float:
     least = 0.0 if name in ABOVE_ZERO else -LARGEST
     if not (math.isfinite(number) and least <= number <= LARGEST) or (number == 0 and name in ABOVE_ZERO):
         raise InputError(source, f"{'above 0 and ' if least == 0 else ''}within +-{LARGEST:g}", text)
-    if name == "length" and number > LONGEST:
+    if name in HAIR_LENGTHS and number > LONGEST:
         raise InputError(source, f"at most {LONGEST:g} m", text)
     if name == "root_rows" and number > TEXTURE_SIZE:
         raise InputError(source, f"at most {TEXTURE_SIZE}", text)

@@ -10,7 +10,7 @@ from quaffure.config import TEXTURE_SIZE, HairMaterial
 from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.geometry.soft_surface import soft_views
 from quaffure.groom.groom import Groom
-from quaffure.groom.strand_packets import StrandPackets, strand_packets
+from quaffure.groom.strand_packets import LedPackets, StrandPackets, leader_of, strand_packets
 from quaffure.networks.groom_code import groom_code
 from quaffure.networks.inference_network import texel_rows
 from quaffure.networks.quaffure_network import POSE_SIZE, SHAPE_SIZE, QuaffureNetwork
@@ -21,8 +21,8 @@ THICKNESS, THICK_FROM = 0.03, 0.1
 ANY_DEPTH = -10.0
 """A margin that no strand falls short of [m]."""
 TOLERATED, MOST_TOLERATED = 0.25, 0.004
-"""How far below its clearance at rest hair may start: a share of the depth at which Eq. 10 pushes an edge as hard as
-the edge resists, and at most so far [m]."""
+"""How far below its clearance at rest hair may start: a share of the depth at which Eq. 10 pushes an edge of length l
+as hard as the edge resists, k_Cosserat / (3 k_bc l^2), and at most so far [m]."""
 SEEN = 0.05
 """From which amount of a view on it tells a distance."""
 
@@ -35,11 +35,13 @@ class FittedGroom:
         code: of the frozen encoder.
         rest_length: of every edge [m].
         margin: see `starting_margin`; for networks whose strands do not slide, below whatever is met [m].
+        leader: the strand that feels the skin for each, see `quaffure.groom.strand_packets.leader_of`.
     """
 
     code: Float[Tensor, "16"]
     rest_length: RestLengths
     margin: Float[Tensor, "s n"]
+    leader: Int[Tensor, " s"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +52,15 @@ class PackedGroom(FittedGroom):
         texels: of every row, see `quaffure.networks.inference_network.texel_rows`.
     """
 
-    packets: StrandPackets
+    packets: LedPackets
     texels: Int[Tensor, " row"]
 
     @property
     def nbytes(self) -> int:
         """Memory that the kernels read of it."""
-        arrays = [getattr(self.packets, field.name) for field in fields(self.packets)]
-        return sum(array.nbytes for array in (*arrays, self.texels, self.rest_length))
+        strands = (self.packets, self.packets.leading)
+        arrays = [getattr(packets, field.name) for packets in strands for field in fields(StrandPackets)]
+        return sum(array.nbytes for array in (*arrays, self.packets.leader, self.texels, self.rest_length))
 
 
 def fit_groom(groom: Groom, body: BodyModel, network: QuaffureNetwork, material: HairMaterial) -> FittedGroom:
@@ -71,7 +74,7 @@ def fit_groom(groom: Groom, body: BodyModel, network: QuaffureNetwork, material:
     margin = torch.full_like(groom.rest_strands[..., 0], ANY_DEPTH)
     if slides:
         margin = starting_margin(groom, rest, material, body)
-    return FittedGroom(groom_code(groom, body, network.encoder), rest.rest_length, margin)
+    return FittedGroom(groom_code(groom, body, network.encoder), rest.rest_length, margin, leader_of(groom))
 
 
 def pack_groom(groom: Groom, body: BodyModel, fitted: FittedGroom) -> PackedGroom:
@@ -83,7 +86,7 @@ def pack_groom(groom: Groom, body: BodyModel, fitted: FittedGroom) -> PackedGroo
     packets = strand_packets(groom, body, fitted.margin)
     strand = torch.from_numpy(packets.strand).flatten().long()
     texels = texel_rows(groom.texels()[strand], TEXTURE_SIZE)
-    return PackedGroom(fitted.code, fitted.rest_length.detach(), fitted.margin, packets, texels)
+    return PackedGroom(fitted.code, fitted.rest_length.detach(), fitted.margin, fitted.leader, packets, texels)
 
 
 def starting_margin(groom: Groom, rest: RestState, material: HairMaterial, body: BodyModel) -> Float[Tensor, "s n"]:
@@ -91,8 +94,8 @@ def starting_margin(groom: Groom, rest: RestState, material: HairMaterial, body:
 
     Hair that roots higher lies on top: without it all hair would start in one layer, pressed to many times its density.
     Nothing has to be further out than it is at rest, where hair may lie closer to the head than a softened body is
-    true. Where the nape wrinkles it is no truer: stubble, whose edges resist more than contact would push them, is not
-    bent for some tenths of a millimetre.
+    true, and stiff hair not even that: where the nape wrinkles, stubble, whose edges resist more than contact would
+    push them, is not bent for some tenths of a millimetre.
     """
     height = groom.rest_strands[:, 0, 2].argsort().argsort() / len(groom)
     arc = torch.nn.functional.pad(rest.rest_length.cumsum(dim=1), (1, 0))
@@ -102,5 +105,5 @@ def starting_margin(groom: Groom, rest: RestState, material: HairMaterial, body:
     views = soft_views(groom.rest_strands.flatten(0, 1)[None], surface).unflatten(1, layered.shape)[0]
     seen = views[..., 4]
     clearance = torch.where(seen > SEEN, surface.radius * views[..., 0] / seen.clamp(min=SEEN), torch.inf)
-    resisted = material.k_cosserat / (3 * material.k_body_collision * rest.rest_length.mean(1, keepdim=True).square())
-    return torch.minimum(layered, clearance - (TOLERATED * resisted).clamp(max=MOST_TOLERATED))
+    balanced = material.k_cosserat / (3 * material.k_body_collision * rest.rest_length.mean(1, keepdim=True).square())
+    return torch.minimum(layered, clearance - (TOLERATED * balanced).clamp(max=MOST_TOLERATED))

@@ -33,6 +33,7 @@ class NeuralDraper:
 
     def __init__(self, network: QuaffureNetwork, material: HairMaterial, bf16: bool = False) -> None:
         self.network, self.material, self.bf16 = network, material, bf16
+        self._parameters = tuple(network.parameters())  # asking for them takes longer than posing the body
         self._fitted: WeakKeyDictionary[Groom, WeakKeyDictionary[BodyModel, FittedGroom]] = WeakKeyDictionary()
         self._compiled: tuple[object, CompiledDrape] | None = None
 
@@ -73,7 +74,7 @@ class NeuralDraper:
 
     def compiled(self) -> CompiledDrape:
         """The network as kernels; made anew when anything that decides a drape has changed."""
-        weights = [(p.data_ptr(), None if p.is_inference() else p._version) for p in self.network.parameters()]
+        weights = [(p.data_ptr(), None if p.is_inference() else p._version) for p in self._parameters]
         state = (weights, self.material, self.bf16)
         if self._compiled is None or self._compiled[0] != state:
             assert isinstance(self.network, DirectionNetwork)
@@ -119,7 +120,7 @@ class NeuralDraper:
         body = scene.bodies.body
         if _on_cpu(body):
             return undeformed(self.packed(scene.groom, body).packets, view, self.material)
-        return undeformed_reference(scene.groom, body, view, self.material, fitted.margin)
+        return undeformed_reference(scene.groom, body, view, self.material, fitted.margin, fitted.leader)
 
 
 def _on_cpu(body: BodyModel) -> bool:

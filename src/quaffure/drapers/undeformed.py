@@ -18,6 +18,7 @@ from quaffure.drapers.undeformed_kernels import HANDED_BACK, SHARE, feel, grow
 from quaffure.energies.closed_form import sagged_vectors
 from quaffure.energies.rest_state import rest_state
 from quaffure.geometry.soft_surface import (
+    LANES,
     SHORTEST,
     VIEW_CHANNELS,
     PointRecords,
@@ -27,7 +28,7 @@ from quaffure.geometry.soft_surface import (
 )
 from quaffure.groom.groom import Groom
 from quaffure.groom.pose_transform import triangle_frames
-from quaffure.groom.strand_packets import StrandPackets, leader_of, scalp_corners
+from quaffure.groom.strand_packets import LedPackets, StrandPackets, scalp_corners
 from quaffure.types import EdgeVectors, Float, Int, RestLengths, Tensor
 
 
@@ -50,12 +51,18 @@ class Undeformed(NamedTuple):
 
 
 def undeformed_reference(
-    groom: Groom, body: BodyModel, view: HeadView, material: HairMaterial, margin: Float[Tensor, "s n"]
+    groom: Groom,
+    body: BodyModel,
+    view: HeadView,
+    material: HairMaterial,
+    margin: Float[Tensor, "s n"],
+    leader: Int[Tensor, " s"],
 ) -> Undeformed:
     """Torch twin of `undeformed`, for any device.
 
     Args:
         margin: see `quaffure.drapers.fitted_groom.starting_margin`.
+        leader: see `quaffure.groom.strand_packets.leader_of`.
 
     Raises:
         InputError: a root that is not on the scalp.
@@ -72,7 +79,7 @@ def undeformed_reference(
         director @ view.world_from_head[:, None].mT, rest.rest_length, rest.mass_beyond, material.k_cosserat
     )
     sag = sag @ view.world_from_head[:, None]
-    edges, views = slid_twice(roots, sag, rest.rest_length, margin, view.surface, leader_of(groom))
+    edges, views = slid_twice(roots, sag, rest.rest_length, margin, view.surface, leader)
     turned = (edges - torch.nn.functional.normalize(sag, dim=-1)).norm(dim=-1)
     load = STANDARD_GRAVITY * (
         rest.mass_beyond + SHARE * material.linear_density * rest.rest_length.sum(1, keepdim=True)
@@ -96,8 +103,10 @@ def slid_twice(
     Args:
         leader: the strand that feels for each.
     """
-    edges, seen = slide_reference(root, vectors, rest_length, margin, surface)
-    push = handed_back(vectors, edges, seen[..., 1:4], rest_length)[:, leader]
+    leading, follow = leader.unique(return_inverse=True)
+    chosen = (root[:, leading], vectors[:, leading], rest_length[leading], margin[leading])
+    edges, seen = slide_reference(*chosen, surface)
+    push = handed_back(vectors[:, leading], edges, seen[..., 1:4], rest_length[leading])[:, follow]
     return slide_reference(root, vectors + share * rest_length[..., None] * push, rest_length, margin, surface)
 
 
@@ -127,9 +136,9 @@ def handed_back(
     return torch.stack(totals[::-1], dim=2)
 
 
-def undeformed(packets: StrandPackets, view: HeadView, material: HairMaterial) -> Undeformed:
+def undeformed(packets: LedPackets, view: HeadView, material: HairMaterial) -> Undeformed:
     """A groom on a batch of bodies before the network, in the order of its strands; float32, on the CPU."""
-    batch, strands, edges = len(view.head), packets.strand.max() + 1, packets.edges.shape[1]
+    batch, strands, edges = len(view.head), packets.strands, packets.edges.shape[1]
     start = Undeformed(
         torch.empty(batch, strands, 3),
         torch.empty(batch, strands, edges, 3),
@@ -141,7 +150,7 @@ def undeformed(packets: StrandPackets, view: HeadView, material: HairMaterial) -
 
 
 def fill_undeformed(
-    packets: StrandPackets,
+    packets: LedPackets,
     row_of: Int[np.ndarray, "packet lane"],
     view: HeadView,
     records: PointRecords,
@@ -154,21 +163,21 @@ def fill_undeformed(
         row_of: the row of `into` for the strand in each lane.
         into: its last field may be in bfloat16, and may have more columns.
     """
-    weight, radius = material.linear_density * STANDARD_GRAVITY / material.k_cosserat, view.surface.radius
-    seen = (
+    weight, leading = material.linear_density * STANDARD_GRAVITY / material.k_cosserat, packets.leading
+    common = (
         view.scalp.numpy(), -view.world_from_head[:, 2].numpy(), *records,
-        np.float32(radius), np.float32(weight), get_num_threads(),
+        np.float32(view.surface.radius), np.float32(weight), get_num_threads(),
     )  # fmt: skip
-    leaders, strands = packets.leaders, int(packets.strand.max()) + 1
-    push = np.empty((len(view.head), *leaders.edges.shape[:2], leaders.edges[0, 0].size), np.float32)
-    feel(*_rest(leaders), *seen, push)
+    push = np.empty((len(view.head), *leading.edges.shape[:2], 3 * LANES), np.float32)
+    feel(*_strands(leading), *common, push)
     grow(
-        *_rest(packets), *seen, push, strands, row_of,
+        *_strands(packets), *common, push, packets.leader, row_of,
         into.roots.numpy(), into.edges.numpy(), into.compliance.numpy(), bits(into.told),
     )  # fmt: skip
 
 
-def _rest(packets: StrandPackets) -> tuple[np.ndarray, ...]:
+def _strands(packets: StrandPackets) -> tuple[np.ndarray, ...]:
+    """What both kernels read of strands first."""
     return packets.edges, packets.offset, packets.corners, packets.barycentric, packets.margin
 
 

@@ -23,7 +23,6 @@ from quaffure.geometry.soft_surface import (
     look,
     mean_view,
 )
-from quaffure.groom.strand_packets import PER_LEADER
 
 # How much farther than needed a packet's list of skin points reaches, and how far ahead its centre is [radii].
 _SLACK, _AHEAD = 0.1, 0.15
@@ -46,8 +45,8 @@ _STRENGTH = _COMPLIANCE + LANES
 _FRAME = _STRENGTH + LANES
 _TOLD = _FRAME + 9 * LANES  # as many as before `_DIRECTION`, as the network is told them
 _ROWS = _TOLD + _DIRECTION
-# Rows of what an edge feels: the skin's normal, and how hard the skin holds its end alone, over k_Cosserat [1/m].
-_OUT, _HELD, _FELT_SIZE = 0, 3 * LANES, 4 * LANES
+# Rows of an edge's contact: the skin's normal, and how hard the skin holds its end alone, over k_Cosserat [1/m].
+_OUT, _HELD, _CONTACT_SIZE = 0, 3 * LANES, 4 * LANES
 
 
 @no_type_check
@@ -64,11 +63,17 @@ def feel(
     """
     batch, packets, count = len(scalp), len(rest_edges), rest_edges.shape[1]
     # Made outside of the parallel loop, where arrays are not counted: counting costs as much as looking.
-    room, felt = np.empty((threads, _ROWS), np.float32), np.empty((threads, count, _FELT_SIZE), np.float32)
+    room, contacts = np.empty((threads, _ROWS), np.float32), np.empty((threads, count, _CONTACT_SIZE), np.float32)
     covers, flags = np.empty((threads, 4), np.float32), np.empty((threads, places.shape[2]), np.uint8)
     lists, none = np.empty((threads, points.shape[1] + AT_ONCE), np.uint32), np.zeros(3 * LANES, np.float32)
     for thread in prange(threads):
-        rows, feels, cover, inside, near = room[thread], felt[thread], covers[thread], flags[thread], lists[thread]
+        rows, contact, cover, inside, near = (
+            room[thread],
+            contacts[thread],
+            covers[thread],
+            flags[thread],
+            lists[thread],
+        )
         for item in range(thread, batch * packets, threads):
             sample, packet = item // packets, item % packets
             own_edges, own_margin, own_down = rest_edges[packet], margin[packet], down[sample]
@@ -80,9 +85,9 @@ def feel(
                 _aim(own_edges, edge, own_down, weight, none, rows)
                 listed = _see(own_points, own_places, radius, cover, listed, inside, near, rows)
                 _turn(own_margin, edge, radius, rows)
-                _feel(feels[edge], rows)
+                _touch(contact[edge], rows)
                 _advance(rows)
-            _hand_back(feels, push[sample, packet])
+            _hand_back(contact, push[sample, packet])
 
 
 @no_type_check
@@ -90,7 +95,7 @@ def feel(
 def grow(
     rest_edges: np.ndarray, offset: np.ndarray, corners: np.ndarray, barycentric: np.ndarray, margin: np.ndarray,
     scalp: np.ndarray, down: np.ndarray, points: np.ndarray, places: np.ndarray,
-    radius: float, weight: float, threads: int, push: np.ndarray, strands: int, row_of: np.ndarray,
+    radius: float, weight: float, threads: int, push: np.ndarray, leader: np.ndarray, row_of: np.ndarray,
     roots: np.ndarray, edges: np.ndarray, compliance: np.ndarray, told: np.ndarray,
 ) -> None:  # fmt: skip
     """Fill roots, edges, their compliance and what the network is told, see `quaffure.drapers.undeformed.Undeformed`.
@@ -100,7 +105,7 @@ def grow(
         radius: of the softened body's points [m].
         weight: of a strand over k_Cosserat [1/m^2].
         push: of the leading strands, as `feel` has filled it.
-        strands: how many there are; lanes beyond them repeat the last one.
+        leader: [packet, lane], place of the one that leads each strand among the lanes of `push`.
         row_of: [packet, lane], of the results for each strand.
         told: the bits of float32, or of bfloat16.
     """
@@ -109,7 +114,7 @@ def grow(
     covers, flags = np.empty((threads, 4), np.float32), np.empty((threads, places.shape[2]), np.uint8)
     lists = np.empty((threads, points.shape[1] + AT_ONCE), np.uint32)
     for thread in prange(threads):
-        rows, pushed, cover, inside, near = room[thread], pushes[thread], covers[thread], flags[thread], lists[thread]
+        rows, own_push, cover, inside, near = room[thread], pushes[thread], covers[thread], flags[thread], lists[thread]
         for item in range(thread, batch * packets, threads):
             sample, packet = item // packets, item % packets
             own_rows, own_points, own_places, own_told = row_of[packet], points[sample], places[sample], told[sample]
@@ -119,11 +124,11 @@ def grow(
             for i in range(LANES):
                 for axis in range(3):
                     own_roots[own_rows[i], axis] = rows[_VERTEX + axis * LANES + i]
-            _follow(push[sample], packet, strands, pushed)
+            _follow(push[sample], leader[packet], own_push)
             _measure(own_edges, rows)
             cover[3], listed = np.float32(-1.0), 0
             for edge in range(count):
-                _aim(own_edges, edge, own_down, weight, pushed[edge], rows)
+                _aim(own_edges, edge, own_down, weight, own_push[edge], rows)
                 listed = _see(own_points, own_places, radius, cover, listed, inside, near, rows)
                 _turn(own_margin, edge, radius, rows)
                 _advance(rows)
@@ -291,7 +296,7 @@ def _turn(margin: np.ndarray, edge: int, radius: float, rows: np.ndarray) -> Non
 
 @no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _feel(feels: np.ndarray, rows: np.ndarray) -> None:
+def _touch(contact: np.ndarray, rows: np.ndarray) -> None:
     """Write down how hard the skin pushes edges that it has turned, and its normals."""
     one = np.float32(1.0)
     for i in range(LANES):
@@ -301,35 +306,34 @@ def _feel(feels: np.ndarray, rows: np.ndarray) -> None:
         dx, dy = rows[_DIRECTION + i] - rows[_SAG + i], rows[_DIRECTION + LANES + i] - rows[_SAG + LANES + i]
         dz = rows[_DIRECTION + 2 * LANES + i] - rows[_SAG + 2 * LANES + i]
         strength = rows[_STRENGTH + i] / max(rows[_LENGTH + i], np.float32(SHORTEST))
-        feels[_OUT + i], feels[_OUT + LANES + i], feels[_OUT + 2 * LANES + i] = x, y, z
-        feels[_HELD + i] = (dx * x + dy * y + dz * z) * strength
+        contact[_OUT + i], contact[_OUT + LANES + i], contact[_OUT + 2 * LANES + i] = x, y, z
+        contact[_HELD + i] = (dx * x + dy * y + dz * z) * strength
 
 
 @no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _hand_back(feels: np.ndarray, push: np.ndarray) -> None:
+def _hand_back(contact: np.ndarray, push: np.ndarray) -> None:
     """From the tips up, push every edge with all that the skin pushes those beyond it with (`handed_back`)."""
-    none, last = np.float32(0.0), len(feels) - 1
+    none, last = np.float32(0.0), len(contact) - 1
     push[last] = none
     for edge in range(last, -1, -1):
-        felt, own, beyond = feels[edge], push[edge], push[min(edge + 1, last)]
+        touched, own, beyond = contact[edge], push[edge], push[min(edge + 1, last)]
         for i in range(LANES):
             x, y, z = beyond[i], beyond[LANES + i], beyond[2 * LANES + i]
-            ox, oy, oz = felt[_OUT + i], felt[_OUT + LANES + i], felt[_OUT + 2 * LANES + i]
-            force = max(felt[_HELD + i] - max(x * ox + y * oy + z * oz, none), none)
+            ox, oy, oz = touched[_OUT + i], touched[_OUT + LANES + i], touched[_OUT + 2 * LANES + i]
+            force = max(touched[_HELD + i] - max(x * ox + y * oy + z * oz, none), none)
             own[i], own[LANES + i], own[2 * LANES + i] = x + force * ox, y + force * oy, z + force * oz
 
 
 @no_type_check
 @njit(cache=True)
-def _follow(push: np.ndarray, packet: int, strands: int, pushed: np.ndarray) -> None:
-    """What the leading strands of a packet's strands are pushed with."""
+def _follow(push: np.ndarray, leader: np.ndarray, own_push: np.ndarray) -> None:
+    """What the leaders of a packet's strands are pushed with."""
     for i in range(LANES):
-        leader = min(packet * LANES + i, strands - 1) // PER_LEADER
-        felt, lane = push[leader // LANES], leader % LANES
-        for edge in range(len(pushed)):
+        packet, lane = leader[i] // LANES, leader[i] % LANES
+        for edge in range(len(own_push)):
             for axis in range(3):
-                pushed[edge, axis * LANES + i] = felt[edge, axis * LANES + lane]
+                own_push[edge, axis * LANES + i] = push[packet, edge, axis * LANES + lane]
 
 
 @no_type_check

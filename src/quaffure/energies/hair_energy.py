@@ -1,6 +1,7 @@
 """The objective that training and every solver share, Eq. 1 without the regularization of poses."""
 
 from dataclasses import replace
+from weakref import ref
 
 import torch
 
@@ -43,7 +44,7 @@ class HairEnergy:
         self._strand_material = self.material
         if not self._is_modified:
             self._strand_material = replace(self.material, k_cosserat=0.0, k_stretch=0.0)
-        self._elastic_state: tuple[EdgeVectors, ElasticState] | None = None
+        self._elastic_state: tuple[ref[EdgeVectors], ElasticState] | None = None
 
     @property
     def scale(self) -> float:
@@ -146,12 +147,18 @@ class HairEnergy:
         return state.energy(positions - positions[:, :, :1], unknowns)
 
     def _state(self, director: EdgeVectors) -> ElasticState:
-        """The elastic model on the strands that the directors make, roots at the origin; kept for the next call."""
-        if self._elastic_state is None or self._elastic_state[0] is not director:
+        """The elastic model on the strands that the directors make, roots at the origin; kept as long as they are."""
+        if self._elastic_state is None or self._elastic_state[0]() is not director:
             root = director.new_zeros(*director.shape[:2], 3)
             posed = integrate_directions_reference(root, director, self.rest.rest_length.to(director))
-            self._elastic_state = director, self.elastic.on(posed, self.rest.rest_length.to(director))
+            # A training has an energy for each of its grooms: together, what they kept would fill gigabytes.
+            state = self.elastic.on(posed, self.rest.rest_length.to(director))
+            self._elastic_state = ref(director, self._forget), state
         return self._elastic_state[1]
+
+    def _forget(self, director: "ref[EdgeVectors]") -> None:
+        if self._elastic_state is not None and self._elastic_state[0] is director:
+            self._elastic_state = None
 
     @property
     def per_vertex_unit(self) -> float:

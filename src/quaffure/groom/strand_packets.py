@@ -4,8 +4,7 @@ A kernel works on a packet at once, a strand in each lane of the processor's vec
 skin. Edges are kept in the frame of the scalp triangle that carries the strand, where no pose changes them.
 """
 
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -19,8 +18,9 @@ from quaffure.groom.groom import Groom
 from quaffure.groom.pose_transform import root_positions, triangle_frames
 from quaffure.types import Float, Int, Tensor
 
-PER_LEADER = 8
-"""Strands of which one, the leader, feels for all where the skin will push them."""
+PER_LEADER, LED_FROM = 8, 0.02
+"""Strands of which one, the leader, feels for all where the skin will push them, and how far from its root they may
+root at most [m]; strands further away lead themselves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +43,23 @@ class StrandPackets:
     barycentric: Float[np.ndarray, "packet 3 lane"]
     margin: Float[np.ndarray, "packet e lane"]
 
-    @cached_property
-    def leaders(self) -> "StrandPackets":
-        """The first of every `PER_LEADER` neighbours alone, in packets of their own."""
-        return StrandPackets(*(_leading(getattr(self, field.name)) for field in fields(self)))
+
+@dataclass(frozen=True, eq=False)
+class LedPackets(StrandPackets):
+    """All strands of a groom, and those that lead them once more in packets of their own.
+
+    Attributes:
+        leading: the leaders alone.
+        leader: place among their lanes of the one that leads each strand.
+        strands: how many there are.
+    """
+
+    leading: StrandPackets
+    leader: Int[np.ndarray, "packet lane"]
+    strands: int
 
 
-def strand_packets(groom: Groom, body: BodyModel, margin: Float[Tensor, "s n"]) -> StrandPackets:
+def strand_packets(groom: Groom, body: BodyModel, margin: Float[Tensor, "s n"]) -> LedPackets:
     """Pack a groom.
 
     Args:
@@ -58,11 +68,21 @@ def strand_packets(groom: Groom, body: BodyModel, margin: Float[Tensor, "s n"]) 
     Raises:
         InputError: a root that is not on the scalp.
     """
+    order, leader = neighbours_together(_places(groom), PER_LEADER), leader_of(groom)
+    leading = order[leader[order] == order]
+    lane_of = torch.empty_like(order)
+    lane_of[leading] = torch.arange(len(leading), device=order.device)
+    whole = _whole_packets(order)
+    packets, led = (_packets(groom, body, margin, chosen) for chosen in (whole, _whole_packets(leading)))
+    return LedPackets(**vars(packets), leading=led, leader=_packed(lane_of[leader[whole]].int()), strands=len(groom))
+
+
+def _packets(
+    groom: Groom, body: BodyModel, margin: Float[Tensor, "s n"], order: Int[Tensor, " lanes"]
+) -> StrandPackets:
     corners = scalp_corners(groom, body)
     frames = triangle_frames(body.rest_vertices[body.faces[groom.root_faces]])
     offset = (groom.rest_strands[:, 0] - root_positions(groom, body.rest_vertices[None], body)[0])[:, None] @ frames
-    order = _neighbours_together(groom)
-    order = torch.cat([order, order[-1:].expand(-len(order) % LANES)])
     return StrandPackets(
         _packed(order.int()),
         _packed((groom.rest_strands.diff(dim=1) @ frames)[order]),
@@ -87,18 +107,19 @@ def scalp_corners(groom: Groom, body: BodyModel) -> Int[Tensor, "s 3"]:
 
 
 def leader_of(groom: Groom) -> Int[Tensor, " s"]:
-    """The leader of every strand; leaders lead themselves."""
-    order = _neighbours_together(groom)
+    """The strand that feels for each: of `PER_LEADER` neighbours the one in their middle, which leads itself."""
+    places, root = _places(groom), groom.rest_strands[:, 0]
+    order = neighbours_together(places, PER_LEADER)
+    groups = torch.cat([order, order[-1:].expand(-len(order) % PER_LEADER)]).view(-1, PER_LEADER)
+    off = (places[groups] - places[groups].mean(dim=1, keepdim=True)).square().sum(-1)
     leader = torch.empty_like(order)
-    leader[order] = order[torch.arange(len(order), device=order.device) // PER_LEADER * PER_LEADER]
-    return leader
+    leader[groups] = groups.gather(1, off.argmin(dim=1, keepdim=True)).expand_as(groups)
+    own = torch.arange(len(order), device=order.device)
+    return torch.where((root - root[leader]).norm(dim=-1) < LED_FROM, leader, own)
 
 
-def _leading(values: np.ndarray) -> np.ndarray:
-    """Every `PER_LEADER`-th lane of [packet, ..., lane], packed anew."""
-    rows = np.moveaxis(values, -1, 1).reshape(-1, *values.shape[1:-1])[::PER_LEADER]
-    rows = np.concatenate([rows, np.repeat(rows[-1:], -len(rows) % LANES, axis=0)])
-    return np.ascontiguousarray(np.moveaxis(rows.reshape(-1, LANES, *rows.shape[1:]), 1, -1))
+def _whole_packets(order: Int[Tensor, " m"]) -> Int[Tensor, " lanes"]:
+    return torch.cat([order, order[-1:].expand(-len(order) % LANES)])
 
 
 def _packed(values: Tensor) -> np.ndarray:
@@ -106,8 +127,8 @@ def _packed(values: Tensor) -> np.ndarray:
     return np.ascontiguousarray(values.detach().unflatten(0, (-1, LANES)).movedim(1, -1).numpy())
 
 
-def _neighbours_together(groom: Groom) -> Int[Tensor, " s"]:
-    """Order of strands in which those of a packet stay near each other."""
+def _places(groom: Groom) -> Float[Tensor, "s 9"]:
+    """Where strands are; those of near places are neighbours."""
     root, middle, tip = (groom.rest_strands[:, vertex] for vertex in (0, groom.rest_strands.shape[1] // 2, -1))
     # The root counts most, for there the skin is.
-    return neighbours_together(torch.cat([root, 0.5 * middle, 0.5 * tip], dim=1), LANES)
+    return torch.cat([root, 0.5 * middle, 0.5 * tip], dim=1)

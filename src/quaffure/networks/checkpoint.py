@@ -10,9 +10,10 @@ from quaffure.networks.groomgen import GroomGenLayers, GroomGenNetwork
 from quaffure.networks.quaffure_network import NetworkConfig, QuaffureNetwork, build_network
 from quaffure.networks.weights_file import read_weights, save_weights
 
-FORMAT = "3"
+FORMAT = "4"
 """Changes whenever the same weights would come to mean something else: since 2, answers count in compliance, since 3,
-strands slide twice before the network (`quaffure.drapers.undeformed`)."""
+strands slide twice before the network (`quaffure.drapers.undeformed`), since 4, one of a few neighbours feels the
+first time for all, and stubble starts as it grows."""
 
 
 def save_network(path: Path, network: QuaffureNetwork, material: HairMaterial, notes: dict[str, str]) -> None:

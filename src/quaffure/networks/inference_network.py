@@ -15,7 +15,6 @@ from quaffure.networks.activated_layers import (
     activated_convolution,
     activated_doubling,
     activated_linear,
-    fused,
 )
 from quaffure.networks.quaffure_network import DirectionNetwork
 from quaffure.types import Float, Int, Tensor
@@ -43,19 +42,20 @@ class InferenceNetwork:
 
     @torch.no_grad()
     def __init__(self, network: DirectionNetwork, dtype: torch.dtype) -> None:
-        self.dtype, self.config, is_fused = dtype, network.config, fused(dtype)
+        self.dtype, self.config = dtype, network.config
         self.told_size = network.from_strand.in_features
         decoder = network.decoder
         dense = (layer for layer in decoder.dense if isinstance(layer, nn.Linear))
-        self._dense = [activated_linear(*self._affine(layer), is_fused) for layer in dense]
+        self._dense = [activated_linear(*self._affine(layer)) for layer in dense]
         self._first_size = decoder.widths[0]
         self._stages: list[tuple[bool, ActivatedLayer, ActivatedLayer]] = []
         for index, stage in enumerate(decoder.stages):
             doubled, second = (layer for layer in stage.children() if isinstance(layer, nn.Conv2d))
             folded = 4 << index >= _FOLD_FROM
             weight = folded_doubling(doubled.weight) if folded else doubled.weight
-            first = (activated_doubling if folded else activated_convolution)(*self._kernel(weight, doubled), is_fused)
-            self._stages.append((folded, first, activated_convolution(*self._kernel(second.weight, second), is_fused)))
+            activated = activated_doubling if folded else activated_convolution
+            first = activated(*self._kernel(weight, doubled))
+            self._stages.append((folded, first, activated_convolution(*self._kernel(second.weight, second))))
         to_texels = decoder.to_texels[0]
         assert isinstance(to_texels, nn.Conv2d)
         assert to_texels.bias is not None

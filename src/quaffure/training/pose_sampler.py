@@ -9,7 +9,7 @@ from quaffure.body.pose_prior import PosePrior
 from quaffure.types import BodyPose, BodyShape, Float, Tensor
 
 FPS = 30.0
-MAX_COEFFICIENT = 2.5  # standard deviations of body shape
+LARGEST_COEFFICIENT = 2.5  # standard deviations of body shape
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class PoseSampler:
         for run in range(runs):
             if self.clips and torch.rand((), generator=generator) < self.clip_share:
                 poses[run] = self._from_clip(frames, generator)
-        shapes = torch.randn(runs, 1, 10, generator=generator).clamp(-MAX_COEFFICIENT, MAX_COEFFICIENT)
+        shapes = torch.randn(runs, 1, 10, generator=generator).clamp(-LARGEST_COEFFICIENT, LARGEST_COEFFICIENT)
         return poses.flatten(0, 1), shapes.expand(-1, frames, -1).flatten(0, 1)
 
     def _from_clip(self, frames: int, generator: torch.Generator) -> Float[Tensor, "f 81"]:

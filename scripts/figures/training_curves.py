@@ -1,4 +1,4 @@
-"""Figures of validation against the time of training: `python scripts/figures/convergence.py RUN ... --out PICTURE`.
+"""Figures of validation against time: `python scripts/figures/training_curves.py RUN ... --out PICTURE`.
 
 Each run is a folder of `quaffure train`, and named like it. Needs matplotlib, which the extra `docs` brings.
 """
@@ -37,7 +37,7 @@ class Curve(NamedTuple):
 def main(runs: tyro.conf.Positional[tuple[Path, ...]], out: Path) -> list[Path]:
     curves = [read_curve(run.name.replace("_", " "), run) for run in runs]
     lowest = min(min(curve.energy) for curve in curves)
-    plot_convergence(out, curves, [lowest] * len(curves))
+    plot_curves(out, curves, [lowest] * len(curves))
     return [out]
 
 
@@ -52,12 +52,14 @@ def read_curve(name: str, run: Path) -> Curve:
         with path.open(newline="") as file:
             rows = list(csv.DictReader(file))
         columns = [[float(row[column]) for row in rows] for column in COLUMNS]
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError(path, f"a table with the columns {', '.join(COLUMNS)}", str(error)) from error
+    if not rows:
+        raise InputError(path, "at least one validation", "none")
     return Curve(name, *columns)
 
 
-def plot_convergence(path: Path, curves: Sequence[Curve], lowest: Sequence[float]) -> None:
+def plot_curves(path: Path, curves: Sequence[Curve], lowest: Sequence[float]) -> None:
     """Energy above the lowest that each curve is measured from, and hair inside the body; as a .png."""
     figure = Figure(figsize=(8.4, 3.6), layout="constrained")
     above, inside = figure.subplots(1, 2)

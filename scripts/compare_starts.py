@@ -55,13 +55,14 @@ def _starts(scene: Scene, energy: HairEnergy) -> dict[str, torch.Tensor]:
     layered = starting_margin(scene.groom, rest, energy.material, body)
     margins = {"slid": rest.collision_margin, "slid in layers": layered}
     slid = {name: slide_reference(root, sag, rest.rest_length, margin, surface)[0] for name, margin in margins.items()}
-    twice = {
-        f"slid twice, {share:g} handed back": slid_twice(
-            root, sag, rest.rest_length, layered, surface, leader_of(scene.groom), share
-        )[0]
-        for share in SHARES
-    }
-    return {"posed": scene.director, "sag": sag, **slid, **twice}
+    alone, leader = torch.arange(len(scene.groom)), leader_of(scene.groom)
+
+    def twice(leader: torch.Tensor, share: float) -> torch.Tensor:
+        return slid_twice(root, sag, rest.rest_length, layered, surface, leader, share)[0]
+
+    handed = {f"slid twice, {share:g} handed back": twice(leader, share) for share in SHARES}
+    handed[f"the same with {HANDED_BACK:g}, each feeling for itself"] = twice(alone, HANDED_BACK)
+    return {"posed": scene.director, "sag": sag, **slid, **handed}
 
 
 if __name__ == "__main__":

@@ -100,7 +100,10 @@ class TileRenderer:
     ) -> Picture:
         """A tile of just these strands [m, world] on one of the bodies; of the bare body where there are none."""
         faces, skin = bodies.body.faces.numpy(), bodies.posed.vertices[sample].numpy()
-        drawn = strands.numpy() if len(strands) else np.repeat(skin[:1, None], 2, axis=1)  # a strand without length
+        unseen = np.broadcast_to(
+            skin.mean(axis=0), (1, 2, 3)
+        )  # the renderer asks for a strand; this one is in the chest
+        drawn = strands.numpy() if len(strands) else unseen
         return self._renderer.render(drawn, skin, faces, view.camera(bodies, sample), colour)
 
     def _interpolation(self, scene: Scene) -> GuideInterpolation:

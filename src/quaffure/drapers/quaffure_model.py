@@ -55,7 +55,7 @@ class Quaffure:
         """Many hairstyles, one after another, each as soon as its batch is done.
 
         Memory does not grow with them where `grooms` makes them as they are asked for: what is prepared for a groom,
-        some 600 bytes a strand, is kept as long as somebody holds the groom.
+        some 650 bytes a strand, is kept as long as somebody holds the groom.
 
         Args:
             grooms: as for `drape`.

@@ -84,7 +84,8 @@ class DrapeCommand:
             sequence = drape_motion(
                 draper, groom, body, motion, body_shape, lambda frames: progress.advance(task, frames)
             )
-        sequence.meta["elastic"] = self.elastic
+        if self.draper in SOLVERS:  # a network was trained with one, which `--elastic` does not choose
+            sequence.meta["elastic"] = self.elastic
         for path, write in zip(self.out, writers):
             self._say(f"writing {path}")
             write(path, sequence, interpolation)

@@ -162,8 +162,8 @@ class DecoderTraining:
         if loss < self.best:
             self.best = loss
             names = ",".join(groom.name for groom in self.grooms)
-            notes = {"step": str(self.step), "grooms": names, "version": self.folder.version}
-            notes["elastic"] = self.config.elastic
+            of_run = {"version": self.folder.version, "elastic": self.config.elastic}
+            notes = {"step": str(self.step), "grooms": names, **of_run}
             with replacing(self.folder.path / "best.safetensors") as path:
                 save_network(path, self.optimizer.averaged, self.config.material, notes)
         self.folder.log("validation", self._row(figures))

@@ -4,12 +4,12 @@ The shipped weights on six hairstyles: the neck turn of the paper's Fig. 6, then
 two styles were held out of all training.
 """
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import torch
-from figures.tiles import FIGURES, TileRenderer, View, save_picture
+import tyro
+from figures.tiles import FIGURES, TileRenderer, View, run_figure, save_picture
 
 from quaffure.body.clips import bundled_clip
 from quaffure.body.motion import resample
@@ -25,9 +25,9 @@ NECK_TURN, DANCE = [0, 22, 44, 66], [72, 90, 180, 252]
 FPS = 30.0
 
 
-def main(dance: str) -> None:
+def main(dance: tyro.conf.Positional[Path]) -> list[Path]:
     model = load_model()
-    turn, danced = bundled_clip("neck_turn", model.body), resample(read_motion(Path(dance), model.body), FPS)
+    turn, danced = bundled_clip("neck_turn", model.body), resample(read_motion(dance, model.body), FPS)
     poses = torch.cat([turn.body_pose[NECK_TURN], danced.body_pose[DANCE]])
     bodies = BodyBatch(model.body, poses, torch.zeros(len(poses), 10))
     rows = []
@@ -36,7 +36,8 @@ def main(dance: str) -> None:
             scene = Scene(make_groom(name, model.body), bodies)
             rows.append(np.hstack(renderer.tiles(scene, model.draper.drape(scene), View(), colour)))
     save_picture(OUT, np.vstack(rows))
+    return [OUT]
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    run_figure(main)

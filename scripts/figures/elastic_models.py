@@ -27,16 +27,10 @@ VIEWS = (View(40.0, below_head=0.12), View(180.0, below_head=0.12))
 def main() -> list[Path]:
     body = load_body()
     scene = Scene(make_groom(GROOM, body), BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
-    designed = mean_turn(scene.posed)
     tiles = []
     with TileRenderer(260, 290) as renderer:
         for title, (hair, seconds) in {"as designed": (scene.posed, 0.0), **_settled(scene)}.items():
-            lower = 100 * float((scene.posed - hair)[:, :, -1, 2].mean())
-            notes = (
-                f"tips {lower:.1f} cm lower",
-                f"curls {100 * mean_turn(hair) / designed:.0f} % as curved",
-                f"{seconds:.0f} s" if seconds else "",
-            )
+            notes = (*what_is_kept(hair, scene.posed), f"{seconds:.0f} s" if seconds else "")
             print(title, *notes, sep=", ")
             views = [renderer.tiles(scene, hair, view, NATURAL_COLOURS[2])[0] for view in VIEWS]
             tiles.append(captioned(np.vstack(views), Caption(title, notes)))
@@ -54,7 +48,13 @@ def _settled(scene: Scene) -> dict[str, tuple[Positions, float]]:
     return settled
 
 
-def mean_turn(hair: Positions) -> float:
+def what_is_kept(hair: Positions, posed: Positions) -> tuple[str, str]:
+    """How far the hair hangs, and what is left of its curls."""
+    lower = 100 * float((posed - hair)[:, :, -1, 2].mean())
+    return f"tips {lower:.1f} cm lower", f"curls {100 * _mean_turn(hair) / _mean_turn(posed):.0f} % as curved"
+
+
+def _mean_turn(hair: Positions) -> float:
     """Mean angle between an edge and the next [rad]."""
     tangent = torch.nn.functional.normalize(hair.diff(dim=2), dim=-1)
     return float((tangent[:, :, 1:] * tangent[:, :, :-1]).sum(-1).clamp(-1, 1).acos().mean())

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from elastic_models import GROOM, VIEWS, mean_turn
+from elastic_models import GROOM, VIEWS, what_is_kept
 from tiles import FIGURES, Caption, TileRenderer, captioned, grid, run_figure, save_picture
 from training_curves import plot_curves, read_curve
 
@@ -67,14 +67,9 @@ def _scene() -> Scene:
 
 
 def _notes(hair: Positions, scene: Scene) -> tuple[str, ...]:
-    """Of the body at rest: how far the hair hangs and what is left of its curls; of both: what is inside the body."""
-    lower = 100 * float((scene.posed - hair)[0, :, -1, 2].mean())
+    """Of the body at rest: what is kept of the groom; of both: what is inside the body."""
     inside = float(intersection_percent(hair, scene).mean())
-    return (
-        f"tips {lower:.1f} cm lower",
-        f"curls {100 * mean_turn(hair[:1]) / mean_turn(scene.posed[:1]):.0f} % as curved",
-        f"{inside:.2g} % inside the body",
-    )
+    return (*what_is_kept(hair[:1], scene.posed[:1]), f"{inside:.2g} % inside the body")
 
 
 if __name__ == "__main__":

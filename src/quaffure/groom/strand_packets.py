@@ -68,7 +68,7 @@ def strand_packets(groom: Groom, body: BodyModel, margin: Float[Tensor, "s n"]) 
     Raises:
         InputError: a root that is not on the scalp.
     """
-    order, leader = neighbours_together(_places(groom), PER_LEADER), leader_of(groom)
+    order, leader = _led_order(groom)
     leading = order[leader[order] == order]
     lane_of = torch.empty_like(order)
     lane_of[leading] = torch.arange(len(leading), device=order.device)
@@ -108,6 +108,11 @@ def scalp_corners(groom: Groom, body: BodyModel) -> Int[Tensor, "s 3"]:
 
 def leader_of(groom: Groom) -> Int[Tensor, " s"]:
     """The strand that feels for each: of `PER_LEADER` neighbours the one in their middle, which leads itself."""
+    return _led_order(groom)[1]
+
+
+def _led_order(groom: Groom) -> tuple[Int[Tensor, " s"], Int[Tensor, " s"]]:
+    """Order of strands in which every `PER_LEADER` are neighbours, and the leader of each strand."""
     places, root = _places(groom), groom.rest_strands[:, 0]
     order = neighbours_together(places, PER_LEADER)
     groups = torch.cat([order, order[-1:].expand(-len(order) % PER_LEADER)]).view(-1, PER_LEADER)
@@ -115,7 +120,7 @@ def leader_of(groom: Groom) -> Int[Tensor, " s"]:
     leader = torch.empty_like(order)
     leader[groups] = groups.gather(1, off.argmin(dim=1, keepdim=True)).expand_as(groups)
     own = torch.arange(len(order), device=order.device)
-    return torch.where((root - root[leader]).norm(dim=-1) < LED_FROM, leader, own)
+    return order, torch.where((root - root[leader]).norm(dim=-1) < LED_FROM, leader, own)
 
 
 def _whole_packets(order: Int[Tensor, " m"]) -> Int[Tensor, " lanes"]:

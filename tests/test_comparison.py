@@ -36,7 +36,7 @@ from quaffure.evaluation.evaluation_set import (
     load_evaluation_set,
 )
 from quaffure.evaluation.figures import figures_of_merit, measure, total_energy
-from quaffure.evaluation.fingerprint import fingerprint
+from quaffure.evaluation.fingerprint import fingerprint, resemblance
 from quaffure.groom.groom import Groom
 from quaffure.groom.hair_style import HELD_OUT, STYLES
 from quaffure.groom.procedural import make_groom
@@ -197,11 +197,15 @@ def test_whatever_decides_a_drape_is_in_its_fingerprint(tmp_path: Path, case: Ev
     def known(row: Competitor = Competitor("counting", Counting()), of: EvaluationCase = case) -> bool:  # noqa: B008
         return CaseDraper(body, draper.cache).known(row, of, 0) is not None
 
-    moved = replace(case.groom, rest_strands=case.groom.rest_strands + 1e-6)
+    def moved(by: float) -> EvaluationCase:
+        return replace(case, groom=replace(case.groom, rest_strands=case.groom.rest_strands + by))
+
     assert known()
+    assert known(of=moved(1e-7))
     assert known(of=replace(case, name="another", frames=(7, 8, 9)))
     assert not known(Competitor("counting", Counting(shift=1e-6)))
-    assert not known(of=replace(case, groom=moved))
+    assert not known(of=moved(1e-3))
+    assert not known(of=replace(case, groom=replace(case.groom, rest_strands=case.groom.rest_strands.flip(0))))
     assert not known(of=replace(case, body_shape=case.body_shape + 1e-6))
     assert not known(of=replace(case, motion=replace(case.motion, body_pose=case.motion.body_pose + 1e-6)))
 
@@ -244,7 +248,7 @@ def changed(tmp_path: Path) -> Iterator[Callable[[str], None]]:
 
     def change(module: str) -> None:
         path = copy / module
-        path.write_text(path.read_text() + "# another formula\n")
+        path.write_text(path.read_text() + "ANOTHER = 1\n")
         sources.sources_of.cache_clear()
 
     with mock.patch.object(sources, "PACKAGE", copy):
@@ -269,6 +273,25 @@ def test_a_changed_energy_makes_other_drapes(changed: Callable[[str], None]) -> 
     changed("geometry/rotation.py")
     after_geometry = prints()
     assert not {name for name in rows if after_geometry[name] == after_energy[name]}
+
+
+def test_words_in_a_source_do_not_count() -> None:
+    bare = 'class C(Error):\n    x: int = 1\n\ndef f():\n    return "a"\n'
+    said = (
+        '"""What."""\n\nclass C(Error):\n    """Why."""\n    x: int = 1\n    """One."""\n\n'
+        'def f():\n    """How."""\n    return "a"  # yes\n'
+    )
+    assert sources._without_words(bare) == sources._without_words(said)
+    assert sources._without_words(bare) != sources._without_words(bare.replace('"a"', '"b"'))
+
+
+@pytest.mark.parametrize(("rms", "alike"), [(1e-8, 1.0), (1e-6, 0.9), (3e-4, 0.0)])
+def test_arrays_resemble_each_other_within_a_tolerance(rms: float, alike: float) -> None:
+    rng = torch.Generator().manual_seed(1)
+    array = torch.randn(100, 24, 3, generator=rng, dtype=torch.float64)
+    others = [array + rms * torch.randn(array.shape, generator=rng, dtype=torch.float64) for _ in range(40)]
+    same = [resemblance(other, 1e-4) == resemblance(array, 1e-4) for other in others]
+    assert sum(same) / len(same) >= alike if alike else not any(same)
 
 
 def test_imports_inside_of_functions_count() -> None:

@@ -162,6 +162,29 @@ def test_evaluate_writes_the_same_on_file_page_and_screen(
     assert again["summary"] == results["summary"]
 
 
+@pytest.mark.slow
+def test_the_quick_evaluation_of_the_shipped_weights(tmp_path: Path) -> None:
+    out = tmp_path / "quick.json"
+    main(["evaluate", "--quick", "--out", str(out), "--report", str(tmp_path), "--cache", str(tmp_path / "cache")])
+    results = json.loads(out.read_text())
+    check_page((tmp_path / PAGE).read_text(), results)
+    assert results["skipped"] == {}
+    assert (len(results["cases"]), results["drapes_made"]) == (3, 20)
+    rows = results["summary"]["all"]
+    assert list(rows) == ["posed", "xpbd", "neural", "neural_refined"]
+    assert [mean_of(rows, row, "energy") for row in ("xpbd", "neural_refined", "neural", "posed")] == sorted(
+        mean_of(rows, row, "energy") for row in rows
+    )
+    inside, length, turned = "body_intersection_percent", "length_error_percent", "orientation_error_deg"
+    assert mean_of(rows, "neural", inside) < 0.5 < mean_of(rows, "posed", inside)
+    assert mean_of(rows, "neural", length) < 0.01 < mean_of(rows, "xpbd", length)
+    assert mean_of(rows, "neural", turned) < 1.5 * mean_of(rows, "xpbd", turned)
+
+
+def mean_of(rows: dict, row: str, figure: str) -> float:
+    return rows[row][figure]["mean"]
+
+
 def test_evaluate_takes_what_a_user_brings(
     run: Callable[..., None], tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

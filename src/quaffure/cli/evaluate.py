@@ -61,9 +61,9 @@ class EvaluateCommand:
     report: Path | None = None
     """A folder for the results as a page, evaluation_results.md, with a picture."""
     quick: bool = False
-    """A few cases of the set without the solver newton: minutes."""
+    """A few cases of the set, and of the solvers xpbd alone: a minute or two."""
     draper: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """A row to run; may be given several times. Without it, all, and those of --weights."""
+    """A row to run; may be given several times. Without it, all, or those of --quick, and those of --weights."""
     weights: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME=FILE")] = ()
     """Weights of a training run as a row NAME; may be given several times. The row neural is the shipped weights;
     the row groomgen is those of `quaffure train-groomgen`, left out of cases of other grooms than its own."""

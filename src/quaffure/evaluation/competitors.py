@@ -21,7 +21,7 @@ GROOMGEN = GroomGenDraper.name
 SOLVER_ROWS = ("adam", "lbfgs", "xpbd", "newton")
 """Whose lowest drape of a frame is the reference of all rows."""
 ROWS = (POSED, *SOLVER_ROWS, NETWORK, REFINED)
-QUICK_ROWS = tuple(name for name in ROWS if name != "newton")
+QUICK_ROWS = (POSED, "xpbd", NETWORK, REFINED)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ _PREFIXES = tuple(f"quaffure.{room}." for room in ROOMS)
 def sources_of(module: str) -> tuple[tuple[str, str], ...]:
     """Name and source of a loaded module and of all modules of `ROOMS` that it imports, directly or not.
 
-    Imports count wherever they stand, those inside of functions too.
+    Imports count wherever they stand, those inside of functions too. Sources come without comments and docstrings.
     """
     found = {module: inspect.getsource(sys.modules[module])}
     unread = [module]
@@ -28,7 +28,19 @@ def sources_of(module: str) -> tuple[tuple[str, str], ...]:
             if name not in found:
                 found[name] = _path(name).read_text(encoding="utf-8")
                 unread.append(name)
-    return tuple(sorted(found.items()))
+    return tuple(sorted((name, _without_words(source)) for name, source in found.items()))
+
+
+def _without_words(source: str) -> str:
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            node.body = [line for line in node.body if not _is_docstring(line)]
+    return ast.unparse(tree)
+
+
+def _is_docstring(line: ast.stmt) -> bool:
+    return isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)
 
 
 def _imported(source: str) -> Iterator[str]:

@@ -3,15 +3,13 @@
 Trains what `runs_folder` does not hold yet, all with the same samples, and carries on where it was stopped; then draws.
 """
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import torch
 from elastic_models import GROOM, VIEWS, what_is_kept
 from tiles import FIGURES, Caption, TileRenderer, captioned, grid, run_figure, save_picture
-from training_curves import plot_curves, read_curve
+from training_curves import plot_curves, read_curve, train_shortly
 
 from quaffure.body.body_model import load_body
 from quaffure.body.clips import bundled_clip
@@ -25,17 +23,12 @@ from quaffure.types import Positions
 
 PICTURE, PLOT = FIGURES / "elastic_networks.jpg", FIGURES / "elastic_training.png"
 TURNED = ("neck_turn", 30)  # a clip, and a frame of it
-RUN = (
-    *("--groom", GROOM, "--steps", "500", "--runs", "4", "--frames", "2", "--self-collision-every", "3", "--bf16"),
-    *("--learning-rate", "1.5e-3", "--warmup", "50", "--validate-every", "25"),
-)
 
 
 def main(runs_folder: Path = Path("runs/elastic")) -> list[Path]:
     runs = {name: runs_folder / name for name in ELASTIC_MODELS}
     for name, folder in runs.items():
-        command = [str(Path(sys.executable).with_name("quaffure")), "train", "--out", str(folder), "--elastic", name]
-        subprocess.run([*command, *RUN], check=True)
+        train_shortly(folder, ("--elastic", name))
     _draw({name: folder / "best.safetensors" for name, folder in runs.items()})
     curves = [read_curve(name.replace("_", " "), folder) for name, folder in runs.items()]
     # Energies of several models cannot be compared: each is measured from its own lowest.

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from pathlib import Path
 
-import torch
 import tyro
 from rich.progress import Progress, TimeRemainingColumn
 
@@ -28,11 +27,9 @@ from quaffure.training.groom_samples import family_growings
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_config import TrainConfig
 from quaffure.training.train_decoder import DecoderTraining, train
-from quaffure.training.validation import Validation
+from quaffure.training.validation import prior_validation
 
 SHIPPED = "shipped"
-VALIDATION_POSES = 16
-VALIDATION_SEED = 20_000
 
 
 @dataclass(frozen=True)
@@ -77,7 +74,7 @@ class TrainCommand:
             with Progress(
                 *progress_columns(TimeRemainingColumn()), console=console, disable=not worker.is_first
             ) as progress:
-                train(training, _validation(), _report(training, progress))
+                train(training, prior_validation(), _report(training, progress))
 
     def _check(self) -> None:
         """What a mistake can be told from before anything is loaded."""
@@ -142,11 +139,3 @@ def _report(training: DecoderTraining, progress: Progress) -> Callable[[int, dic
             )
 
     return report
-
-
-def _validation() -> Validation:
-    """Poses and shapes drawn once, by a generator of their own, from the prior alone: frames of the clips are poses
-    that the network was trained on.
-    """
-    generator = torch.Generator().manual_seed(VALIDATION_SEED)
-    return Validation(*PoseSampler(load_pose_prior()).sample(VALIDATION_POSES, 1, generator))

@@ -38,9 +38,9 @@ class NetworkConfig:
     strand_layers: int = 2
     """Hidden layers common to all strands, the first included (`directions` only)."""
     views: bool = True
-    """Whether the strand layers see the skin near the undeformed strand (`directions` only)."""
+    """The strand layers see the skin near the undeformed strand, or, with `--no-views`, do not (`directions` only)."""
     slides: bool = True
-    """Whether the undeformed strand slides along the softened body or only sags (`directions` only)."""
+    """The undeformed strand slides along the softened body or, with `--no-slides`, only sags (`directions` only)."""
 
     def __post_init__(self) -> None:
         if self.output not in ("directions", "displacement"):

@@ -38,7 +38,8 @@ class TrainConfig:
     """Of Eq. 10 in the loss, over its part in the energy; forces that are saturated stay so. Above 1, less hair ends up
     inside bodies of unfamiliar poses, for a little more of the other terms elsewhere."""
     elastic: Literal["modified_cosserat", "cosserat", "mass_spring"] = "modified_cosserat"
-    """The elastic model that the loss holds strands together with. Frames of `cosserat` follow their edges."""
+    """The energy that keeps a strand's shape: the paper's, edge by edge (Eqs. 6-8), the full rod (Eqs. 2-5), whose
+    frames follow their edges here, or springs."""
     bf16: bool = False
     """Run the network's layers in bfloat16."""
     seed: int = 0

@@ -1,18 +1,23 @@
-"""Figures of a network on bodies that no step trains on."""
+"""Figures of a draper on bodies that no step trains on."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from quaffure.drapers.neural import NeuralDraper
+import torch
+
+from quaffure.body.pose_prior import load_pose_prior
+from quaffure.drapers.draper import Draper
 from quaffure.drapers.scene import Scene
 from quaffure.energies.elastic import length_errors, orientation_errors
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.signed_distance import signed_distance
+from quaffure.training.pose_sampler import PoseSampler
 from quaffure.types import BodyPose, BodyShape, Energy, Float, Positions, Tensor
 
 # Exact distances cost twice what all energies do; as many strands, spread over the groom, tell the share to a
 # twentieth of itself.
 MEASURED_STRANDS = 500
+_POSES, _SEED = 16, 20_000
 
 
 @dataclass(frozen=True)
@@ -21,6 +26,14 @@ class Validation:
 
     body_pose: BodyPose
     body_shape: BodyShape
+
+
+def prior_validation() -> Validation:
+    """Poses and shapes drawn once, by a generator of their own, from the shipped prior alone: frames of clips are poses
+    that the network may have been trained on.
+    """
+    generator = torch.Generator().manual_seed(_SEED)
+    return Validation(*PoseSampler(load_pose_prior()).sample(_POSES, 1, generator))
 
 
 STIFF_SHARE = 0.1
@@ -37,7 +50,7 @@ def loss_unit(energy: HairEnergy) -> float:
     return energy.per_vertex_unit + STIFF_SHARE * energy.rest.mass.numel() * energy.material.k_cosserat
 
 
-def validation_figures(draper: NeuralDraper, scenes: Iterable[tuple[Scene, HairEnergy]]) -> dict[str, float]:
+def validation_figures(draper: Draper, scenes: Iterable[tuple[Scene, HairEnergy]]) -> dict[str, float]:
     """Means over grooms and poses.
 
     Args:

@@ -19,7 +19,7 @@ from numba import set_num_threads
 from ours import Ours, our_drapers, timed_drape
 from rest import TOLERANCE, Trace, arrival, extrapolated
 from scene import add_scene_options, make_scene, write_scene
-from their import PART_RUN, PEERS, WHOLE_RUN, installed, peer_run
+from their import PART_RUN, PEERS, WHOLE_RUN, PeerRun, installed, peer_run
 
 from quaffure.drapers.scene import Scene
 from quaffure.energies.hair_energy import HairEnergy
@@ -91,10 +91,9 @@ def _their_rows(scenes: dict[int, Scene], folder: Path) -> Iterator[Row]:
         if not installed(peer):
             print(f"{peer} is left out: bash benchmarks/peers/set_up.sh {peer}")
             continue
-        run = peer_run(peer, files[STRANDS], WHOLE_RUN)
-        if not np.allclose(run.trace.states[0], scenes[STRANDS].posed[0], atol=1e-5):
-            raise InputError(folder, "runs of this scene", "runs of another (take another --folder)")
-        growth = peer_run(peer, files[2 * STRANDS], PART_RUN).cost(PART_RUN) / run.cost(PART_RUN)
+        run = _run_on(scenes[STRANDS], peer, files[STRANDS], WHOLE_RUN)
+        part = _run_on(scenes[2 * STRANDS], peer, files[2 * STRANDS], PART_RUN)
+        growth = part.cost(PART_RUN) / run.cost(PART_RUN)
         rest = float(run.trace.cpu_seconds[arrival(run.trace)])
         yield Row(
             name=peer,
@@ -109,6 +108,18 @@ def _their_rows(scenes: dict[int, Scene], folder: Path) -> Iterator[Row]:
             compile_seconds=run.compile_seconds,
             build_seconds=run.build_seconds,
         )
+
+
+def _run_on(scene: Scene, peer: str, file: Path, seconds: float) -> PeerRun:
+    """The run of a peer, which must have begun where the scene's posed hair is.
+
+    Raises:
+        InputError: the folder keeps a run of another scene.
+    """
+    run = peer_run(peer, file, seconds)
+    if not np.allclose(run.trace.states[0], scene.posed[0], atol=1e-5):
+        raise InputError(file, "runs of this scene beside it", "runs of another (take another --folder)")
+    return run
 
 
 def _our_rows(scenes: dict[int, Scene], folder: Path) -> Iterator[Row]:

@@ -37,7 +37,7 @@ def main(runs_folder: Path = Path("runs/choices")) -> list[Path]:
     for name, seconds, energy, inside in curves:
         above = energy[-1] - solved["energy"]
         print(f"{name}: {above:.3g} m g L above {REFERENCE}, {inside[-1]:.2g} % inside after {seconds[-1]:.0f} s")
-    plot_curves(PLOT, curves, [solved["energy"]] * len(curves))
+    plot_curves(PLOT, curves, [solved["energy"]] * len(curves), REFERENCE)
     return [PLOT]
 
 

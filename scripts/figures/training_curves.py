@@ -76,14 +76,14 @@ def read_curve(name: str, run: Path) -> Curve:
     return Curve(name, *columns)
 
 
-def plot_curves(path: Path, curves: Sequence[Curve], lowest: Sequence[float]) -> None:
-    """Energy above the lowest that each curve is measured from, and hair inside the body; as a .png."""
+def plot_curves(path: Path, curves: Sequence[Curve], zeros: Sequence[float], zero: str = "the lowest") -> None:
+    """Energy above what each curve is measured from, `zero` in words, and hair inside the body; as a .png."""
     figure = Figure(figsize=(8.4, 3.6), layout="constrained")
     above, inside = figure.subplots(1, 2)
-    for curve, least in zip(curves, lowest):
+    for curve, least in zip(curves, zeros):
         above.semilogy(curve.seconds, [max(energy - least, LEAST_SHOWN) for energy in curve.energy], label=curve.name)
         inside.semilogy(curve.seconds, curve.inside)
-    above.set_ylabel("energy above the lowest [m g L]")
+    above.set_ylabel(f"energy above {zero} [m g L]")
     inside.set_ylabel("inside the body [%]")
     for axis in (above, inside):
         axis.set_xlabel("time of training [s]")

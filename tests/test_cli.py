@@ -11,9 +11,11 @@ import torch
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.clips import CLIP_NAMES
+from quaffure.cli.drape import duration, with_preparation
 from quaffure.cli.main import main
 from quaffure.config import HairMaterial
 from quaffure.drapers import quaffure_model
+from quaffure.drapers.drape_motion import FRAMES_AT_ONCE
 from quaffure.errors import InputError
 from quaffure.groom.groom import Groom
 from quaffure.groom.hair_style import STYLES
@@ -114,6 +116,7 @@ def test_drape_writes_every_format_and_prints_figures(
 
     assert printed["meta"]["groom"] == groom.name
     assert printed["milliseconds"] > 0
+    assert printed["with_preparation"] is True
     figures = printed["per_frame"]["posed"]
     assert all(len(per_frame) == 3 for per_frame in figures.values())
     assert max(figures["orientation_error_deg"]) < 1e-3
@@ -466,3 +469,13 @@ def test_reasons_of_several_lines_are_told_in_one(refusal: Refusal) -> None:
 def test_python_errors_are_input_errors() -> None:
     with pytest.raises(InputError, match="no such file"):
         quaffure_model.load_model(Path("missing.safetensors"))
+
+
+@pytest.mark.parametrize(("frames", "prepared"), [(1, True), (FRAMES_AT_ONCE, True), (FRAMES_AT_ONCE + 1, False)])
+def test_the_time_of_a_few_frames_holds_what_is_prepared_once(frames: int, prepared: bool) -> None:
+    assert with_preparation(range(frames)) is prepared
+
+
+@pytest.mark.parametrize(("milliseconds", "said"), [(4.213, "4.21 ms"), (999.0, "999 ms"), (12345.0, "12.3 s")])
+def test_times_are_said_in_their_own_unit(milliseconds: float, said: str) -> None:
+    assert duration(milliseconds) == said

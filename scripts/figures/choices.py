@@ -1,13 +1,15 @@
 """Energy above a solver's against the time of training: our network, ours without some of its choices, and the paper's.
 
+Energies are in the unit of the loss.
+
 Trains what `runs_folder` does not hold yet, all with the same samples, and carries on where it was stopped; then plots.
 """
 
 from pathlib import Path
 
-from elastic_models import GROOM
+from short_training import GROOM, train_shortly
 from tiles import FIGURES, run_figure
-from training_curves import plot_curves, read_curve, train_shortly
+from training_curves import plot_curves, read_curve
 
 from quaffure.body.body_model import load_body
 from quaffure.config import HairMaterial
@@ -15,7 +17,7 @@ from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.drapers.solvers import solver
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.groom.procedural import make_groom
-from quaffure.training.validation import prior_validation, validation_figures
+from quaffure.training.validation import loss_unit, prior_validation, validation_figures
 
 PLOT = FIGURES / "choices.png"
 CHOICES = {
@@ -33,10 +35,10 @@ def main(runs_folder: Path = Path("runs/choices")) -> list[Path]:
         train_shortly(folders[name], options)
     curves = [read_curve(name, folder) for name, folder in folders.items()]
     solved = _solved()
-    print(f"{REFERENCE}: {solved['energy']:.3g} m g L, {solved['body_intersection_percent']:.2g} % inside the body")
+    print(f"{REFERENCE}: {solved['energy']:.3g}, {solved['body_intersection_percent']:.2g} % inside the body")
     for name, seconds, energy, inside in curves:
         above = energy[-1] - solved["energy"]
-        print(f"{name}: {above:.3g} m g L above {REFERENCE}, {inside[-1]:.2g} % inside after {seconds[-1]:.0f} s")
+        print(f"{name}: {above:.3g} above {REFERENCE}, {inside[-1]:.2g} % inside after {seconds[-1]:.0f} s")
     plot_curves(PLOT, curves, [solved["energy"]] * len(curves), REFERENCE)
     return [PLOT]
 
@@ -45,7 +47,9 @@ def _solved() -> dict[str, float]:
     """What a solver leaves of the same groom on the bodies that the trainings are validated on."""
     body, poses, material = load_body(), prior_validation(), HairMaterial()
     scene = Scene(make_groom(GROOM, body), BodyBatch(body, poses.body_pose, poses.body_shape))
-    return validation_figures(solver(REFERENCE, material), [(scene, HairEnergy(scene.groom, material))])
+    energy = HairEnergy(scene.groom, material)
+    print(f"unit of the loss: {loss_unit(energy) / energy.per_vertex_unit:.3g} m g L a vertex")
+    return validation_figures(solver(REFERENCE, material), [(scene, energy)])
 
 
 if __name__ == "__main__":

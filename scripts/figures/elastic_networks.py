@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from elastic_models import GROOM, VIEWS, what_is_kept
+from elastic_models import VIEWS, what_is_kept
+from short_training import GROOM, train_shortly
 from tiles import FIGURES, Caption, TileRenderer, captioned, grid, run_figure, save_picture
-from training_curves import plot_curves, read_curve, train_shortly
+from training_curves import plot_curves, read_curve
 
 from quaffure.body.body_model import load_body
 from quaffure.body.clips import bundled_clip

@@ -4,14 +4,11 @@ Each run is a folder of `quaffure train`, and named like it. Needs matplotlib, w
 """
 
 import csv
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import tyro
-from elastic_models import GROOM
 from matplotlib.figure import Figure
 from tiles import run_figure
 
@@ -20,10 +17,6 @@ from quaffure.io.atomic import replacing
 
 LEAST_SHOWN = 1e-3  # of an energy; smaller differences come and go
 COLUMNS = ("seconds", "energy", "body_intersection_percent")
-SHORT_TRAINING = (
-    *("--groom", GROOM, "--steps", "500", "--runs", "4", "--frames", "2", "--self-collision-every", "3", "--bf16"),
-    *("--learning-rate", "1.5e-3", "--warmup", "50", "--validate-every", "25"),
-)
 
 
 class Curve(NamedTuple):
@@ -46,16 +39,6 @@ def main(runs: tyro.conf.Positional[tuple[Path, ...]], out: Path) -> list[Path]:
     lowest = min(min(curve.energy) for curve in curves)
     plot_curves(out, curves, [lowest] * len(curves))
     return [out]
-
-
-def train_shortly(run: Path, options: Sequence[str]) -> None:
-    """Train from nothing on ringlets alone, 4,000 samples; carries on where it was stopped.
-
-    Raises:
-        subprocess.CalledProcessError: the training failed, and has said why.
-    """
-    quaffure = str(Path(sys.executable).with_name("quaffure"))
-    subprocess.run([quaffure, "train", "--out", str(run), *SHORT_TRAINING, *options], check=True)
 
 
 def read_curve(name: str, run: Path) -> Curve:
@@ -83,7 +66,7 @@ def plot_curves(path: Path, curves: Sequence[Curve], zeros: Sequence[float], zer
     for curve, least in zip(curves, zeros):
         above.semilogy(curve.seconds, [max(energy - least, LEAST_SHOWN) for energy in curve.energy], label=curve.name)
         inside.semilogy(curve.seconds, curve.inside)
-    above.set_ylabel(f"energy above {zero} [m g L]")
+    above.set_ylabel(f"energy above {zero} [unit of the loss]")
     inside.set_ylabel("inside the body [%]")
     for axis in (above, inside):
         axis.set_xlabel("time of training [s]")

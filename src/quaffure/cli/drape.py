@@ -1,5 +1,6 @@
 """`quaffure drape`: a groom, a body and a motion in; draped hair out."""
 
+from collections.abc import Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -132,7 +133,7 @@ class DrapeCommand:
         named = {"posed": posed, self.draper: draped}
         if self.json:
             rows = {name: {key: figure.tolist() for key, figure in row.items()} for name, row in named.items()}
-            times = {"milliseconds": sequence.meta["milliseconds"], "with_preparation": _with_preparation(sequence)}
+            times = {"milliseconds": sequence.meta["milliseconds"], "with_preparation": with_preparation(sequence)}
             print_json({"per_frame": rows, **times, "meta": sequence.meta})
             return
         rows_printed: list[dict[str, object]] = []
@@ -147,17 +148,17 @@ class DrapeCommand:
             row["frames better"] = f"{int((figure < posed[key]).sum())} of {len(figure)}" if judged else ""
             rows_printed.append(row)
         print_rows(rows_printed, f"{sequence.meta['groom']} on {sequence.meta['motion']}, {_frames(len(sequence))}")
-        first = ", with what is prepared once (kernels, the groom)" if _with_preparation(sequence) else ""
-        taken = _duration(float(sequence.meta["milliseconds"]))
+        first = ", with what is prepared once (kernels, the groom)" if with_preparation(sequence) else ""
+        taken = duration(float(sequence.meta["milliseconds"]))
         console.print(f"{taken} a drape{first}; written: {', '.join(map(str, self.out))}")
 
 
-def _with_preparation(sequence: DrapeSequence) -> bool:
+def with_preparation(sequence: Sized) -> bool:
     """Whether its time holds what is prepared once, kernels and groom; of long clips only later frames count."""
     return len(sequence) <= FRAMES_AT_ONCE
 
 
-def _duration(milliseconds: float) -> str:
+def duration(milliseconds: float) -> str:
     return f"{milliseconds:.3g} ms" if milliseconds < 1000 else f"{milliseconds / 1000:.3g} s"
 
 

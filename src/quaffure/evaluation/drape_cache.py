@@ -8,9 +8,14 @@ import numpy as np
 import torch
 
 from quaffure.errors import InputError
+from quaffure.evaluation.fingerprint import fingerprint
+from quaffure.groom.groom import Groom
 from quaffure.io.atomic import made_folder, replacing
 from quaffure.io.npz_strands import read_npz
 from quaffure.types import Float, Tensor
+
+SAME_GROOM = 1e-5
+"""Grooms are the same where no vertex [m] and no root [in the scalp's chart] differs by more."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class DrapeNote:
 
 
 class DrapeCache:
-    """A folder of drapes by fingerprint: `<key>.npz`, and `<key>.json` that says what it is.
+    """A folder of drapes by fingerprint: `<key>.npz`, and `<key>.json` that says what it is; grooms in `grooms`.
 
     A drape counts once its note is there, which is written last: a process that dies in between leaves nothing
     half-written. Processes may share a folder, as none of its files belongs to more than one drape.
@@ -62,10 +67,7 @@ class DrapeCache:
         note = _read_note(self._path(key, ".json"))
         if note is None:
             return None
-        try:
-            strands = read_npz(self._path(key, ".npz"), ("strands",)).get("strands")
-        except InputError:
-            return None
+        strands = _read_arrays(self._path(key, ".npz"), ("strands",)).get("strands")
         if strands is None or strands.dtype != np.float32:
             return None
         return TimedDrape(torch.from_numpy(strands), note.milliseconds, note.machine)
@@ -77,8 +79,37 @@ class DrapeCache:
         with replacing(self._path(key, ".json")) as temporary:
             temporary.write_text(json.dumps(asdict(note), indent=1) + "\n", encoding="utf-8")
 
+    def groom_key(self, groom: Groom) -> str:
+        """Fingerprint of the groom in this folder that is the same within `SAME_GROOM`; where there is none, of this
+        one, which the folder keeps.
+
+        No groom is the same to the last bit on another processor, with another number of threads or freshly compiled.
+        """
+        strands, root_uv = groom.rest_strands.numpy(), groom.root_uv.numpy()
+        folder = made_folder(self.folder / "grooms", "a folder for grooms")
+        for path in sorted(folder.glob("*.npz")):
+            kept = _read_arrays(path, ("rest_strands", "root_uv"))
+            if _same(kept.get("rest_strands"), strands) and _same(kept.get("root_uv"), root_uv):
+                return path.stem
+        key = fingerprint(strands, root_uv)
+        with replacing(folder / f"{key}.npz") as temporary, temporary.open("wb") as file:
+            np.savez(file, rest_strands=strands, root_uv=root_uv)
+        return key
+
     def _path(self, key: str, suffix: str) -> Path:
         return self.folder / f"{key}{suffix}"
+
+
+def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Nothing of a file that is lost or damaged."""
+    try:
+        return read_npz(path, names)
+    except InputError:
+        return {}
+
+
+def _same(kept: np.ndarray | None, own: np.ndarray) -> bool:
+    return kept is not None and kept.shape == own.shape and bool(np.abs(kept - own).max() <= SAME_GROOM)
 
 
 def _read_note(path: Path) -> DrapeNote | None:

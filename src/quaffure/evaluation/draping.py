@@ -8,6 +8,7 @@ from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from statistics import median
+from weakref import WeakKeyDictionary
 
 import torch
 from numba import get_num_threads
@@ -19,16 +20,14 @@ from quaffure.errors import InputError
 from quaffure.evaluation.competitors import Competitor
 from quaffure.evaluation.drape_cache import DrapeCache, TimedDrape
 from quaffure.evaluation.evaluation_set import EvaluationCase
-from quaffure.evaluation.fingerprint import fingerprint, resemblance
+from quaffure.evaluation.fingerprint import fingerprint
+from quaffure.groom.groom import Groom
 from quaffure.types import Float, Tensor
 
 PATIENCE = 1.0
 """A drape that takes longer than this [s] is timed by the one run that makes it; others by `REPEATS` more."""
 REPEATS = 5
 WARM_UP_STRANDS = 8
-SAME_GROOM = 1e-4
-"""Grooms are the same whose vertices [m] and roots [in the scalp's chart] differ by much less than this. They never are
-to the last bit: the number of threads, the processor and a fresh compilation all round otherwise, by up to 1e-6."""
 CPU_INFO = Path("/proc/cpuinfo")
 
 
@@ -53,6 +52,7 @@ class CaseDraper:
         self.made, self.fetched = 0, 0
         self._warm: set[str] = set()
         self._of_competitor: dict[str, str] = {}
+        self._of_groom: WeakKeyDictionary[Groom, str] = WeakKeyDictionary()
 
     def drape(self, competitor: Competitor, case: EvaluationCase, frame: int) -> TimedDrape | None:
         """One frame, counted within the case; None where the competitor has no answer for the groom.
@@ -98,14 +98,13 @@ class CaseDraper:
     def _key(self, competitor: Competitor, case: EvaluationCase, frame: int) -> str:
         if competitor.name not in self._of_competitor:
             self._of_competitor[competitor.name] = fingerprint(competitor.draper)
-        groom = case.groom
+        if case.groom not in self._of_groom:
+            self._of_groom[case.groom] = self.cache.groom_key(case.groom)
         return fingerprint(
             version("quaffure"),
             self._of_competitor[competitor.name],
             self._body_fingerprint,
-            tuple(groom.rest_strands.shape),
-            resemblance(groom.rest_strands, SAME_GROOM),
-            resemblance(groom.root_uv, SAME_GROOM),
+            self._of_groom[case.groom],
             case.motion.body_pose[frame],
             case.body_shape,
         )

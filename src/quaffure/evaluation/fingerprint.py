@@ -9,9 +9,6 @@ import torch
 
 from quaffure.drapers.draper import Draper
 from quaffure.evaluation.sources import sources_of
-from quaffure.types import Float, Tensor
-
-_DIRECTIONS = 4
 
 
 def fingerprint(*values: object) -> str:
@@ -24,18 +21,6 @@ def fingerprint(*values: object) -> str:
     for value in values:
         _feed(sha, value)
     return sha.hexdigest()
-
-
-def resemblance(array: Float[Tensor, "..."], tolerance: float) -> tuple[int, ...]:
-    """Whole numbers that stay as they are where an array differs from another by much less than a tolerance, RMS.
-
-    They are its projections on four fixed random directions, in cells of the tolerance. An array that differs by twice
-    that has others, two in a thousand excepted; one that differs by a hundredth has the same, three in a hundred
-    excepted.
-    """
-    values = array.detach().cpu().double().numpy().ravel()
-    directions = np.random.default_rng(0).choice((-1.0, 1.0), (_DIRECTIONS, values.size))
-    return tuple(int(cell) for cell in np.floor(directions @ values / (tolerance * np.sqrt(max(values.size, 1)))))
 
 
 def _feed(sha: Any, value: Any) -> None:

@@ -35,11 +35,11 @@ def _without_words(source: str) -> str:
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
-            node.body = [line for line in node.body if not _is_docstring(line)]
+            node.body = [line for line in node.body if not _is_bare_constant(line)]
     return ast.unparse(tree)
 
 
-def _is_docstring(line: ast.stmt) -> bool:
+def _is_bare_constant(line: ast.stmt) -> bool:
     return isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)
 
 

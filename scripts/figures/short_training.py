@@ -1,0 +1,22 @@
+"""Trainings that are as short as they are alike, for comparing what is trained: from nothing, on ringlets alone."""
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+GROOM = "long_ringlets"
+OPTIONS = (
+    *("--groom", GROOM, "--steps", "500", "--runs", "4", "--frames", "2", "--self-collision-every", "3", "--bf16"),
+    *("--learning-rate", "1.5e-3", "--warmup", "50", "--validate-every", "25"),
+)
+
+
+def train_shortly(run: Path, options: Sequence[str]) -> None:
+    """Train on 4,000 samples; carries on where it was stopped.
+
+    Raises:
+        subprocess.CalledProcessError: the training failed, and has said why.
+    """
+    quaffure = str(Path(sys.executable).with_name("quaffure"))
+    subprocess.run([quaffure, "train", "--out", str(run), *OPTIONS, *options], check=True)

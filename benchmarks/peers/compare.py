@@ -87,6 +87,9 @@ def _their_rows(scenes: dict[int, Scene], folder: Path) -> Iterator[Row]:
     for count, file in files.items():
         if not file.exists():
             write_scene(file, scenes[count])
+        with np.load(file, allow_pickle=False) as scene:
+            if not np.allclose(scene["strands"], scenes[count].posed[0], atol=1e-5):
+                raise InputError(file, "this scene", "another (take another --folder)")
     for peer in PEERS:
         if not installed(peer):
             print(f"{peer} is left out: bash benchmarks/peers/set_up.sh {peer}")

@@ -88,8 +88,7 @@ def _their_rows(scenes: dict[int, Scene], folder: Path) -> Iterator[Row]:
         if not file.exists():
             write_scene(file, scenes[count])
         with np.load(file, allow_pickle=False) as scene:
-            if not np.allclose(scene["strands"], scenes[count].posed[0], atol=1e-5):
-                raise InputError(file, "this scene", "another (take another --folder)")
+            _refuse_another(scene["strands"], scenes[count], file)
     for peer in PEERS:
         if not installed(peer):
             print(f"{peer} is left out: bash benchmarks/peers/set_up.sh {peer}")
@@ -120,9 +119,13 @@ def _run_on(scene: Scene, peer: str, file: Path, seconds: float) -> PeerRun:
         InputError: the folder keeps a run of another scene.
     """
     run = peer_run(peer, file, seconds)
-    if not np.allclose(run.trace.states[0], scene.posed[0], atol=1e-5):
-        raise InputError(file, "runs of this scene beside it", "runs of another (take another --folder)")
+    _refuse_another(run.trace.states[0], scene, file)
     return run
+
+
+def _refuse_another(strands: np.ndarray, scene: Scene, file: Path) -> None:
+    if not np.allclose(strands, scene.posed[0], atol=1e-5):
+        raise InputError(file, "this scene and runs of it", "another (take another --folder)")
 
 
 def _our_rows(scenes: dict[int, Scene], folder: Path) -> Iterator[Row]:

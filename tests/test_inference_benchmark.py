@@ -35,6 +35,8 @@ def test_the_benchmark_measures_and_writes(weights: Path, tmp_path: Path, capsys
         "strands_before",
         "strand_layers",
         "strands_after",
+        "skin",
+        "out_of_skin",
     }
     floor = written["floor"]
     slowest = max(

@@ -14,12 +14,14 @@ import torch
 from numba import njit, prange
 
 from quaffure.body.body_model import BodyModel
+from quaffure.body.hair_skin import hair_skin
 from quaffure.body.motion import without_heading
 from quaffure.body.pose_features import FEATURE_COUNT, HEAD, NEAR_HAIR, OFFSET_SCALE, pose_features
 from quaffure.body.soft_body import SIGHT, skin_points, soft_body
 from quaffure.geometry.soft_surface import LEAF, SoftSurface
 from quaffure.types import BodyPose, BodyShape, Float, Int, Tensor
 
+_PARTS = 4  # of the skin, for threads to share one body
 POSE_CODE_SIZE = 10 + 81 + FEATURE_COUNT
 """Length of what the network is told of shape and pose: beta, theta without heading, pose features."""
 
@@ -91,6 +93,18 @@ def head_view(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> He
     return HeadView(rotation, head, code, positions[:, len(skin.normals) :].contiguous(), surface)
 
 
+def posed_skin(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> Float[Tensor, "b v 3"]:
+    """The vertices of `hair_skin(body)` in the world [m]: the same as `BodyModel.pose`, and no others; on the CPU."""
+    skin, joints, batch = _whole_skin(body), len(body.joint_parents), len(body_pose)
+    transforms, code = np.empty((batch, joints, 3, 4), np.float32), np.empty((batch, POSE_CODE_SIZE), np.float32)
+    rotation, head = torch.empty(batch, 3, 3), torch.empty(batch, 3)
+    pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
+    _pose_joints(pose.numpy(), shape.numpy(), _skeleton(body), transforms, rotation.numpy(), head.numpy(), code)
+    positions = torch.empty(batch, len(skin.rest), 3)
+    _pose_skin(shape.numpy(), skin, transforms.reshape(batch, joints, 12), positions.numpy(), np.empty((batch, 0, 3)))
+    return positions @ rotation.mT + head[:, None]
+
+
 class _Skeleton(NamedTuple):
     rest: np.ndarray
     directions: np.ndarray
@@ -100,7 +114,7 @@ class _Skeleton(NamedTuple):
 
 
 class _Skin(NamedTuple):
-    """The points of the soft surface, then the scalp: [vertex, axis], directions [vertex, axis, coefficient]."""
+    """Vertices to pose, first those with normals: [vertex, axis], directions [vertex, axis, coefficient]."""
 
     rest: np.ndarray
     directions: np.ndarray
@@ -124,7 +138,15 @@ def _skeleton(body: BodyModel) -> _Skeleton:
 @lru_cache(maxsize=4)
 def _skin(body: BodyModel) -> _Skin:
     points, normals, _ = skin_points(body)
-    vertices = torch.cat([points, scalp_vertices(body)])
+    return _skin_of(body, torch.cat([points, scalp_vertices(body)]), normals)
+
+
+@lru_cache(maxsize=4)
+def _whole_skin(body: BodyModel) -> _Skin:
+    return _skin_of(body, hair_skin(body).vertices, torch.empty(0, 3))
+
+
+def _skin_of(body: BodyModel, vertices: Int[Tensor, " v"], normals: Float[Tensor, "p 3"]) -> _Skin:
     return _Skin(
         body.rest_vertices[vertices].numpy(),
         body.shape_directions[:, vertices].permute(1, 2, 0).contiguous().numpy(),
@@ -260,10 +282,11 @@ def _pose_skin(
     body_shape: np.ndarray, skin: _Skin, transforms: np.ndarray, positions: np.ndarray, normals: np.ndarray
 ) -> None:
     batch, vertices = positions.shape[:2]
-    scratch = np.empty((batch, 32), np.float32)  # rows so long that threads do not write into one line of the cache
-    for sample in prange(batch):
-        place, blend = scratch[sample, :3], scratch[sample, 3:15]
-        for vertex in range(vertices):
+    # Rows so long that threads do not write into one line of the cache.
+    scratch = np.empty((batch * _PARTS, 32), np.float32)
+    for item in prange(batch * _PARTS):
+        sample, part, place, blend = item // _PARTS, item % _PARTS, scratch[item, :3], scratch[item, 3:15]
+        for vertex in range(part * vertices // _PARTS, (part + 1) * vertices // _PARTS):
             for axis in range(3):
                 place[axis] = skin.rest[vertex, axis]
                 for coefficient in range(body_shape.shape[1]):

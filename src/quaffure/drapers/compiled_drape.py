@@ -9,9 +9,11 @@ import torch
 from numba import get_num_threads, njit, prange
 
 from quaffure.body.body_model import BodyModel
-from quaffure.body.head_view import HeadView, head_view
+from quaffure.body.hair_skin import hair_skin
+from quaffure.body.head_view import HeadView, head_view, posed_skin
 from quaffure.config import EDGES_PER_STRAND, HairMaterial
 from quaffure.drapers.fitted_groom import PackedGroom
+from quaffure.drapers.projection import project
 from quaffure.drapers.undeformed import Undeformed, bits, fill_undeformed
 from quaffure.geometry.soft_surface import FAST, PointRecords, point_records
 from quaffure.networks.inference_network import InferenceNetwork
@@ -23,7 +25,7 @@ BATCH = 8
 
 
 class CompiledDrape:
-    """`NeuralDraper.deform` as kernels.
+    """`NeuralDraper.deform` and `projected` as kernels.
 
     Attributes:
         network: laid out for speed.
@@ -48,7 +50,7 @@ class CompiledDrape:
             draped: [strand, vertex, 3] for each groom, filled [m, world].
         """
         view = head_view(body, body_pose, body_shape)
-        records = point_records(view.surface)
+        records, skin, vertices = point_records(view.surface), hair_skin(body), posed_skin(body, body_pose, body_shape)
         begun = time.perf_counter()
         textures = self.textures(grooms, view)
         self.network_seconds += time.perf_counter() - begun
@@ -61,6 +63,7 @@ class CompiledDrape:
             answers = self.network.answers(textures[sample], groom.texels, start.told[0])
             self.network_seconds += time.perf_counter() - begun
             self.end(groom, start, answers, view.sample(sample), out)
+            project(out, groom.rest_length, groom.clearance, skin, vertices[sample], view.head[sample])
 
     def textures(self, grooms: Sequence[PackedGroom], view: HeadView) -> Float[Tensor, "b texels channels"]:
         """What the decoder says of each groom on its body."""

@@ -7,6 +7,7 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.body.soft_body import soft_body
 from quaffure.config import TEXTURE_SIZE, HairMaterial
+from quaffure.drapers.projection import CLEARANCE
 from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.geometry.soft_surface import soft_views
 from quaffure.groom.groom import Groom
@@ -36,12 +37,15 @@ class FittedGroom:
         rest_length: of every edge [m].
         margin: see `starting_margin`; for networks whose strands do not slide, below whatever is met [m].
         leader: the strand that feels the skin for each, see `quaffure.groom.strand_packets.leader_of`.
+        clearance: at which hair is pushed out of the skin in the end, `quaffure.drapers.projection`; like the margin
+            below whatever is met for networks whose strands do not slide [m].
     """
 
     code: Float[Tensor, "16"]
     rest_length: RestLengths
     margin: Float[Tensor, "s n"]
     leader: Int[Tensor, " s"]
+    clearance: Float[Tensor, "s n"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +64,8 @@ class PackedGroom(FittedGroom):
         """Memory that the kernels read of it."""
         strands = (self.packets, self.packets.leading)
         arrays = [getattr(packets, field.name) for packets in strands for field in fields(StrandPackets)]
-        return sum(array.nbytes for array in (*arrays, self.packets.leader, self.texels, self.rest_length))
+        own = (self.packets.leader, self.texels, self.rest_length, self.clearance)
+        return sum(array.nbytes for array in (*arrays, *own))
 
 
 def fit_groom(groom: Groom, body: BodyModel, network: QuaffureNetwork, material: HairMaterial) -> FittedGroom:
@@ -70,11 +75,11 @@ def fit_groom(groom: Groom, body: BodyModel, network: QuaffureNetwork, material:
         InputError: it is not laid out for the network (`quaffure.networks.groom_code`).
     """
     rest = rest_state(groom.rest_strands, material)
-    slides = network.config.slides
-    margin = torch.full_like(groom.rest_strands[..., 0], ANY_DEPTH)
-    if slides:
-        margin = starting_margin(groom, rest, material, body)
-    return FittedGroom(groom_code(groom, body, network.encoder), rest.rest_length, margin, leader_of(groom))
+    margin = clearance = torch.full_like(groom.rest_strands[..., 0], ANY_DEPTH)
+    if network.config.slides:
+        margin, clearance = starting_margin(groom, rest, material, body), CLEARANCE * rest.collision_margin
+    code = groom_code(groom, body, network.encoder)
+    return FittedGroom(code, rest.rest_length, margin, leader_of(groom), clearance)
 
 
 def pack_groom(groom: Groom, body: BodyModel, fitted: FittedGroom) -> PackedGroom:
@@ -86,7 +91,7 @@ def pack_groom(groom: Groom, body: BodyModel, fitted: FittedGroom) -> PackedGroo
     packets = strand_packets(groom, body, fitted.margin)
     strand = torch.from_numpy(packets.strand).flatten().long()
     texels = texel_rows(groom.texels()[strand], TEXTURE_SIZE)
-    return PackedGroom(fitted.code, fitted.rest_length.detach(), fitted.margin, fitted.leader, packets, texels)
+    return PackedGroom(**vars(fitted) | {"rest_length": fitted.rest_length.detach()}, packets=packets, texels=texels)
 
 
 def starting_margin(groom: Groom, rest: RestState, material: HairMaterial, body: BodyModel) -> Float[Tensor, "s n"]:

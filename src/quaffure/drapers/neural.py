@@ -10,6 +10,7 @@ from quaffure.body.head_view import HeadView, head_view
 from quaffure.config import HairMaterial
 from quaffure.drapers.compiled_drape import BATCH, CompiledDrape
 from quaffure.drapers.fitted_groom import FittedGroom, PackedGroom, fit_groom, pack_groom
+from quaffure.drapers.projection import projected
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.drapers.undeformed import Undeformed, undeformed, undeformed_reference
 from quaffure.geometry.polyline import integrate_directions
@@ -41,7 +42,7 @@ class NeuralDraper:
         bodies, groom = scene.bodies, scene.groom
         if not self.is_compiled(bodies.body):
             with torch.no_grad():
-                return self.deform(scene)
+                return self._out_of_skin(scene, self.deform(scene))
         draped = torch.empty(len(bodies.body_pose), *groom.rest_strands.shape)
         self._drape_compiled([groom] * len(draped), bodies, list(draped))
         return draped
@@ -56,7 +57,7 @@ class NeuralDraper:
         return [self.drape(Scene(groom, BodyBatch(bodies.body, pose, shape)))[0] for groom, pose, shape in rows]
 
     def deform(self, scene: Scene) -> Positions:
-        """Draped vertices [m], differentiable in the network's weights but for the encoder's."""
+        """Vertices [m] as the network has them, differentiable in its weights but for the encoder's."""
         bodies, fitted = scene.bodies, self._fit(scene.groom, scene.bodies.body)
         view = head_view(bodies.body, bodies.body_pose, bodies.body_shape)
         if isinstance(self.network, DisplacementNetwork):
@@ -112,6 +113,12 @@ class NeuralDraper:
             moved = network(NetworkInputs(fitted.code, scene.groom.texels(), view.pose_code))
         moved = torch.cat([torch.zeros_like(moved[:, :, :1]), moved[:, :, 1:]], dim=2)  # roots do not move
         return scene.posed + moved @ view.world_from_head[:, None].mT
+
+    def _out_of_skin(self, scene: Scene, deformed: Positions) -> Positions:
+        if isinstance(self.network, DisplacementNetwork):
+            return deformed
+        bodies, fitted = scene.bodies, self._fit(scene.groom, scene.bodies.body)
+        return projected(deformed, fitted.rest_length, fitted.clearance, bodies)
 
     def _layers_in_bfloat16(self, view: HeadView) -> torch.autocast:
         return torch.autocast(view.head.device.type, torch.bfloat16, enabled=self.bf16)

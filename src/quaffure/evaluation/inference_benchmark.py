@@ -11,9 +11,11 @@ from itertools import cycle, islice
 import torch
 
 from quaffure.body.clips import bundled_clip
-from quaffure.body.head_view import head_view
+from quaffure.body.hair_skin import hair_skin
+from quaffure.body.head_view import head_view, posed_skin
 from quaffure.drapers.compiled_drape import BATCH, CompiledDrape
 from quaffure.drapers.fitted_groom import PackedGroom
+from quaffure.drapers.projection import project
 from quaffure.drapers.quaffure_model import Quaffure
 from quaffure.evaluation.machine_facts import machine_facts
 from quaffure.geometry.soft_surface import point_records
@@ -109,12 +111,18 @@ def time_parts(model: Quaffure, groom: Groom) -> dict[str, float]:
     buffers = compiled.buffers(len(packed.texels))
     start, draped = compiled.start(packed, one, records, buffers), torch.empty(groom.rest_strands.shape)
     answers = compiled.network.answers(texture, packed.texels, start.told[0])
+    clear, vertices = (
+        (packed.rest_length, packed.clearance, hair_skin(model.body)),
+        posed_skin(model.body, poses, shapes),
+    )
     parts: dict[str, tuple[Callable[[], object], int]] = {
         "body": (lambda: point_records(head_view(model.body, poses, shapes).surface), BATCH),
         "texture": (lambda: compiled.textures(batch, view), BATCH),
         "strands_before": (lambda: compiled.start(packed, one, records, buffers), 1),
         "strand_layers": (lambda: compiled.network.answers(texture, packed.texels, start.told[0]), 1),
         "strands_after": (lambda: compiled.end(packed, start, answers, one, draped), 1),
+        "skin": (lambda: posed_skin(model.body, poses, shapes), BATCH),
+        "out_of_skin": (lambda: project(draped, *clear, vertices[0], one.head[0]), 1),
     }
     return {name: _timed(part, repeats=20)[1] / drapes for name, (part, drapes) in parts.items()}
 

@@ -1,0 +1,109 @@
+"""The grid of faces against its torch twin, and against the exact signed distance."""
+
+import numpy as np
+import pytest
+import torch
+from numba import njit
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.hair_skin import ABOVE, BELOW, EARS, HANDS, hair_skin
+from quaffure.drapers.scene import BodyBatch
+from quaffure.geometry import face_grid as module
+from quaffure.geometry.face_grid import AT_ONCE, FaceGrid, face_grid, nearest_reached, nearest_reached_reference
+from quaffure.geometry.signed_distance import signed_distance
+
+
+@pytest.fixture(scope="module")
+def bodies(body: BodyModel) -> BodyBatch:
+    generator = torch.Generator().manual_seed(3)
+    pose = 0.2 * torch.randn(1, 81, generator=generator)
+    return BodyBatch(body, pose, torch.randn(1, 10, generator=generator))
+
+
+@pytest.fixture(scope="module")
+def skin_vertices(bodies: BodyBatch) -> torch.Tensor:
+    return bodies.posed.vertices[0, hair_skin(bodies.body).vertices].contiguous()
+
+
+@pytest.fixture(scope="module")
+def points(bodies: BodyBatch, skin_vertices: torch.Tensor) -> torch.Tensor:
+    """Within 2 cm of places on the skin, on both sides, in the grid."""
+    generator = torch.Generator().manual_seed(5)
+    faces = hair_skin(bodies.body).faces
+    chosen = faces[torch.randint(len(faces), (3000,), generator=generator)]
+    weights = torch.rand(3000, 3, 1, generator=generator)
+    places = (weights / weights.sum(1, keepdim=True) * skin_vertices[chosen]).sum(1)
+    points = places + 0.04 * (torch.rand(3000, 3, generator=generator) - 0.5)
+    offset = points - bodies.posed.joint_positions[0, bodies.body.joint_names.index("Head")]
+    return points[((offset > -0.45) & (offset < 0.2)).all(dim=1)]
+
+
+@njit
+def _ask(points: np.ndarray, grid: FaceGrid) -> tuple[np.ndarray, np.ndarray]:
+    heights, faces, rows = np.empty(len(points)), np.empty(len(points), np.int64), np.empty(2 * AT_ONCE, np.float32)
+    for index in range(len(points)):
+        heights[index], faces[index] = nearest_reached(points[index, 0], points[index, 1], points[index, 2], grid, rows)
+    return heights, faces
+
+
+def grid_over(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> FaceGrid:
+    skin, head = hair_skin(bodies.body), bodies.posed.joint_positions[0, bodies.body.joint_names.index("Head")]
+    twice = points.repeat_interleave(2, dim=0)  # every second one is looked at
+    return face_grid(skin_vertices.numpy(), skin.faces.numpy(), skin.reach, twice.numpy(), head.numpy())
+
+
+def test_kernel_and_twin_agree(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> None:
+    skin = hair_skin(bodies.body)
+    heights, faces = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))
+    expected, nearest = nearest_reached_reference(points, skin_vertices, skin.faces, torch.from_numpy(skin.reach))
+    found = nearest >= 0
+    assert 0.2 < found.float().mean() < 0.8
+    alike = torch.from_numpy(faces) == nearest
+    assert alike.float().mean() > 0.99  # where two are as near as each other, rounding decides on one
+    np.testing.assert_allclose(heights[alike], expected[alike], atol=2e-6)
+    np.testing.assert_allclose(heights, expected, atol=1e-4)
+
+
+def test_points_close_to_the_skin_learn_their_distance(
+    bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor
+) -> None:
+    skin = hair_skin(bodies.body)
+    exact = signed_distance(points[None], bodies.surface)[0]
+    heights, nearest = nearest_reached_reference(points, skin_vertices, skin.faces, torch.from_numpy(skin.reach))
+    close = exact.abs() < 0.002
+    assert close.sum() > 150
+    assert (nearest[close] >= 0).float().mean() > 0.98  # the others are further beside a face than they may be
+    near = close & (nearest >= 0)
+    # Beyond the edge of a face its plane is nearer than the face.
+    off = heights[near].abs() - exact[near].abs()
+    assert off.max() < 1e-5
+    assert (off > -1e-3).all()
+    assert (heights[near].sign() == exact[near].sign()).float().mean() > 0.99
+
+
+def test_lists_find_room(
+    bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))
+    monkeypatch.setattr(module, "_ROOM", 0.0)
+    found = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))
+    for one, other in zip(found, expected):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_far_from_the_head_nothing_is_near(bodies: BodyBatch, skin_vertices: torch.Tensor) -> None:
+    away = skin_vertices[:200] + torch.tensor([5.0, 0.0, 0.0])
+    heights, faces = _ask(away.numpy(), grid_over(bodies, skin_vertices, away))
+    assert (faces == -1).all()
+    assert (heights == 1).all()
+
+
+def test_the_skin_ends_at_the_waist(body: BodyModel) -> None:
+    skin = hair_skin(body)
+    places = body.rest_vertices[skin.vertices]
+    assert 3000 < len(skin.vertices) < len(body.rest_vertices)
+    assert places[:, 2].min() > body.rest_joints[body.joint_names.index("LeftLeg"), 2]
+    kept = {tuple(face) for face in skin.vertices[skin.faces].tolist()}
+    assert all(tuple(face) in kept for face in body.faces[body.scalp.faces].tolist())
+    kinds = {(round(float(low), 4), round(float(high), 4)) for low, high in skin.reach}
+    assert kinds == {(BELOW, ABOVE), (EARS, EARS), (HANDS, HANDS)}

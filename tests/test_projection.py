@@ -1,0 +1,125 @@
+"""Strands pushed out of the skin: the kernel against its torch twin, and what must hold of both."""
+
+import pytest
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.hair_skin import hair_skin
+from quaffure.body.head_view import posed_skin
+from quaffure.drapers.neural import NeuralDraper
+from quaffure.drapers.projection import CLEARANCE, projected, projected_reference
+from quaffure.drapers.quaffure_model import load_model
+from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.energies.rest_state import RestState, rest_state
+from quaffure.geometry.signed_distance import signed_distance
+from quaffure.groom.procedural import make_groom
+from quaffure.networks.quaffure_network import NetworkConfig, build_network
+from quaffure.types import Positions
+
+
+@pytest.fixture(scope="module")
+def bodies(body: BodyModel) -> BodyBatch:
+    generator = torch.Generator().manual_seed(0)
+    pose = 0.15 * torch.randn(2, 81, generator=generator)
+    return BodyBatch(body, pose, torch.randn(2, 10, generator=generator))
+
+
+@pytest.fixture(scope="module")
+def scene(bodies: BodyBatch) -> Scene:
+    return Scene(make_groom("long_straight", bodies.body).select(torch.arange(0, 2400, 31)), bodies)
+
+
+@pytest.fixture(scope="module")
+def rest(scene: Scene) -> RestState:
+    return rest_state(scene.groom.rest_strands, load_model().draper.material)
+
+
+def pushed(strands: Positions, rest: RestState, bodies: BodyBatch) -> Positions:
+    return projected(strands.clone(), rest.rest_length, CLEARANCE * rest.collision_margin, bodies)
+
+
+def inside(strands: Positions, scene: Scene) -> torch.Tensor:
+    """Share of vertices in the body."""
+    return (signed_distance(strands.flatten(1, 2), scene.surface) < 0).float().mean(dim=1)
+
+
+def test_kernel_and_twin_agree(scene: Scene, rest: RestState) -> None:
+    found, skin = pushed(scene.posed, rest, scene.bodies), hair_skin(scene.bodies.body)
+    assert (found - scene.posed).norm(dim=-1).max() > 0.02  # posed strands run through the shoulders
+    for sample in range(2):
+        vertices = scene.bodies.posed.vertices[sample, skin.vertices]
+        expected = projected_reference(
+            scene.posed[sample], vertices, rest.rest_length, CLEARANCE * rest.collision_margin, skin
+        )
+        off = (found[sample] - expected).norm(dim=-1)
+        # Where two faces are as near as each other, rounding decides on one; what hangs on that edge moves along.
+        assert (off < 1e-5).float().mean() > 0.99
+
+
+def test_stubble_is_looked_at_as_its_twin_is(bodies: BodyBatch) -> None:
+    scene = Scene(make_groom("crew_cut", bodies.body).select(torch.arange(0, 2400, 31)), bodies)
+    rest, skin = rest_state(scene.groom.rest_strands, load_model().draper.material), hair_skin(bodies.body)
+    flat = scene.posed.clone()
+    flat[..., 1:, :] -= 0.8 * (flat[..., 1:, :] - flat[..., :1, :])  # most of it is too close to the skin
+    flat = flat[..., :1, :] + torch.nn.functional.pad(
+        (rest.rest_length[..., None] * torch.nn.functional.normalize(flat.diff(dim=2), dim=-1)).cumsum(2),
+        (0, 0, 1, 0),
+    )
+    flat[..., 1:, :] -= 0.002 * torch.nn.functional.normalize(
+        scene.posed[..., -1:, :] - scene.posed[..., :1, :], dim=-1
+    )
+    found = pushed(flat, rest, bodies)
+    vertices = bodies.posed.vertices[0, skin.vertices]
+    expected = projected_reference(flat[0], vertices, rest.rest_length, CLEARANCE * rest.collision_margin, skin)
+    assert (found[0] - flat[0]).abs().max() > 1e-4
+    assert ((found[0] - expected).norm(dim=-1) < 1e-5).float().mean() > 0.99
+
+
+def test_hair_leaves_the_body_and_keeps_its_lengths(scene: Scene, rest: RestState) -> None:
+    out = pushed(scene.posed, rest, scene.bodies)
+    before, after = (inside(strands, scene) for strands in (scene.posed, out))
+    assert (before > 0.02).all()
+    assert (after < 0.3 * before).all()
+    torch.testing.assert_close(out.diff(dim=2).norm(dim=-1), rest.rest_length.expand(2, -1, -1), atol=2e-6, rtol=1e-5)
+    assert torch.equal(out[:, :, 0], scene.posed[:, :, 0])
+
+
+def test_strands_in_the_open_stay_to_the_bit(scene: Scene, rest: RestState) -> None:
+    distance = signed_distance(scene.posed.flatten(1, 2), scene.surface).unflatten(1, scene.posed.shape[1:3])
+    free = (distance[..., 1:] >= CLEARANCE * rest.collision_margin[:, 1:] + 1e-5).all(dim=-1)
+    out = pushed(scene.posed, rest, scene.bodies)
+    assert free.sum() > 10
+    assert torch.equal(out[free], scene.posed[free])
+    assert not torch.equal(out[~free], scene.posed[~free])
+
+
+def test_what_is_out_of_the_skin_stays(scene: Scene, rest: RestState) -> None:
+    once = pushed(scene.posed, rest, scene.bodies)
+    twice = pushed(once, rest, scene.bodies)
+    moved = (twice - once).norm(dim=-1)
+    assert moved.mean() < 0.05 * (once - scene.posed).norm(dim=-1).mean()
+
+
+@pytest.mark.parametrize("views", [True, False])
+def test_a_drape_is_what_the_network_says_out_of_the_skin(scene: Scene, rest: RestState, views: bool) -> None:
+    torch.manual_seed(0)
+    network = build_network(NetworkConfig(texel_channels=8, strand_width=16, views=views)).eval()
+    draper = NeuralDraper(network, load_model().draper.material)
+    with torch.no_grad():
+        deformed = draper.deform(scene)
+    expected = pushed(deformed, rest, scene.bodies)
+    assert (expected - deformed).norm(dim=-1).max() > 1e-3
+    assert ((draper.drape(scene) - expected).norm(dim=-1) < 1e-5).float().mean() > 0.99
+
+
+@pytest.mark.parametrize("config", [NetworkConfig(slides=False), NetworkConfig(output="displacement")])
+def test_networks_without_the_skin_stay_without_it(scene: Scene, config: NetworkConfig) -> None:
+    torch.manual_seed(0)
+    draper = NeuralDraper(build_network(config).eval(), load_model().draper.material)
+    with torch.no_grad():
+        torch.testing.assert_close(draper.drape(scene), draper.deform(scene), atol=1e-5, rtol=0)
+
+
+def test_the_skin_is_the_posed_bodys(bodies: BodyBatch) -> None:
+    found = posed_skin(bodies.body, bodies.body_pose, bodies.body_shape)
+    torch.testing.assert_close(found, bodies.posed.vertices[:, hair_skin(bodies.body).vertices], atol=3e-6, rtol=0)

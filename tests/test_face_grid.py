@@ -6,10 +6,18 @@ import torch
 from numba import njit
 
 from quaffure.body.body_model import BodyModel
-from quaffure.body.hair_skin import ABOVE, BELOW, EARS, HANDS, hair_skin
+from quaffure.body.hair_skin import ABOVE, BELOW, THIN, hair_skin
 from quaffure.drapers.scene import BodyBatch
 from quaffure.geometry import face_grid as module
-from quaffure.geometry.face_grid import AT_ONCE, FaceGrid, face_grid, nearest_reached, nearest_reached_reference
+from quaffure.geometry.face_grid import (
+    IN_BLOCK,
+    NONE,
+    UNLISTED,
+    FaceGrid,
+    face_grid,
+    nearest_reached,
+    nearest_reached_reference,
+)
 from quaffure.geometry.signed_distance import signed_distance
 
 
@@ -40,7 +48,7 @@ def points(bodies: BodyBatch, skin_vertices: torch.Tensor) -> torch.Tensor:
 
 @njit
 def _ask(points: np.ndarray, grid: FaceGrid) -> tuple[np.ndarray, np.ndarray]:
-    heights, faces, rows = np.empty(len(points)), np.empty(len(points), np.int64), np.empty(2 * AT_ONCE, np.float32)
+    heights, faces, rows = np.empty(len(points)), np.empty(len(points), np.int64), np.empty(2 * IN_BLOCK, np.float32)
     for index in range(len(points)):
         heights[index], faces[index] = nearest_reached(points[index, 0], points[index, 1], points[index, 2], grid, rows)
     return heights, faces
@@ -49,7 +57,7 @@ def _ask(points: np.ndarray, grid: FaceGrid) -> tuple[np.ndarray, np.ndarray]:
 def grid_over(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> FaceGrid:
     skin, head = hair_skin(bodies.body), bodies.posed.joint_positions[0, bodies.body.joint_names.index("Head")]
     twice = points.repeat_interleave(2, dim=0)  # every second one is looked at
-    return face_grid(skin_vertices.numpy(), skin.faces.numpy(), skin.reach, twice.numpy(), head.numpy())
+    return face_grid(skin_vertices.numpy(), skin.faces.numpy(), skin.reach, head.numpy(), twice.numpy())
 
 
 def test_kernel_and_twin_agree(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> None:
@@ -85,8 +93,12 @@ def test_lists_find_room(
     bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expected = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))
+    rooms = []
+    one_try = module._list
     monkeypatch.setattr(module, "_ROOM", 0.0)
+    monkeypatch.setattr(module, "_list", lambda *all_of: rooms.append(len(all_of[-1])) or one_try(*all_of))
     found = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))
+    assert len(rooms) > 1
     for one, other in zip(found, expected):
         np.testing.assert_array_equal(one, other)
 
@@ -94,7 +106,7 @@ def test_lists_find_room(
 def test_far_from_the_head_nothing_is_near(bodies: BodyBatch, skin_vertices: torch.Tensor) -> None:
     away = skin_vertices[:200] + torch.tensor([5.0, 0.0, 0.0])
     heights, faces = _ask(away.numpy(), grid_over(bodies, skin_vertices, away))
-    assert (faces == -1).all()
+    assert (faces == NONE).all()
     assert (heights == 1).all()
 
 
@@ -106,4 +118,42 @@ def test_the_skin_ends_at_the_waist(body: BodyModel) -> None:
     kept = {tuple(face) for face in skin.vertices[skin.faces].tolist()}
     assert all(tuple(face) in kept for face in body.faces[body.scalp.faces].tolist())
     kinds = {(round(float(low), 4), round(float(high), 4)) for low, high in skin.reach}
-    assert kinds == {(BELOW, ABOVE), (EARS, EARS), (HANDS, HANDS)}
+    assert kinds == {(BELOW, ABOVE), *((depth, depth) for depth in THIN)}
+
+
+def test_thin_skin_is_that_of_ears_and_fingers(body: BodyModel) -> None:
+    skin = hair_skin(body)
+    led_by = [body.joint_names[int(joint)] for joint in body.dense_skin_weights[skin.vertices].argmax(1)]
+    thin = skin.reach[:, 1] > ABOVE
+    of_face = [led_by[corner] for corner in skin.faces[:, 0].tolist()]
+    share = {
+        part: np.mean([one for one, name in zip(thin, of_face) if part in name]) for part in ("Finger", "Arm", "Spine")
+    }
+    assert share["Finger"] > 0.8
+    assert share["Arm"] < 0.2
+    assert share["Spine"] < 0.01
+
+
+def test_all_faces_are_those_near_the_points(
+    bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor
+) -> None:
+    skin, head = hair_skin(bodies.body), bodies.posed.joint_positions[0, bodies.body.joint_names.index("Head")]
+    everywhere = face_grid(skin_vertices.numpy(), skin.faces.numpy(), skin.reach, head.numpy())
+    few = points[::40]
+    near = grid_over(bodies, skin_vertices, few)
+    for one, other in zip(_ask(few.numpy(), near), _ask(few.numpy(), everywhere)):
+        np.testing.assert_array_equal(one, other)
+    away = head + torch.tensor([[0.3, 0.3, 0.1]])
+    lonely = grid_over(bodies, skin_vertices, away)
+    assert (_ask(points.numpy(), lonely)[1] == UNLISTED).mean() > 0.9
+
+
+def test_faces_without_area_are_left_out(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> None:
+    skin, head = hair_skin(bodies.body), bodies.posed.joint_positions[0, bodies.body.joint_names.index("Head")]
+    flat = torch.cat([skin.faces, skin.faces[::50][:, [0, 0, 1]]])
+    reach = np.concatenate([skin.reach, skin.reach[::50]])
+    expected = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))
+    found = _ask(points.numpy(), face_grid(skin_vertices.numpy(), flat.numpy(), reach, head.numpy()))
+    twin = nearest_reached_reference(points, skin_vertices, flat, torch.from_numpy(reach))
+    assert (found[1] == expected[1]).mean() > 0.99
+    assert (twin[1].numpy() == expected[1]).mean() > 0.99

@@ -7,7 +7,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.hair_skin import hair_skin
 from quaffure.body.head_view import posed_skin
 from quaffure.drapers.neural import NeuralDraper
-from quaffure.drapers.projection import CLEARANCE, projected, projected_reference
+from quaffure.drapers.projection import clearance_of, projected, projected_reference
 from quaffure.drapers.quaffure_model import load_model
 from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.rest_state import RestState, rest_state
@@ -35,7 +35,7 @@ def rest(scene: Scene) -> RestState:
 
 
 def pushed(strands: Positions, rest: RestState, bodies: BodyBatch) -> Positions:
-    return projected(strands.clone(), rest.rest_length, CLEARANCE * rest.collision_margin, bodies)
+    return projected(strands, rest.rest_length, clearance_of(rest), bodies)
 
 
 def inside(strands: Positions, scene: Scene) -> torch.Tensor:
@@ -48,9 +48,7 @@ def test_kernel_and_twin_agree(scene: Scene, rest: RestState) -> None:
     assert (found - scene.posed).norm(dim=-1).max() > 0.02  # posed strands run through the shoulders
     for sample in range(2):
         vertices = scene.bodies.posed.vertices[sample, skin.vertices]
-        expected = projected_reference(
-            scene.posed[sample], vertices, rest.rest_length, CLEARANCE * rest.collision_margin, skin
-        )
+        expected = projected_reference(scene.posed[sample], vertices, rest.rest_length, clearance_of(rest), skin)
         off = (found[sample] - expected).norm(dim=-1)
         # Where two faces are as near as each other, rounding decides on one; what hangs on that edge moves along.
         assert (off < 1e-5).float().mean() > 0.99
@@ -70,7 +68,7 @@ def test_stubble_is_looked_at_as_its_twin_is(bodies: BodyBatch) -> None:
     )
     found = pushed(flat, rest, bodies)
     vertices = bodies.posed.vertices[0, skin.vertices]
-    expected = projected_reference(flat[0], vertices, rest.rest_length, CLEARANCE * rest.collision_margin, skin)
+    expected = projected_reference(flat[0], vertices, rest.rest_length, clearance_of(rest), skin)
     assert (found[0] - flat[0]).abs().max() > 1e-4
     assert ((found[0] - expected).norm(dim=-1) < 1e-5).float().mean() > 0.99
 
@@ -86,7 +84,7 @@ def test_hair_leaves_the_body_and_keeps_its_lengths(scene: Scene, rest: RestStat
 
 def test_strands_in_the_open_stay_to_the_bit(scene: Scene, rest: RestState) -> None:
     distance = signed_distance(scene.posed.flatten(1, 2), scene.surface).unflatten(1, scene.posed.shape[1:3])
-    free = (distance[..., 1:] >= CLEARANCE * rest.collision_margin[:, 1:] + 1e-5).all(dim=-1)
+    free = (distance[..., 1:] >= clearance_of(rest)[:, 1:] + 1e-5).all(dim=-1)
     out = pushed(scene.posed, rest, scene.bodies)
     assert free.sum() > 10
     assert torch.equal(out[free], scene.posed[free])
@@ -121,5 +119,47 @@ def test_networks_without_the_skin_stay_without_it(scene: Scene, config: Network
 
 
 def test_the_skin_is_the_posed_bodys(bodies: BodyBatch) -> None:
-    found = posed_skin(bodies.body, bodies.body_pose, bodies.body_shape)
-    torch.testing.assert_close(found, bodies.posed.vertices[:, hair_skin(bodies.body).vertices], atol=3e-6, rtol=0)
+    vertices, heads = posed_skin(bodies.body, bodies.body_pose, bodies.body_shape)
+    posed, head = bodies.posed, bodies.body.joint_names.index("Head")
+    torch.testing.assert_close(vertices, posed.vertices[:, hair_skin(bodies.body).vertices], atol=3e-6, rtol=0)
+    torch.testing.assert_close(heads, posed.joint_positions[:, head], atol=3e-6, rtol=0)
+
+
+def test_a_strand_alone_is_pushed_as_in_its_groom(scene: Scene, rest: RestState) -> None:
+    whole = pushed(scene.posed, rest, scene.bodies)
+    for strand in range(0, len(scene.groom), 8):
+        one = slice(strand, strand + 1)
+        alone = projected(scene.posed[:, one], rest.rest_length[one], clearance_of(rest)[one], scene.bodies)
+        torch.testing.assert_close(alone, whole[:, one], atol=1e-6, rtol=0)
+
+
+def test_the_callers_strands_are_not_changed(scene: Scene, rest: RestState) -> None:
+    before = scene.posed.clone()
+    pushed(scene.posed, rest, scene.bodies)
+    assert torch.equal(scene.posed, before)
+
+
+@pytest.mark.parametrize("wrong", [torch.nan, torch.inf, -torch.inf, 1e30])
+def test_what_is_not_finite_stays(scene: Scene, rest: RestState, wrong: float) -> None:
+    strands = scene.posed.clone()
+    strands[0, 3, 5:] = wrong
+    found = pushed(strands, rest, scene.bodies)
+    torch.testing.assert_close(found[0], strands[0], equal_nan=True, atol=0, rtol=0)
+    assert not torch.equal(found[1], strands[1])
+
+
+def test_a_body_blown_up_ends_in_no_crash(scene: Scene) -> None:
+    model, shape = load_model(), torch.full((1, 10), 1e30)
+    assert not model.drape(scene.groom, torch.zeros(1, 81), shape).isfinite().all()
+
+
+def test_the_shipped_model_leaves_the_skin(scene: Scene) -> None:
+    model, bodies = load_model(), scene.bodies
+    with torch.no_grad():
+        deformed = model.draper.deform(scene)
+    drapes = model.drape(scene.groom, bodies.body_pose, bodies.body_shape)
+    expected = pushed(deformed, rest_state(scene.groom.rest_strands, model.draper.material), bodies)
+    assert (expected - deformed).norm(dim=-1).max() > 1e-3
+    assert ((drapes - expected).norm(dim=-1) < 5e-4).float().mean() > 0.99  # bfloat16
+    many = list(model.drape_many([scene.groom] * 2, bodies.body_pose, bodies.body_shape))
+    torch.testing.assert_close(torch.stack(many), drapes, atol=1e-5, rtol=0)

@@ -1,7 +1,8 @@
-"""Posed bodies seen from the head: all that a drape needs of them, in one compiled pass.
+"""Posed bodies as a drape needs them, in compiled passes.
 
-A drape asks for the scalp, for the skin that hair can touch and for how head, neck, shoulders and arms stand. Posing
-the other vertices as well, and turning strands into the head's frame afterwards, would take longer than the network.
+A network asks for the scalp, for a thousand points of the skin that hair can touch and for how head, neck, shoulders
+and arms stand, all of it seen from the head; what pushes hair out of the skin asks for that skin in the world. Posing
+every vertex, and turning strands into the head's frame afterwards, would take longer than the network.
 Shapes cannot be checked at run time inside compiled code, hence `no_type_check`.
 """
 
@@ -93,16 +94,18 @@ def head_view(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> He
     return HeadView(rotation, head, code, positions[:, len(skin.normals) :].contiguous(), surface)
 
 
-def posed_skin(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> Float[Tensor, "b v 3"]:
-    """The vertices of `hair_skin(body)` in the world [m]: the same as `BodyModel.pose`, and no others; on the CPU."""
+def posed_skin(
+    body: BodyModel, body_pose: BodyPose, body_shape: BodyShape
+) -> tuple[Float[Tensor, "b v 3"], Float[Tensor, "b 3"]]:
+    """The vertices of `hair_skin(body)` and the head joint in the world [m], as in `BodyModel.pose`; on the CPU."""
     skin, joints, batch = _whole_skin(body), len(body.joint_parents), len(body_pose)
     transforms, code = np.empty((batch, joints, 3, 4), np.float32), np.empty((batch, POSE_CODE_SIZE), np.float32)
-    rotation, head = torch.empty(batch, 3, 3), torch.empty(batch, 3)
+    rotation, head, no_normals = torch.empty(batch, 3, 3), torch.empty(batch, 3), np.empty((batch, 0, 3), np.float32)
     pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
     _pose_joints(pose.numpy(), shape.numpy(), _skeleton(body), transforms, rotation.numpy(), head.numpy(), code)
     positions = torch.empty(batch, len(skin.rest), 3)
-    _pose_skin(shape.numpy(), skin, transforms.reshape(batch, joints, 12), positions.numpy(), np.empty((batch, 0, 3)))
-    return positions @ rotation.mT + head[:, None]
+    _pose_skin(shape.numpy(), skin, transforms.reshape(batch, joints, 12), positions.numpy(), no_normals)
+    return positions @ rotation.mT + head[:, None], head
 
 
 class _Skeleton(NamedTuple):

@@ -7,7 +7,7 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.body.soft_body import soft_body
 from quaffure.config import TEXTURE_SIZE, HairMaterial
-from quaffure.drapers.projection import CLEARANCE
+from quaffure.drapers.projection import clearance_of
 from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.geometry.soft_surface import soft_views
 from quaffure.groom.groom import Groom
@@ -37,8 +37,7 @@ class FittedGroom:
         rest_length: of every edge [m].
         margin: see `starting_margin`; for networks whose strands do not slide, below whatever is met [m].
         leader: the strand that feels the skin for each, see `quaffure.groom.strand_packets.leader_of`.
-        clearance: at which hair is pushed out of the skin in the end, `quaffure.drapers.projection`; like the margin
-            below whatever is met for networks whose strands do not slide [m].
+        clearance: distance at which hair is pushed out of the skin in the end [m], `quaffure.drapers.projection`.
     """
 
     code: Float[Tensor, "16"]
@@ -74,12 +73,12 @@ def fit_groom(groom: Groom, body: BodyModel, network: QuaffureNetwork, material:
     Raises:
         InputError: it is not laid out for the network (`quaffure.networks.groom_code`).
     """
-    rest = rest_state(groom.rest_strands, material)
-    margin = clearance = torch.full_like(groom.rest_strands[..., 0], ANY_DEPTH)
+    rest = rest_state(groom.rest_strands.detach(), material)
+    margin = torch.full_like(rest.collision_margin, ANY_DEPTH)
     if network.config.slides:
-        margin, clearance = starting_margin(groom, rest, material, body), CLEARANCE * rest.collision_margin
+        margin = starting_margin(groom, rest, material, body)
     code = groom_code(groom, body, network.encoder)
-    return FittedGroom(code, rest.rest_length, margin, leader_of(groom), clearance)
+    return FittedGroom(code, rest.rest_length, margin, leader_of(groom), clearance_of(rest))
 
 
 def pack_groom(groom: Groom, body: BodyModel, fitted: FittedGroom) -> PackedGroom:
@@ -91,7 +90,7 @@ def pack_groom(groom: Groom, body: BodyModel, fitted: FittedGroom) -> PackedGroo
     packets = strand_packets(groom, body, fitted.margin)
     strand = torch.from_numpy(packets.strand).flatten().long()
     texels = texel_rows(groom.texels()[strand], TEXTURE_SIZE)
-    return PackedGroom(**vars(fitted) | {"rest_length": fitted.rest_length.detach()}, packets=packets, texels=texels)
+    return PackedGroom(**vars(fitted), packets=packets, texels=texels)
 
 
 def starting_margin(groom: Groom, rest: RestState, material: HairMaterial, body: BodyModel) -> Float[Tensor, "s n"]:

@@ -1,4 +1,4 @@
-"""The network's drape: one pass, no iterations."""
+"""The network's drape: one pass, no iterations, and hair out of the skin."""
 
 from collections.abc import Sequence
 from weakref import WeakKeyDictionary
@@ -22,6 +22,9 @@ from quaffure.types import Positions, Tensor
 
 class NeuralDraper:
     """hair = posed + deformation, the deformation from a network.
+
+    Where strands slide along the skin before the network, `drape` pushes what the network leaves in the skin out of it
+    (`quaffure.drapers.projection`); `deform`, which trainings differentiate, and the paper's configuration do not.
 
     Attributes:
         network: either configuration. Its weights may change between drapes, but not in place behind the back of
@@ -115,7 +118,7 @@ class NeuralDraper:
         return scene.posed + moved @ view.world_from_head[:, None].mT
 
     def _out_of_skin(self, scene: Scene, deformed: Positions) -> Positions:
-        if isinstance(self.network, DisplacementNetwork):
+        if isinstance(self.network, DisplacementNetwork) or not self.network.config.slides:
             return deformed
         bodies, fitted = scene.bodies, self._fit(scene.groom, scene.bodies.body)
         return projected(deformed, fitted.rest_length, fitted.clearance, bodies)

@@ -1,8 +1,9 @@
 """Strands pushed out of the skin after the network, which only feels a softened one.
 
-From the root to the tip each edge whose end is in the skin, or closer to it than `CLEARANCE` of its collision margin,
-is turned out along the nearest face's normal, and what hangs on it moves along: the projection of position-based
-dynamics (Mueller et al. 2007) with lengths kept. Strands that touch nothing stay as they are, to the bit.
+From the root to the tip, every `SPACING` or at every vertex, an edge whose end is in the skin, or closer to it than
+`CLEARANCE` of its collision margin, is turned out along the nearest face's normal, and what hangs on it moves along:
+the projection of position-based dynamics (Mueller et al. 2007) with lengths kept. Strands that touch nothing stay as
+they are, to the bit, and no strand depends on another.
 """
 
 from typing import no_type_check
@@ -11,11 +12,19 @@ import numpy as np
 import torch
 from numba import get_num_threads, njit, prange
 
-from quaffure.body.hair_skin import HairSkin, hair_skin
+from quaffure.body.hair_skin import ABOVE, HairSkin, hair_skin
 from quaffure.body.head_view import posed_skin
-from quaffure.body.pose_features import HEAD
 from quaffure.drapers.scene import BodyBatch
-from quaffure.geometry.face_grid import FaceGrid, face_grid, nearest_reached, nearest_reached_reference
+from quaffure.energies.rest_state import RestState
+from quaffure.geometry.face_grid import (
+    NONE,
+    UNLISTED,
+    FaceGrid,
+    face_grid,
+    nearest_reached,
+    nearest_reached_reference,
+)
+from quaffure.geometry.mesh import face_normals
 from quaffure.geometry.soft_surface import FAST
 from quaffure.types import Float, Positions, RestLengths, Tensor
 
@@ -25,102 +34,113 @@ hair's way: what is pushed further out meets what lies there (docs/training.md h
 SPACING = 0.0025
 """Hair is looked at about this often along its length [m]: edges of stubble are shorter."""
 STEEPEST = 3.0
-"""Lengths of an edge by which its end is pushed at most."""
+"""Lengths of an edge by which its end is pushed at most: it then stands nearly along the push."""
+_FARTHEST = 1e4  # of body and hair from the head [m]; beyond, a network or its input has blown up
 _APART = 64  # numbers between the rooms of threads, which would write into one line of the cache
 
 
+def clearance_of(rest: RestState) -> Float[Tensor, "s n"]:
+    """Distance from the skin that each vertex is to keep [m]."""
+    return (CLEARANCE * rest.collision_margin).clamp(max=ABOVE)
+
+
 def projected(
-    draped: Positions, rest_length: RestLengths, clearance: Float[Tensor, "s n"], bodies: BodyBatch
+    deformed: Positions, rest_length: RestLengths, clearance: Float[Tensor, "s n"], bodies: BodyBatch
 ) -> Positions:
-    """Strands pushed out of the skins of a batch of bodies, on any device; `draped` may be changed."""
-    skin, body = hair_skin(bodies.body), bodies.body
-    if draped.device.type != "cpu" or draped.dtype != torch.float32:
-        vertices = bodies.posed.vertices[:, skin.vertices]
-        samples = [projected_reference(*one, rest_length, clearance, skin) for one in zip(draped, vertices)]
-        return torch.stack(samples)
-    head = bodies.posed.joint_positions[:, body.joint_names.index(HEAD)]
-    for sample, vertices in enumerate(posed_skin(body, bodies.body_pose, bodies.body_shape)):
-        project(draped[sample], rest_length, clearance, skin, vertices, head[sample])
-    return draped
+    """Strands [m] pushed out of the skins of a batch of bodies, on any device; non-finite ones as they are."""
+    skin = hair_skin(bodies.body)
+    if deformed.device.type != "cpu" or deformed.dtype != torch.float32:
+        posed = bodies.posed.vertices[:, skin.vertices]
+        return torch.stack(
+            [projected_reference(*sample, rest_length, clearance, skin) for sample in zip(deformed, posed)]
+        )
+    out, (vertices, heads) = torch.empty_like(deformed), posed_skin(bodies.body, bodies.body_pose, bodies.body_shape)
+    for sample in range(len(deformed)):
+        project(deformed[sample], vertices[sample], rest_length, clearance, skin, heads[sample], out[sample])
+    return out
 
 
 def projected_reference(
-    draped: Float[Tensor, "s n 3"],
+    deformed: Float[Tensor, "s n 3"],
     vertices: Float[Tensor, "v 3"],
     rest_length: RestLengths,
     clearance: Float[Tensor, "s n"],
     skin: HairSkin,
 ) -> Float[Tensor, "s n 3"]:
-    """Torch twin of `project`, for any device.
-
-    Returns:
-        The strands out of the skin.
-    """
-    reach = torch.from_numpy(skin.reach).to(draped)
-    corners = vertices[skin.faces]
-    normals = torch.nn.functional.normalize(
-        torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), dim=-1
-    )
-    free, out = torch.zeros_like(rest_length[:, 0]), [draped[:, 0]]
-    shift = torch.zeros_like(draped[:, 0])
-    for edge in range(rest_length.shape[1]):
-        place, length = draped[:, edge + 1] + shift, rest_length[:, edge]
+    """Torch twin of `project`, for any device; knows no end of the grid."""
+    reach, normals = torch.from_numpy(skin.reach).to(deformed), face_normals(vertices[skin.faces])
+    free, out = torch.zeros_like(rest_length[:, 0]), [deformed[:, 0]]
+    shift, edges = torch.zeros_like(deformed[:, 0]), rest_length.shape[1]
+    for edge in range(edges):
+        place, length = deformed[:, edge + 1] + shift, rest_length[:, edge]
         free = free - length
-        looks = (free < 0).nonzero()[:, 0]
-        height, face = place.new_ones(len(place)), torch.full((len(place),), -1, device=place.device)
-        height[looks], face[looks] = nearest_reached_reference(place[looks], vertices, skin.faces, reach)
+        looked = (free < 0) | torch.tensor(edge == edges - 1, device=free.device)
+        height, face = place.new_ones(len(place)), torch.full((len(place),), NONE, device=place.device)
+        height[looked], face[looked] = nearest_reached_reference(place[looked], vertices, skin.faces, reach)
+        free = torch.where(looked, SPACING - 0.5 * length, free)
         short = (clearance[:, edge + 1] - height).clamp(max=STEEPEST * length)
-        pushed = (face >= 0) & (short > 0)
-        free = torch.where(free < 0, SPACING - 0.5 * length, free)
         vector = place + short[:, None] * normals[face] - out[-1]
         turned = out[-1] + length[:, None] * torch.nn.functional.normalize(vector, dim=-1)
-        out.append(torch.where(pushed[:, None], turned, place))
+        out.append(torch.where(((face >= 0) & (short > 0))[:, None], turned, place))
         shift = shift + out[-1] - place
     return torch.stack(out, dim=1)
 
 
 def project(
-    draped: Float[Tensor, "s n 3"],
+    deformed: Float[Tensor, "s n 3"],
+    vertices: Float[Tensor, "v 3"],
     rest_length: RestLengths,
     clearance: Float[Tensor, "s n"],
     skin: HairSkin,
-    vertices: Float[Tensor, "v 3"],
     centre: Float[Tensor, "3"],
+    projected: Float[Tensor, "s n 3"],
 ) -> None:
-    """Push strands out of the skin in place; float32, on the CPU.
+    """Push the strands of one groom out of the skin; float32, on the CPU.
 
     Args:
-        draped: vertices [m].
-        rest_length: of their edges [m].
-        clearance: distance from the skin that each vertex is to keep [m].
+        deformed: vertices [m]; where any is not finite, all stay as they are.
         vertices: of `skin`, posed [m].
-        centre: of the head [m]; hair and skin further away than a `FaceGrid` are left alone.
+        rest_length: of the strands' edges [m].
+        clearance: see `clearance_of`.
+        centre: of the head [m]; what is outside of a `FaceGrid` round it stays as it is.
+        projected: filled [m].
     """
-    strands = draped.numpy()
-    grid = face_grid(vertices.numpy(), skin.faces.numpy(), skin.reach, strands.reshape(-1, 3), centre.numpy())
-    rows = np.empty((get_num_threads(), _APART), np.float32)
-    _push_out(strands, rest_length.numpy(), clearance.numpy(), grid, rows)
+    # A comparison with NaN is false.
+    if not ((vertices - centre).abs().max() < _FARTHEST and (deformed - centre).abs().max() < _FARTHEST):
+        projected.copy_(deformed)
+        return
+    body = vertices.numpy(), skin.faces.numpy(), skin.reach, centre.numpy()
+    strands = deformed.numpy(), rest_length.numpy(), clearance.numpy()
+    rows, out = np.empty((get_num_threads(), _APART), np.float32), projected.numpy()
+    if not _push_out(*strands, face_grid(*body, strands[0].reshape(-1, 3)), rows, out):
+        _push_out(*strands, face_grid(*body), rows, out)
 
 
 @no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _push_out(
-    strands: np.ndarray, rest_length: np.ndarray, clearance: np.ndarray, grid: FaceGrid, rows: np.ndarray
-) -> None:
-    threads, none = len(rows), np.float32(0.0)
+    strands: np.ndarray, rest_length: np.ndarray, clearance: np.ndarray, grid: FaceGrid, rows: np.ndarray,
+    out: np.ndarray,
+) -> bool:  # fmt: skip
+    """Fill `out`; False where a push has moved hair to where the grid lists no faces."""
+    threads, none, last = len(rows), np.float32(0.0), strands.shape[1] - 1
+    listed = np.ones(threads, np.uint8)
     for thread in prange(threads):
         for strand in range(thread, len(strands), threads):
-            own, free, dx, dy, dz = strands[strand], none, none, none, none
-            for vertex in range(1, strands.shape[1]):
+            own, result, free, dx, dy, dz = strands[strand], out[strand], none, none, none, none
+            result[0, 0], result[0, 1], result[0, 2] = own[0, 0], own[0, 1], own[0, 2]
+            for vertex in range(1, last + 1):
                 x, y, z = own[vertex, 0] + dx, own[vertex, 1] + dy, own[vertex, 2] + dz
                 length = rest_length[strand, vertex - 1]
                 free -= length
-                if free < none:
+                if free < none or vertex == last:
                     free = np.float32(SPACING) - np.float32(0.5) * length
                     height, face = nearest_reached(x, y, z, grid, rows[thread])
+                    if face == UNLISTED:
+                        listed[thread] = 0
                     short = min(clearance[strand, vertex] - height, np.float32(STEEPEST) * length)
                     if face >= 0 and short > none:
-                        px, py, pz = own[vertex - 1, 0], own[vertex - 1, 1], own[vertex - 1, 2]
+                        px, py, pz = result[vertex - 1, 0], result[vertex - 1, 1], result[vertex - 1, 2]
                         record = grid.records[face]
                         ux = x + short * record[0] - px
                         uy = y + short * record[1] - py
@@ -129,4 +149,5 @@ def _push_out(
                         ux, uy, uz = px + scale * ux, py + scale * uy, pz + scale * uz
                         dx, dy, dz = dx + ux - x, dy + uy - y, dz + uz - z
                         x, y, z = ux, uy, uz
-                own[vertex, 0], own[vertex, 1], own[vertex, 2] = x, y, z
+                result[vertex, 0], result[vertex, 1], result[vertex, 2] = x, y, z
+    return listed.min() == 1

@@ -111,10 +111,9 @@ def time_parts(model: Quaffure, groom: Groom) -> dict[str, float]:
     buffers = compiled.buffers(len(packed.texels))
     start, draped = compiled.start(packed, one, records, buffers), torch.empty(groom.rest_strands.shape)
     answers = compiled.network.answers(texture, packed.texels, start.told[0])
-    clear, vertices = (
-        (packed.rest_length, packed.clearance, hair_skin(model.body)),
-        posed_skin(model.body, poses, shapes),
-    )
+    (vertices, heads), out = posed_skin(model.body, poses, shapes), torch.empty_like(draped)
+    skin = (vertices[0], packed.rest_length, packed.clearance, hair_skin(model.body), heads[0])
+    compiled.end(packed, start, answers, one, draped)
     parts: dict[str, tuple[Callable[[], object], int]] = {
         "body": (lambda: point_records(head_view(model.body, poses, shapes).surface), BATCH),
         "texture": (lambda: compiled.textures(batch, view), BATCH),
@@ -122,7 +121,7 @@ def time_parts(model: Quaffure, groom: Groom) -> dict[str, float]:
         "strand_layers": (lambda: compiled.network.answers(texture, packed.texels, start.told[0]), 1),
         "strands_after": (lambda: compiled.end(packed, start, answers, one, draped), 1),
         "skin": (lambda: posed_skin(model.body, poses, shapes), BATCH),
-        "out_of_skin": (lambda: project(draped, *clear, vertices[0], one.head[0]), 1),
+        "out_of_skin": (lambda: project(draped, *skin, out), 1),
     }
     return {name: _timed(part, repeats=20)[1] / drapes for name, (part, drapes) in parts.items()}
 

@@ -1,0 +1,59 @@
+"""The table of clearances in docs/training.md: `python scripts/compare_clearances.py GROOM ...`.
+
+The shipped network on the poses that trainings are validated on, its strands pushed out of the skin up to shares of
+their collision margin; means over grooms and poses, energies in the unit of the loss.
+"""
+
+import sys
+
+import torch
+
+from quaffure.body.body_model import load_body
+from quaffure.drapers.neural import NeuralDraper
+from quaffure.drapers.projection import projected
+from quaffure.drapers.quaffure_model import load_model
+from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.rest_state import rest_state
+from quaffure.io.load_groom import load_groom
+from quaffure.training.validation import prior_validation, validation_figures
+from quaffure.types import Positions
+
+SHARES = (None, 0.0, 0.25, 0.5, 1.0)
+
+
+class ClearedDraper:
+    """The network's hair as it is, or out of the skin up to a share of the collision margin."""
+
+    name = "cleared"
+
+    def __init__(self, network: NeuralDraper, share: float | None) -> None:
+        self.network, self.material, self.share = network, network.material, share
+
+    def drape(self, scene: Scene) -> Positions:
+        with torch.no_grad():
+            hair = self.network.deform(scene)
+        if self.share is None:
+            return hair
+        rest = rest_state(scene.groom.rest_strands, self.material)
+        return projected(hair, rest.rest_length, self.share * rest.collision_margin, scene.bodies)
+
+
+def main(names: list[str]) -> None:
+    body, poses, network = load_body(), prior_validation(), load_model().draper
+    bodies = BodyBatch(body, poses.body_pose, poses.body_shape)
+    scenes = [Scene(load_groom(name, body), bodies) for name in names]
+    pairs = [(scene, HairEnergy(scene.groom, network.material)) for scene in scenes]
+    print("| out to | elastic | body contact | hair contact | sum | inside the body [%] |")
+    print("|---|---|---|---|---|---|")
+    for share in SHARES:
+        means = validation_figures(ClearedDraper(network, share), pairs)
+        print(
+            f"| {'as the network has it' if share is None else f'{share:g} of the margin'} |"
+            f" {means['stretch_shear'] + means['stretch']:.3f} | {means['body_collision']:.3f} |"
+            f" {means['self_collision']:.3f} | {means['energy']:.3f} | {means['body_intersection_percent']:.3f} |"
+        )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

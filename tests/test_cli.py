@@ -151,11 +151,18 @@ def test_neural_drapes_with_weights_of_ones_own(tmp_path: Path, inputs: Path) ->
 
 def test_refining_lowers_the_energy(tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]) -> None:
     energies = []
-    for steps in ("0", "5"):
+    for steps, row in (("0", "neural"), ("5", "neural_refined")):
         out = str(tmp_path / f"{steps}.npz")
         main(["drape", str(inputs / "tiny.npz"), "--frames", "40:41", "--refine", steps, "--json", "--out", out])
-        energies += json.loads(capfd.readouterr().out)["per_frame"]["neural"]["energy"]
+        energies += json.loads(capfd.readouterr().out)["per_frame"][row]["energy"]
     assert energies[1] < energies[0]
+
+
+def test_refining_a_clip_says_that_it_trembles(tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for frames, said in (("40:41", False), ("40:42", True)):
+        out = str(tmp_path / "drape.npz")
+        main(["drape", str(inputs / "tiny.npz"), "--frames", frames, "--refine", "1", "--out", out])
+        assert ("tremble" in capfd.readouterr().out) == said
 
 
 def test_grooms_keep_their_contract(capfd: pytest.CaptureFixture[str]) -> None:

@@ -79,7 +79,9 @@ class DrapeCommand:
         interpolation = None if self.strands is None else interpolation_of(groom, body, self.strands)
         if reference is not None:
             self._check_reference(reference, (len(motion), *groom.rest_strands.shape))
-        self._say(f"draping {len(groom)} strands in {_frames(len(motion))} with {self.draper}")
+        self._say(f"draping {len(groom)} strands in {_frames(len(motion))} with {self._row}")
+        if self.refine and len(motion) > 1:
+            self._say("refined frame by frame: hair that moves will tremble")
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task(f"draping {len(groom)} strands", total=len(motion))
             sequence = drape_motion(
@@ -92,6 +94,11 @@ class DrapeCommand:
             write(path, sequence, interpolation)
         self._say("measuring")
         self._report(sequence, *measure(sequence, groom, body, reference))
+
+    @property
+    def _row(self) -> str:
+        """What `quaffure evaluate` calls the draper."""
+        return RefinedDraper.name if self.refine else self.draper
 
     def _say(self, step: str) -> None:
         """What is going on; not where the output is JSON for another program."""
@@ -130,7 +137,7 @@ class DrapeCommand:
             raise InputError("--elastic", f"{ModifiedCosserat.name} with a network", f"'{self.elastic}'")
 
     def _report(self, sequence: DrapeSequence, draped: PerFrame, posed: PerFrame) -> None:
-        named = {"posed": posed, self.draper: draped}
+        named = {"posed": posed, self._row: draped}
         if self.json:
             rows = {name: {key: figure.tolist() for key, figure in row.items()} for name, row in named.items()}
             times = {"milliseconds": sequence.meta["milliseconds"], "with_preparation": with_preparation(sequence)}

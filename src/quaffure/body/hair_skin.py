@@ -23,8 +23,8 @@ THIN = (0.008, 0.004)
 """The same, below and above alike, where the body is thin, such as fingers: of both sides the nearer counts. The first
 of which there is flesh enough, else the last [m]."""
 FACE = 0.004
-"""The same for face and ears, which are made of small triangles: as deep as the rest they would cost more than all of
-it, and leave 0.0162 instead of 0.0172 % of hair inside, on the first frames of the evaluation set [m]."""
+"""The same for face and ears, which are made of small triangles: as deep as the rest, they would cost more than all of
+it, and hardly less hair would stay inside [m]."""
 _ENOUGH = 0.7  # at a depth below a face, the share of it by which all other skin must be away at least
 
 

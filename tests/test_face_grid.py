@@ -28,6 +28,10 @@ def bodies(body: BodyModel) -> BodyBatch:
     return BodyBatch(body, pose, torch.randn(1, 10, generator=generator))
 
 
+def head_of(bodies: BodyBatch) -> torch.Tensor:
+    return bodies.posed.joint_positions[0, bodies.body.joint_names.index("Head")]
+
+
 @pytest.fixture(scope="module")
 def skin_vertices(bodies: BodyBatch) -> torch.Tensor:
     return bodies.posed.vertices[0, hair_skin(bodies.body).vertices].contiguous()
@@ -42,7 +46,7 @@ def points(bodies: BodyBatch, skin_vertices: torch.Tensor) -> torch.Tensor:
     weights = torch.rand(3000, 3, 1, generator=generator)
     places = (weights / weights.sum(1, keepdim=True) * skin_vertices[chosen]).sum(1)
     points = places + 0.04 * (torch.rand(3000, 3, generator=generator) - 0.5)
-    offset = points - bodies.posed.joint_positions[0, bodies.body.joint_names.index("Head")]
+    offset = points - head_of(bodies)
     return points[((offset > -0.45) & (offset < 0.2)).all(dim=1)]
 
 
@@ -55,7 +59,7 @@ def _ask(points: np.ndarray, grid: FaceGrid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def grid_over(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> FaceGrid:
-    skin, head = hair_skin(bodies.body), bodies.posed.joint_positions[0, bodies.body.joint_names.index("Head")]
+    skin, head = hair_skin(bodies.body), head_of(bodies)
     twice = points.repeat_interleave(2, dim=0)  # every second one is looked at
     return face_grid(skin_vertices.numpy(), skin.faces.numpy(), skin.reach, head.numpy(), twice.numpy())
 
@@ -121,7 +125,7 @@ def test_the_skin_ends_at_the_waist(body: BodyModel) -> None:
     assert kinds == {(BELOW, ABOVE), *((depth, depth) for depth in THIN)}
 
 
-def test_thin_skin_is_that_of_ears_and_fingers(body: BodyModel) -> None:
+def test_thin_skin_is_that_of_fingers(body: BodyModel) -> None:
     skin = hair_skin(body)
     led_by = [body.joint_names[int(joint)] for joint in body.dense_skin_weights[skin.vertices].argmax(1)]
     thin = skin.reach[:, 1] > ABOVE
@@ -137,7 +141,7 @@ def test_thin_skin_is_that_of_ears_and_fingers(body: BodyModel) -> None:
 def test_all_faces_are_those_near_the_points(
     bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor
 ) -> None:
-    skin, head = hair_skin(bodies.body), bodies.posed.joint_positions[0, bodies.body.joint_names.index("Head")]
+    skin, head = hair_skin(bodies.body), head_of(bodies)
     everywhere = face_grid(skin_vertices.numpy(), skin.faces.numpy(), skin.reach, head.numpy())
     few = points[::40]
     near = grid_over(bodies, skin_vertices, few)
@@ -149,7 +153,7 @@ def test_all_faces_are_those_near_the_points(
 
 
 def test_faces_without_area_are_left_out(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> None:
-    skin, head = hair_skin(bodies.body), bodies.posed.joint_positions[0, bodies.body.joint_names.index("Head")]
+    skin, head = hair_skin(bodies.body), head_of(bodies)
     flat = torch.cat([skin.faces, skin.faces[::50][:, [0, 0, 1]]])
     reach = np.concatenate([skin.reach, skin.reach[::50]])
     expected = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))

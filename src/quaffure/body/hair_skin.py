@@ -63,9 +63,7 @@ def _reach(body: BodyModel, faces: Int[Tensor, "k 3"]) -> Float[np.ndarray, "k 2
     for depth, above in ((THIN[0], THIN[0]), (BELOW, ABOVE)):
         deep = signed_distance((middle - depth * normal)[None], surface)[0] < -_ENOUGH * depth
         reach[deep.cpu()] = torch.tensor([depth, above])
-    on_scalp = torch.zeros(len(body.rest_vertices), dtype=torch.bool, device=faces.device)
-    on_scalp[body.faces[body.scalp.faces].flatten()] = True
     of_head = body.dense_skin_weights.argmax(1) == body.joint_names.index(HEAD)
-    on_face = of_head[faces].all(1) & ~on_scalp[faces].all(1)
+    on_face = of_head[faces].all(1) & ~torch.isin(faces, body.faces[body.scalp.faces]).all(1)
     reach[on_face.cpu()] = FACE
     return reach.numpy()

@@ -78,34 +78,48 @@ def head_view(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> He
     """Bodies of shape beta [standard deviations] in pose theta [rad], seen from their heads. No gradient flows."""
     if body_pose.device.type != "cpu" or body.rest_vertices.dtype != torch.float32:
         return head_view_reference(body, body_pose, body_shape)
-    skeleton, skin = _skeleton(body), _skin(body)
-    batch, vertices = len(body_pose), len(skin.rest)
-    transforms = np.empty((batch, len(body.joint_parents), 3, 4), np.float32)
-    rotation, head = torch.empty(batch, 3, 3), torch.empty(batch, 3)
-    code = torch.empty(batch, POSE_CODE_SIZE)
-    pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
-    _pose_joints(pose.numpy(), shape.numpy(), skeleton, transforms, rotation.numpy(), head.numpy(), code.numpy())
-    positions, normals = torch.empty(batch, vertices, 3), torch.empty(batch, len(skin.normals), 3)
-    _pose_skin(
-        shape.numpy(), skin, transforms.reshape(batch, len(body.joint_parents), 12), positions.numpy(), normals.numpy()
-    )
+    joints, skin = _posed_joints(body, body_pose, body_shape), _skin(body)
+    positions, normals = _posed_vertices(skin, joints)
     points = positions[:, : len(skin.normals)].unflatten(1, (-1, LEAF))
     surface = SoftSurface(points, normals.unflatten(1, (-1, LEAF)), SIGHT)
-    return HeadView(rotation, head, code, positions[:, len(skin.normals) :].contiguous(), surface)
+    scalp = positions[:, len(skin.normals) :].contiguous()
+    return HeadView(joints.world_from_head, joints.head, joints.pose_code, scalp, surface)
 
 
 def posed_skin(
     body: BodyModel, body_pose: BodyPose, body_shape: BodyShape
 ) -> tuple[Float[Tensor, "b v 3"], Float[Tensor, "b 3"]]:
     """The vertices of `hair_skin(body)` and the head joint in the world [m], as in `BodyModel.pose`; on the CPU."""
-    skin, joints, batch = _whole_skin(body), len(body.joint_parents), len(body_pose)
-    transforms, code = np.empty((batch, joints, 3, 4), np.float32), np.empty((batch, POSE_CODE_SIZE), np.float32)
-    rotation, head, no_normals = torch.empty(batch, 3, 3), torch.empty(batch, 3), np.empty((batch, 0, 3), np.float32)
+    joints = _posed_joints(body, body_pose, body_shape)
+    positions, _ = _posed_vertices(_whole_skin(body), joints)
+    return positions @ joints.world_from_head.mT + joints.head[:, None], joints.head
+
+
+class _PosedJoints(NamedTuple):
+    """`HeadView`'s fields, beta, and for each joint what takes a rest vertex to where it is seen from the head."""
+
+    shape: Float[Tensor, "b 10"]
+    transforms: Float[np.ndarray, "b j 12"]
+    world_from_head: Float[Tensor, "b 3 3"]
+    head: Float[Tensor, "b 3"]
+    pose_code: Float[Tensor, "b code"]
+
+
+def _posed_joints(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> _PosedJoints:
+    batch, count = len(body_pose), len(body.joint_parents)
+    transforms = np.empty((batch, count, 3, 4), np.float32)
+    rotation, head, code = torch.empty(batch, 3, 3), torch.empty(batch, 3), torch.empty(batch, POSE_CODE_SIZE)
     pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
-    _pose_joints(pose.numpy(), shape.numpy(), _skeleton(body), transforms, rotation.numpy(), head.numpy(), code)
-    positions = torch.empty(batch, len(skin.rest), 3)
-    _pose_skin(shape.numpy(), skin, transforms.reshape(batch, joints, 12), positions.numpy(), no_normals)
-    return positions @ rotation.mT + head[:, None], head
+    _pose_joints(pose.numpy(), shape.numpy(), _skeleton(body), transforms, rotation.numpy(), head.numpy(), code.numpy())
+    return _PosedJoints(shape, transforms.reshape(batch, count, 12), rotation, head, code)
+
+
+def _posed_vertices(skin: "_Skin", joints: _PosedJoints) -> tuple[Float[Tensor, "b v 3"], Float[Tensor, "b p 3"]]:
+    """Vertices, and the normals of those that have one, seen from the head."""
+    batch = len(joints.head)
+    positions, normals = torch.empty(batch, len(skin.rest), 3), torch.empty(batch, len(skin.normals), 3)
+    _pose_skin(joints.shape.numpy(), skin, joints.transforms, positions.numpy(), normals.numpy())
+    return positions, normals
 
 
 class _Skeleton(NamedTuple):

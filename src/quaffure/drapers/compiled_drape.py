@@ -49,8 +49,8 @@ class CompiledDrape:
         Args:
             draped: [strand, vertex, 3] for each groom, filled [m, world].
         """
-        view, skin = head_view(body, body_pose, body_shape), hair_skin(body)
-        records, (vertices, heads) = point_records(view.surface), posed_skin(body, body_pose, body_shape)
+        view = head_view(body, body_pose, body_shape)
+        records = point_records(view.surface)
         begun = time.perf_counter()
         textures = self.textures(grooms, view)
         self.network_seconds += time.perf_counter() - begun
@@ -63,8 +63,10 @@ class CompiledDrape:
             answers = self.network.answers(textures[sample], groom.texels, start.told[0])
             self.network_seconds += time.perf_counter() - begun
             self.end(groom, start, answers, view.sample(sample), out)
-            if self.network.config.slides:
-                project(out.clone(), vertices[sample], groom.rest_length, groom.clearance, skin, heads[sample], out)
+        if self.network.config.slides:
+            skin, (vertices, heads) = hair_skin(body), posed_skin(body, body_pose, body_shape)
+            for groom, out, skin_vertices, head in zip(grooms, draped, vertices, heads):
+                project(out.clone(), skin_vertices, groom.rest_length, groom.clearance, skin, head, out)
 
     def textures(self, grooms: Sequence[PackedGroom], view: HeadView) -> Float[Tensor, "b texels channels"]:
         """What the decoder says of each groom on its body."""

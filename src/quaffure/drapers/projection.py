@@ -74,7 +74,7 @@ def projected_reference(
     for edge in range(edges):
         place, length = deformed[:, edge + 1] + shift, rest_length[:, edge]
         free = free - length
-        looked = (free < 0) | torch.tensor(edge == edges - 1, device=free.device)
+        looked = (free < 0) | (edge == edges - 1)
         height, face = place.new_ones(len(place)), torch.full((len(place),), NONE, device=place.device)
         height[looked], face[looked] = nearest_reached_reference(place[looked], vertices, skin.faces, reach)
         free = torch.where(looked, SPACING - 0.5 * length, free)
@@ -93,7 +93,7 @@ def project(
     clearance: Float[Tensor, "s n"],
     skin: HairSkin,
     centre: Float[Tensor, "3"],
-    projected: Float[Tensor, "s n 3"],
+    out: Float[Tensor, "s n 3"],
 ) -> None:
     """Push the strands of one groom out of the skin; float32, on the CPU.
 
@@ -103,17 +103,17 @@ def project(
         rest_length: of the strands' edges [m].
         clearance: see `clearance_of`.
         centre: of the head [m]; what is outside of a `FaceGrid` round it stays as it is.
-        projected: filled [m].
+        out: filled [m].
     """
     # A comparison with NaN is false.
     if not ((vertices - centre).abs().max() < _FARTHEST and (deformed - centre).abs().max() < _FARTHEST):
-        projected.copy_(deformed)
+        out.copy_(deformed)
         return
     body = vertices.numpy(), skin.faces.numpy(), skin.reach, centre.numpy()
     strands = deformed.numpy(), rest_length.numpy(), clearance.numpy()
-    rows, out = np.empty((get_num_threads(), _APART), np.float32), projected.numpy()
-    if not _push_out(*strands, face_grid(*body, strands[0].reshape(-1, 3)), rows, out):
-        _push_out(*strands, face_grid(*body), rows, out)
+    rows = np.empty((get_num_threads(), _APART), np.float32)
+    if not _push_out(*strands, face_grid(*body, strands[0].reshape(-1, 3)), rows, out.numpy()):
+        _push_out(*strands, face_grid(*body), rows, out.numpy())
 
 
 @no_type_check

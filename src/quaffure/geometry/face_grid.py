@@ -36,7 +36,7 @@ _APART = 64  # rows between the rooms of threads, which would write into one lin
 _TIE = 0.99  # of faces about as near as each other, the one that a point is furthest above or below tells its side
 # Columns of a face's record: normal, the directions along its first edge and across, each with its height at the face;
 # length of that edge, third corner in the plane, inverse squared lengths of the other two edges; reach.
-_NORMAL, _ALONG, _ACROSS, _LENGTH, _THIRD, _INVERSE, _REACH, _COLUMNS = 0, 4, 8, 12, 13, 15, 17, 20
+_ALONG, _ACROSS, _LENGTH, _THIRD, _INVERSE, _REACH, _COLUMNS = 4, 8, 12, 13, 15, 17, 20
 
 
 class FaceGrid(NamedTuple):

@@ -22,22 +22,22 @@ import numba
 import numpy as np
 import torch
 
+from quaffure.apps.cli.console import print_json, print_rows
+from quaffure.benchmark.evaluation_set import evaluation_motions
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import resample
 from quaffure.body.pose_prior import load_pose_prior
-from quaffure.cli.console import print_json, print_rows
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.energies.closed_form import sagged_vectors
+from quaffure.energies.closed_form import equilibrium_vectors
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.evaluation.evaluation_set import evaluation_motions
-from quaffure.geometry.clear_cells import FREE, OUTSIDE, REACH, SpaceMap, whereabouts
+from quaffure.geometry.occupancy_grid import FREE, OUTSIDE, REACH, OccupancyGrid, classify
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.geometry.surface import Surface
-from quaffure.groom.procedural import make_groom
 from quaffure.io.load_groom import load_groom
 from quaffure.io.read_motion import read_motion
+from quaffure.model.quaffure_model import load_model
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.types import Energy, Positions
 
@@ -106,7 +106,7 @@ def kernel_rows(body: BodyModel, name: str, batch: int) -> list[dict[str, object
 def states(scene: Scene, energy: HairEnergy) -> dict[str, Positions]:
     """Hair at four stages of a training run."""
     rest, roots = energy.rest, scene.posed[:, :, 0]
-    sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
+    sag = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
     generator = torch.Generator().manual_seed(1)
     bend = torch.randn(*scene.director.shape[:2], 1, 3, generator=generator)
     bend = scene.director + bend * torch.linspace(0, 1, scene.director.shape[2])[:, None]
@@ -175,8 +175,8 @@ def compared(points: torch.Tensor, found: np.ndarray, surface: Surface, sample: 
     faces = surface.topology.faces.numpy()
     exact = igl.signed_distance(exact_points, vertices, faces, sign_type=igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)[0]
     winding = igl.fast_winding_number(vertices, faces, exact_points)
-    space = SpaceMap(*(field[sample] for field in surface.map))
-    known = np.array([whereabouts(*point, space) for point in points.numpy()])
+    space = OccupancyGrid(*(field[sample] for field in surface.map))
+    known = np.array([classify(*point, space) for point in points.numpy()])
     matters = np.abs(exact) > ROUNDING
     return {
         "points": len(points),

@@ -19,10 +19,10 @@ import torch
 
 from quaffure.body.body_model import load_body
 from quaffure.body.pose_prior import load_pose_prior
-from quaffure.drapers.neural import NeuralDraper
-from quaffure.drapers.scene import BodyBatch
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.io.load_groom import load_groom
+from quaffure.model.neural import NeuralDraper
+from quaffure.scene import BodyBatch
 from quaffure.training.averaged_adam import AveragedAdam
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_config import TrainConfig

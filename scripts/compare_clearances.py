@@ -9,13 +9,13 @@ import sys
 import torch
 
 from quaffure.body.body_model import load_body
-from quaffure.drapers.neural import NeuralDraper
-from quaffure.drapers.projection import projected
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.rest_state import rest_state
 from quaffure.io.load_groom import load_groom
+from quaffure.model.neural import NeuralDraper
+from quaffure.model.projection import projected
+from quaffure.model.quaffure_model import load_model
+from quaffure.scene import BodyBatch, Scene
 from quaffure.training.validation import prior_validation, validation_figures
 from quaffure.types import Positions
 

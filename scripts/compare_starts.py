@@ -7,25 +7,25 @@ import sys
 
 import torch
 
+from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body.body_model import load_body
+from quaffure.body.mls_body import mls_body
 from quaffure.body.pose_prior import load_pose_prior
-from quaffure.body.soft_body import soft_body
 from quaffure.config import HairMaterial
-from quaffure.drapers.fitted_groom import starting_margin
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.drapers.undeformed import slid_twice
-from quaffure.drapers.undeformed_kernels import HANDED_BACK
-from quaffure.energies.closed_form import sagged_vectors
+from quaffure.energies.closed_form import equilibrium_vectors
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.evaluation.figures import intersection_percent
+from quaffure.geometry.mls_surface import resolve_contact_reference
 from quaffure.geometry.polyline import integrate_directions
-from quaffure.geometry.soft_surface import slide_reference
-from quaffure.groom.strand_packets import leader_of
+from quaffure.hair.strand_blocks import cluster_representatives
 from quaffure.io.load_groom import load_groom
+from quaffure.model.initial_shape import resolve_contact_twice
+from quaffure.model.initial_shape_kernels import PROPAGATED_SHARE
+from quaffure.model.prepared_groom import initial_clearance
+from quaffure.scene import BodyBatch, Scene
 from quaffure.training.pose_sampler import PoseSampler
 
 POSES, SEED = 6, 20_000
-SHARES = (0.15, HANDED_BACK, 0.5)
+SHARES = (0.15, PROPAGATED_SHARE, 0.5)
 
 
 def main(names: list[str]) -> None:
@@ -50,18 +50,21 @@ def main(names: list[str]) -> None:
 
 def _starts(scene: Scene, energy: HairEnergy) -> dict[str, torch.Tensor]:
     rest, body, root = energy.rest, scene.bodies.body, scene.posed[:, :, 0]
-    sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
-    surface = soft_body(body, scene.bodies.posed)
-    layered = starting_margin(scene.groom, rest, energy.material, body)
+    sag = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
+    surface = mls_body(body, scene.bodies.posed)
+    layered = initial_clearance(scene.groom, rest, energy.material, body)
     margins = {"slid": rest.collision_margin, "slid in layers": layered}
-    slid = {name: slide_reference(root, sag, rest.rest_length, margin, surface)[0] for name, margin in margins.items()}
-    alone, leader = torch.arange(len(scene.groom)), leader_of(scene.groom)
+    slid = {
+        name: resolve_contact_reference(root, sag, rest.rest_length, margin, surface)[0]
+        for name, margin in margins.items()
+    }
+    alone, leader = torch.arange(len(scene.groom)), cluster_representatives(scene.groom)
 
     def twice(leader: torch.Tensor, share: float) -> torch.Tensor:
-        return slid_twice(root, sag, rest.rest_length, layered, surface, leader, share)[0]
+        return resolve_contact_twice(root, sag, rest.rest_length, layered, surface, leader, share)[0]
 
     handed = {f"slid twice, {share:g} handed back": twice(leader, share) for share in SHARES}
-    handed[f"the same with {HANDED_BACK:g}, each feeling for itself"] = twice(alone, HANDED_BACK)
+    handed[f"the same with {PROPAGATED_SHARE:g}, each feeling for itself"] = twice(alone, PROPAGATED_SHARE)
     return {"posed": scene.director, "sag": sag, **slid, **handed}
 
 

@@ -11,13 +11,13 @@ import torch
 import tyro
 from figures.tiles import FIGURES, TileRenderer, View, run_figure, save_picture
 
+from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
 from quaffure.body.clips import bundled_clip
 from quaffure.body.motion import resample
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.groom.procedural import make_groom
 from quaffure.io.read_motion import read_motion
-from quaffure.render.contact_sheet import NATURAL_COLOURS
+from quaffure.model.quaffure_model import load_model
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
 
 OUT = FIGURES / "drapes.jpg"
 GROOMS = ("long_straight", "long_ringlets", "layered_shag", "ponytail", "side_part_lob", "mullet")

@@ -17,7 +17,7 @@ from scipy.stats import norm, rankdata
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion, joint_matrices, without_heading
 from quaffure.body.pose_prior import PRIOR_FILE, PosePrior, check_prior
-from quaffure.body.retarget import body_bone
+from quaffure.body.retargeting import body_bone
 from quaffure.errors import InputError
 from quaffure.io.atomic import replacing
 from quaffure.io.read_motion import MOTION_READERS, read_motion

@@ -11,17 +11,17 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
+from quaffure.apps.render.camera import Camera
+from quaffure.apps.render.scene import StrandRenderer
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.geometry.surface import Surface
-from quaffure.groom.clearance import pushed_out, rest_surface
-from quaffure.groom.groom import Groom
-from quaffure.groom.guide_interpolation import interpolation_of
-from quaffure.groom.procedural import make_groom
-from quaffure.networks.groom_autoencoder import GroomAutoencoder
-from quaffure.networks.groom_code import groom_code, load_groom_autoencoder
-from quaffure.networks.groom_texture import strands_of
-from quaffure.render.camera import Camera
-from quaffure.render.scene import StrandRenderer
+from quaffure.hair.clearance import pushed_out, rest_surface
+from quaffure.hair.groom import Groom
+from quaffure.hair.guide_interpolation import interpolation_of
+from quaffure.model.groom_autoencoder import GroomAutoencoder
+from quaffure.model.groom_code import groom_code, load_groom_autoencoder
+from quaffure.model.groom_texture import strands_of
+from quaffure.procedural.generator import make_groom
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "groom_code.jpg"
 # The last pair are two styles that no training has seen.

@@ -10,12 +10,12 @@ from tempfile import TemporaryDirectory
 import torch
 from PIL import Image
 
+from quaffure.apps.render.contact_sheet import write_contact_sheet
 from quaffure.body.body_model import load_body
 from quaffure.config import HairMaterial
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.drapers.xpbd import XpbdDraper
-from quaffure.groom.procedural import make_groom
-from quaffure.render.contact_sheet import write_contact_sheet
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
+from quaffure.solvers.xpbd import XpbdDraper
 
 OUT = Path(__file__).parents[1] / "docs" / "figures" / "material.jpg"
 STYLES = ("long_straight", "long_wavy", "long_ringlets", "ponytail")

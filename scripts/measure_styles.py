@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 
 from quaffure.body.body_model import load_body
-from quaffure.groom.clearance import rest_surface
-from quaffure.groom.hair_style import STYLES
-from quaffure.groom.procedural import make_groom
+from quaffure.hair.clearance import rest_surface
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import STYLES
 
 OUT = Path(__file__).parents[1] / "src" / "quaffure" / "assets" / "style_sizes.json"
 

@@ -3,8 +3,8 @@
 python scripts/reference_drapes.py save reference.npz      # before a change that must not alter results
 python scripts/reference_drapes.py compare reference.npz   # after it
 
-Drapes may differ by 1 um in float32 and by 0.05 mm in bfloat16, energies and gradients by 1e-6 of their size. Exit code 1
-where they differ by more. The arrays are some 30 MB and are not kept in the repository.
+Drapes may differ by 1 um in float32 and by 0.05 mm in bfloat16, energies and gradients by 1e-6 of their size. Exit code
+1 where they differ by more. The arrays are some 30 MB and are not kept in the repository.
 """
 
 import sys
@@ -16,8 +16,8 @@ import torch
 
 import quaffure as qf
 from quaffure.body.clips import bundled_clip
-from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.scene import BodyBatch, Scene
 
 GROOMS = ("long_straight", "bob", "long_ringlets", "crew_cut")
 FRAMES = {"neck_turn": (0, 35), "bow": (60,), "walk": (10,)}

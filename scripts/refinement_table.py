@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from quaffure.drapers.draper import Draper
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.refined import RefinedDraper
-from quaffure.drapers.scene import Scene
+from quaffure.benchmark.evaluation_set import DataFolders, load_cases, load_evaluation_set
+from quaffure.benchmark.metrics import metrics
+from quaffure.draper import Draper
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.evaluation.evaluation_set import DataFolders, load_cases, load_evaluation_set
-from quaffure.evaluation.figures import figures_of_merit
+from quaffure.model.quaffure_model import load_model
+from quaffure.scene import Scene
+from quaffure.solvers.refined import RefinedDraper
 
 STEPS = (0, 1, 3, 10, 30)
 EVERY = 3
@@ -46,7 +46,7 @@ def _measured(draper: Draper, scene: Scene) -> list[float]:
     start = time.process_time()
     draped = draper.drape(scene).detach()
     took = 1000 * (time.process_time() - start)
-    figures = figures_of_merit(draped, scene, HairEnergy(scene.groom, draper.material))
+    figures = metrics(draped, scene, HairEnergy(scene.groom, draper.material))
     return [*(float(figures[name]) for name in FIGURES), took]
 
 

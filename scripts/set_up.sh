@@ -38,7 +38,7 @@ install --quiet --editable '.[dev]'
 
 # OpenGL comes with the system and not from PyPI. Without a GPU, Mesa draws on the processor.
 opens_opengl() {
-    .venv/bin/python -c 'from quaffure.render.scene import StrandRenderer; StrandRenderer(8, 8)' 2>.venv/opengl.log
+    .venv/bin/python -c 'from quaffure.apps.render.scene import StrandRenderer; StrandRenderer(8, 8)' 2>.venv/opengl.log
 }
 packages="libegl1 libgl1 libgl1-mesa-dri"
 if ! opens_opengl; then

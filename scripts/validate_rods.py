@@ -14,12 +14,9 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from PIL import Image
 
-from quaffure.config import HairMaterial
-from quaffure.energies.cosserat import RodStiffness
-from quaffure.energies.elastic_model import Cosserat, MassSpring, ModifiedCosserat
-from quaffure.evaluation.heavy_rod import REAL_HAIR_WEIGHT, HeavyRod
-from quaffure.evaluation.rod_newton import Settled
-from quaffure.evaluation.rod_validation import (
+from benchmarks.rods.heavy_rod import REAL_HAIR_WEIGHT, HeavyRod
+from benchmarks.rods.rod_newton import Settled
+from benchmarks.rods.rod_validation import (
     Case,
     Curl,
     Sphere,
@@ -38,6 +35,9 @@ from quaffure.evaluation.rod_validation import (
     settle_under_weight,
     stretch_percent,
 )
+from quaffure.config import HairMaterial
+from quaffure.energies.cosserat import RodStiffness
+from quaffure.energies.elastic_model import Cosserat, MassSpring, ModifiedCosserat
 from quaffure.io.atomic import replacing
 
 mpl.use("Agg")
@@ -57,7 +57,7 @@ One hair, alone, clamped at its root: EI = {ROD.bend:.1e} N m^2, GJ = EI / {ROD.
 {1000 * CURL.pitch:.0f} mm pitch. Lengths are along the strand. "Horizontal" is how the strand, or the axis of the
 curl, would leave the clamp without weight; positions are (x, y, z) with z up. N is the number of vertices, {N} where
 none is given. Errors over a strand are root mean squares over its vertices. The truth is Kirchhoff's inextensible
-rod, a boundary-value problem (`quaffure.evaluation.heavy_rod`, scipy's `solve_bvp`), which shares no code with the
+rod, a boundary-value problem (`benchmarks.rods.heavy_rod`, scipy's `solve_bvp`), which shares no code with the
 energies; a test holds PyElastica to it.
 """
 

@@ -16,7 +16,16 @@ if importlib.util.find_spec("beartype") is not None:
     _hook = install_import_hook(
         [
             f"quaffure.{room}"
-            for room in ("groom", "body", "energies.elastic", "energies.gravity", "networks", "drapers")
+            for room in (
+                "hair",
+                "procedural",
+                "body",
+                "energies.elastic",
+                "energies.gravity",
+                "model",
+                "solvers",
+                "baselines",
+            )
         ],
         "beartype.beartype",
     )
@@ -50,7 +59,7 @@ def body() -> "BodyModel":
 @pytest.fixture(scope="session")
 def surface(body: "BodyModel") -> "Surface":
     """The body at rest."""
-    from quaffure.groom.clearance import rest_surface
+    from quaffure.hair.clearance import rest_surface
 
     return rest_surface(body)
 

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from scipy.spatial import ConvexHull
 
-from quaffure.energies.elastic import directors
+from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface, posed_surface, surface_topology
-from quaffure.groom.groom import Groom
+from quaffure.hair.groom import Groom
 
 
 def sphere_mesh(radius: float = 0.1, count: int = 400) -> tuple[torch.Tensor, torch.Tensor]:

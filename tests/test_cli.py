@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure.apps.cli.drape import duration, with_preparation
+from quaffure.apps.cli.main import main
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.clips import CLIP_NAMES
-from quaffure.cli.drape import duration, with_preparation
-from quaffure.cli.main import main
 from quaffure.config import HairMaterial
-from quaffure.drapers import quaffure_model
-from quaffure.drapers.drape_motion import FRAMES_AT_ONCE
+from quaffure.drape_motion import FRAMES_AT_ONCE
 from quaffure.errors import InputError
-from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import STYLES
-from quaffure.groom.procedural import make_groom
+from quaffure.hair.groom import Groom
 from quaffure.io.drape_file import read_drape, write_drape
 from quaffure.io.groom_file import write_groom
 from quaffure.io.read_strands import read_strands
 from quaffure.io.usd import write_usd
-from quaffure.networks.checkpoint import save_network
-from quaffure.networks.quaffure_network import NetworkConfig, build_network
+from quaffure.model import quaffure_model
+from quaffure.model.checkpoint import save_network
+from quaffure.model.quaffure_network import NetworkConfig, build_network
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import STYLES
 from tests.synthetic_drape import drape as synthetic_drape
 from tests.synthetic_drape import patch_of_strands
 from tests.test_bvh import TWO_JOINTS

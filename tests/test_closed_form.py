@@ -1,10 +1,11 @@
 import torch
 
 from quaffure.config import HairMaterial
-from quaffure.energies.closed_form import sagged_edges, sagged_vectors
-from quaffure.energies.elastic import directors, energy_stretch, energy_stretch_shear
+from quaffure.energies.closed_form import equilibrium_edges, equilibrium_vectors
+from quaffure.energies.elastic import energy_stretch, energy_stretch_shear
 from quaffure.energies.gravity import energy_gravity
 from quaffure.energies.rest_state import rest_state
+from quaffure.geometry.polyline import directors
 from tests.scenes import strands_round_sphere
 
 
@@ -24,7 +25,7 @@ def sagged(k_stretch: float) -> torch.Tensor:
     material = HairMaterial()
     posed = strands_round_sphere().double()
     rest = rest_state(posed, material)
-    return sagged_edges(directors(posed[None]), rest.rest_length, rest.mass_beyond, material.k_cosserat, k_stretch)
+    return equilibrium_edges(directors(posed[None]), rest.rest_length, rest.mass_beyond, material.k_cosserat, k_stretch)
 
 
 def test_closed_form_has_no_gradient_and_its_neighbourhood_has() -> None:
@@ -39,7 +40,7 @@ def test_directions_of_the_closed_form_feel_only_a_force_along_themselves() -> N
     material = HairMaterial()
     posed = strands_round_sphere().double()
     rest = rest_state(posed, material)
-    vectors = sagged_vectors(directors(posed[None]), rest.rest_length, rest.mass_beyond, material.k_cosserat)
+    vectors = equilibrium_vectors(directors(posed[None]), rest.rest_length, rest.mass_beyond, material.k_cosserat)
     along = torch.nn.functional.normalize(vectors, dim=-1)
     gradient = gradient_of_edges(rest.rest_length[..., None] * along, 1.0)
     across = gradient - (gradient * along).sum(-1, keepdim=True) * along

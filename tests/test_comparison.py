@@ -11,36 +11,36 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel
-from quaffure.body.clips import CLIP_NAMES, bundled_clip
-from quaffure.body.motion import Motion
-from quaffure.config import HairMaterial
-from quaffure.drapers.adam import AdamDraper
-from quaffure.drapers.drape_motion import drape_motion
-from quaffure.drapers.neural import NeuralDraper
-from quaffure.drapers.posed import PosedDraper
-from quaffure.drapers.refined import RefinedDraper
-from quaffure.drapers.scene import Scene
-from quaffure.energies.hair_energy import HairEnergy
-from quaffure.errors import InputError
-from quaffure.evaluation import draping, sources
-from quaffure.evaluation.comparison import compare, summarize
-from quaffure.evaluation.competitors import POSED, ROWS, Competitor, competitors
-from quaffure.evaluation.drape_cache import DrapeCache, TimedDrape
-from quaffure.evaluation.draping import CaseDraper
-from quaffure.evaluation.evaluation_set import (
+from quaffure.baselines.posed import PosedDraper
+from quaffure.benchmark import draping, sources
+from quaffure.benchmark.comparison import compare, summarize
+from quaffure.benchmark.drape_cache import DrapeCache, TimedDrape
+from quaffure.benchmark.draping import CaseDraper
+from quaffure.benchmark.evaluation_set import (
     CaseEntry,
     DataFolders,
     EvaluationCase,
     load_cases,
     load_evaluation_set,
 )
-from quaffure.evaluation.figures import figures_of_merit, measure, total_energy
-from quaffure.evaluation.fingerprint import fingerprint
-from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import HELD_OUT, STYLES
-from quaffure.groom.procedural import make_groom
-from quaffure.networks.quaffure_network import NetworkConfig, build_network
+from quaffure.benchmark.fingerprint import fingerprint
+from quaffure.benchmark.methods import POSED, ROWS, Competitor, methods
+from quaffure.benchmark.metrics import measure, metrics, total_energy
+from quaffure.body.body_model import BodyModel
+from quaffure.body.clips import CLIP_NAMES, bundled_clip
+from quaffure.body.motion import Motion
+from quaffure.config import HairMaterial
+from quaffure.drape_motion import drape_motion
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.errors import InputError
+from quaffure.hair.groom import Groom
+from quaffure.model.neural import NeuralDraper
+from quaffure.model.quaffure_network import NetworkConfig, build_network
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import HELD_OUT, STYLES
+from quaffure.scene import Scene
+from quaffure.solvers.adam import AdamDraper
+from quaffure.solvers.refined import RefinedDraper
 from quaffure.types import Positions
 
 STRANDS = 40
@@ -173,7 +173,7 @@ def test_two_runs_on_one_folder_lose_nothing(tmp_path: Path, case: EvaluationCas
 def test_a_drape_counts_once_its_note_is_written(tmp_path: Path) -> None:
     drape = TimedDrape(torch.zeros(2, 3, 3), 1.0, "a machine")
     with (
-        mock.patch("quaffure.evaluation.drape_cache.json.dumps", side_effect=KeyboardInterrupt),
+        mock.patch("quaffure.benchmark.drape_cache.json.dumps", side_effect=KeyboardInterrupt),
         pytest.raises(KeyboardInterrupt),
     ):
         DrapeCache(tmp_path).put("key", drape, "case", 0, "posed")
@@ -262,14 +262,14 @@ def changed(tmp_path: Path) -> Iterator[Callable[[str], None]]:
 
 
 def test_a_changed_energy_makes_other_drapes(changed: Callable[[str], None]) -> None:
-    rows = {row.name: row.draper for row in competitors(ROWS, {})}
+    rows = {row.name: row.draper for row in methods(ROWS, {})}
 
     def prints() -> dict[str, str]:
         return {name: fingerprint(draper) for name, draper in rows.items()}
 
     before = prints()
-    changed("render/__init__.py")
-    changed("evaluation/figures.py")
+    changed("apps/render/__init__.py")
+    changed("benchmark/metrics.py")
     assert prints() == before
     changed("energies/gravity.py")  # imported by what solvers import, not by themselves
     after_energy = prints()
@@ -342,7 +342,7 @@ def test_the_reference_is_the_lowest_solver_of_each_frame(case: EvaluationCase, 
     assert figures["first"]["jitter"][0] / figures["second"]["jitter"][0] == pytest.approx(8e-3 / 4e-4, rel=1e-3)
     energy = HairEnergy(still.groom, material)
     scene = Scene(still.groom, still.bodies(body, 0))
-    expected = figures_of_merit(rows["network"](still, 0).strands[None], scene, energy)
+    expected = metrics(rows["network"](still, 0).strands[None], scene, energy)
     assert {key: figures["network"][key][0] for key in expected} == pytest.approx(
         {key: float(value) for key, value in expected.items()}, rel=1e-5, abs=1e-6
     )

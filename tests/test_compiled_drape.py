@@ -8,26 +8,26 @@ import pytest
 import torch
 
 from quaffure.body.body_model import BodyModel
-from quaffure.body.head_view import head_view, head_view_reference
+from quaffure.body.head_frame import head_frame_body, head_frame_body_reference
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.config import HairMaterial
-from quaffure.drapers.compiled_drape import BATCH
-from quaffure.drapers.fitted_groom import THICKNESS, starting_margin
-from quaffure.drapers.neural import NeuralDraper
-from quaffure.drapers.quaffure_model import Quaffure, load_model
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.drapers.undeformed import fill_undeformed, undeformed, undeformed_reference
 from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
-from quaffure.geometry.soft_surface import point_records
-from quaffure.groom.groom import Groom
-from quaffure.groom.pose_transform import triangle_frames
-from quaffure.groom.procedural import make_groom
-from quaffure.groom.strand_packets import LED_FROM, PER_LEADER, leader_of, strand_packets
-from quaffure.networks import activated_layers
-from quaffure.networks.activated_layers import fused
-from quaffure.networks.inference_network import InferenceNetwork, fast_bfloat16, folded_doubling, texel_rows
-from quaffure.networks.quaffure_network import DirectionNetwork, NetworkConfig, NetworkInputs, build_network
+from quaffure.geometry.mls_surface import mls_points
+from quaffure.hair.groom import Groom
+from quaffure.hair.posing import triangle_frames
+from quaffure.hair.strand_blocks import CLUSTER_RADIUS, CLUSTER_SIZE, cluster_representatives, strand_blocks
+from quaffure.model import activated_layers
+from quaffure.model.activated_layers import fused
+from quaffure.model.compiled_drape import BATCH
+from quaffure.model.inference_network import InferenceNetwork, fast_bfloat16, folded_doubling, texel_rows
+from quaffure.model.initial_shape import fill_initial_shape, initial_shape, initial_shape_reference
+from quaffure.model.neural import NeuralDraper
+from quaffure.model.prepared_groom import THICKNESS, initial_clearance
+from quaffure.model.quaffure_model import Quaffure, load_model
+from quaffure.model.quaffure_network import DirectionNetwork, NetworkConfig, NetworkInputs, build_network
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
 
 CONFIG = NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=16, strand_width=32)
 MATERIAL = HairMaterial()
@@ -64,7 +64,7 @@ def model(network: DirectionNetwork, body: BodyModel) -> Quaffure:
 
 def test_packets_hold_every_strand(groom: Groom, body: BodyModel) -> None:
     margin = torch.rand(groom.rest_strands.shape[:2])
-    packets = strand_packets(groom, body, margin)
+    packets = strand_blocks(groom, body, margin)
     strand = torch.from_numpy(packets.strand).long()
     assert sorted(strand.flatten()[: len(groom)].tolist()) == list(range(len(groom)))
     frames = triangle_frames(body.rest_vertices[body.faces[groom.root_faces]])[strand]
@@ -75,32 +75,32 @@ def test_packets_hold_every_strand(groom: Groom, body: BodyModel) -> None:
 
 def test_neighbours_follow_one_leader(body: BodyModel) -> None:
     dense = make_groom("bob", body)
-    leader = leader_of(dense)
+    leader = cluster_representatives(dense)
     assert torch.equal(leader[leader], leader)
-    assert len(dense) / PER_LEADER <= len(leader.unique()) < len(dense) / 5
+    assert len(dense) / CLUSTER_SIZE <= len(leader.unique()) < len(dense) / 5
     apart = (dense.rest_strands[:, 0] - dense.rest_strands[leader, 0]).norm(dim=-1)
-    assert apart.max() < LED_FROM
-    packets = strand_packets(dense, body, torch.zeros(dense.rest_strands.shape[:2]))
+    assert apart.max() < CLUSTER_RADIUS
+    packets = strand_blocks(dense, body, torch.zeros(dense.rest_strands.shape[:2]))
     assert torch.equal(torch.from_numpy(packets.leading.strand.flatten()[packets.leader]), leader[packets.strand].int())
 
 
 def test_strands_far_apart_lead_themselves(body: BodyModel) -> None:
     sparse = make_groom("bob", body).select(torch.arange(0, 2400, 150))
-    assert (leader_of(sparse) == torch.arange(len(sparse))).float().mean() > 0.9
+    assert (cluster_representatives(sparse) == torch.arange(len(sparse))).float().mean() > 0.9
 
 
 def test_roots_off_the_scalp_are_refused(groom: Groom, body: BodyModel) -> None:
     toe = body.faces[:, 0].new_full((len(groom),), int(body.rest_vertices[body.faces[:, 0], 2].argmin()))
     with pytest.raises(InputError, match="roots on the scalp"):
-        strand_packets(replace(groom, root_faces=toe), body, torch.zeros(groom.rest_strands.shape[:2]))
+        strand_blocks(replace(groom, root_faces=toe), body, torch.zeros(groom.rest_strands.shape[:2]))
 
 
 def test_strands_that_meet_nothing_are_those_of_the_twin(groom: Groom, bodies: BodyBatch) -> None:
     body, arguments = bodies.body, (bodies.body_pose, bodies.body_shape)
     margin = ALL_FREE.expand(len(groom), 24)
-    compiled = undeformed(strand_packets(groom, body, margin), head_view(body, *arguments), MATERIAL)
-    expected = undeformed_reference(
-        groom, body, head_view_reference(body, *arguments), MATERIAL, margin, leader_of(groom)
+    compiled = initial_shape(strand_blocks(groom, body, margin), head_frame_body(body, *arguments), MATERIAL)
+    expected = initial_shape_reference(
+        groom, body, head_frame_body_reference(body, *arguments), MATERIAL, margin, cluster_representatives(groom)
     )
     for one, other in zip(compiled, expected):
         # What a strand sees changes fast where it is deep inside.
@@ -132,10 +132,10 @@ def test_two_vertices_in_one_place_stay_there(model: Quaffure, groom: Groom, bod
 def test_compiled_start_is_that_of_the_twin(bodies: BodyBatch, every: int) -> None:
     groom = make_groom("bob", bodies.body).select(torch.arange(0, 2400, every))
     body, arguments = bodies.body, (bodies.body_pose, bodies.body_shape)
-    margin = starting_margin(groom, rest_state(groom.rest_strands, MATERIAL), MATERIAL, body)
-    compiled = undeformed(strand_packets(groom, body, margin), head_view(body, *arguments), MATERIAL)
-    expected = undeformed_reference(
-        groom, body, head_view_reference(body, *arguments), MATERIAL, margin, leader_of(groom)
+    margin = initial_clearance(groom, rest_state(groom.rest_strands, MATERIAL), MATERIAL, body)
+    compiled = initial_shape(strand_blocks(groom, body, margin), head_frame_body(body, *arguments), MATERIAL)
+    expected = initial_shape_reference(
+        groom, body, head_frame_body_reference(body, *arguments), MATERIAL, margin, cluster_representatives(groom)
     )
     torch.testing.assert_close(compiled.roots, expected.roots, atol=2e-6, rtol=0)
     # Views amplify what rounding there is: a strand that stands on its root bends to either side.
@@ -151,9 +151,9 @@ def test_edges_without_length_push_nothing(groom: Groom, bodies: BodyBatch) -> N
     strands[::3, 12] = strands[::3, 11]
     groom = replace(groom, rest_strands=strands)
     margin = torch.full(strands.shape[:2], 0.01)
-    compiled = undeformed(strand_packets(groom, body, margin), head_view(body, *arguments), MATERIAL)
-    expected = undeformed_reference(
-        groom, body, head_view_reference(body, *arguments), MATERIAL, margin, leader_of(groom)
+    compiled = initial_shape(strand_blocks(groom, body, margin), head_frame_body(body, *arguments), MATERIAL)
+    expected = initial_shape_reference(
+        groom, body, head_frame_body_reference(body, *arguments), MATERIAL, margin, cluster_representatives(groom)
     )
     lengths = groom.rest_strands.diff(dim=1).norm(dim=-1) > 0
     apart = (compiled.edges - expected.edges).norm(dim=-1)[:, lengths]
@@ -162,9 +162,9 @@ def test_edges_without_length_push_nothing(groom: Groom, bodies: BodyBatch) -> N
 
 
 def test_edges_comply_with_the_weight_that_they_carry(groom: Groom, bodies: BodyBatch) -> None:
-    view = head_view(bodies.body, bodies.body_pose, bodies.body_shape)
+    view = head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape)
     sagged, slid = (
-        undeformed(strand_packets(groom, bodies.body, margin), view, MATERIAL)
+        initial_shape(strand_blocks(groom, bodies.body, margin), view, MATERIAL)
         for margin in (ALL_FREE.expand(len(groom), 24), torch.full((len(groom), 24), 0.02))
     )
     rest = rest_state(groom.rest_strands, MATERIAL)
@@ -180,11 +180,11 @@ def test_edges_comply_with_the_weight_that_they_carry(groom: Groom, bodies: Body
 
 
 def test_what_the_network_is_told_is_rounded_to_nearest(groom: Groom, bodies: BodyBatch) -> None:
-    view = head_view(bodies.body, bodies.body_pose, bodies.body_shape)
-    packets = strand_packets(groom, bodies.body, torch.full(groom.rest_strands.shape[:2], 0.004))
-    exact = undeformed(packets, view, MATERIAL)
+    view = head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape)
+    packets = strand_blocks(groom, bodies.body, torch.full(groom.rest_strands.shape[:2], 0.004))
+    exact = initial_shape(packets, view, MATERIAL)
     rounded = exact._replace(told=torch.zeros(3, len(groom), 200, dtype=torch.bfloat16))
-    fill_undeformed(packets, packets.strand, view, point_records(view.surface), MATERIAL, rounded)
+    fill_initial_shape(packets, packets.strand, view, mls_points(view.surface), MATERIAL, rounded)
     assert torch.equal(rounded.told[..., :184], exact.told.bfloat16())
     assert rounded.told[..., 184:].count_nonzero() == 0
 

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from quaffure.apps.render import contact_sheet
+from quaffure.apps.render.contact_sheet import write_contact_sheet
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.errors import InputError
-from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import STYLES
-from quaffure.groom.procedural import make_groom
-from quaffure.render import contact_sheet
-from quaffure.render.contact_sheet import write_contact_sheet
+from quaffure.hair.groom import Groom
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import STYLES
 
 
 @pytest.fixture(scope="module")

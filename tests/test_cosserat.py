@@ -16,9 +16,9 @@ from quaffure.energies.cosserat import (
     third_axis,
     transported_frames,
 )
-from quaffure.energies.elastic import directors
 from quaffure.energies.elastic_model import ELASTIC_MODELS, Cosserat, ElasticState, elastic_model
 from quaffure.errors import InputError
+from quaffure.geometry.polyline import directors
 from quaffure.geometry.rotation import matrix_from_axis_angle, quaternion_from_matrix, quaternion_multiply
 from tests.scenes import strands_round_sphere
 

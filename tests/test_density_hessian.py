@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from quaffure.energies.density_crowd import Crowd, crowd_of, density
-from quaffure.energies.density_hessian import density_blocks, density_force, density_product
-from quaffure.energies.density_pairs import PressedPairs, pressed_pairs
+from quaffure.solvers.newton.density_hessian import density_blocks, density_force, density_product
+from quaffure.solvers.newton.density_pairs import PressedPairs, pressed_pairs
+from quaffure.solvers.newton.density_particles import DensityParticles, density, density_particles
 
 
 def crowded_points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points that all press on each other, their masses and rest densities."""
     generator = np.random.default_rng(2)
     points, mass = 0.02 * generator.random((60, 3)), 1e-7 * (1 + generator.random(60))
-    return points, mass, 0.5 * density(crowd_of(points, mass, 5e-3))
+    return points, mass, 0.5 * density(density_particles(points, mass, 5e-3))
 
 
-def pairs_of(crowd: Crowd, rest: np.ndarray, exactness: float) -> tuple[PressedPairs, np.ndarray]:
+def pairs_of(crowd: DensityParticles, rest: np.ndarray, exactness: float) -> tuple[PressedPairs, np.ndarray]:
     """The pairs of the sum of cubed excesses, and the derivative by the density."""
     excess = (density(crowd) - rest).clip(min=0)
     return pressed_pairs(crowd, 3 * excess**2, 6 * excess, exactness), 3 * excess**2
@@ -23,7 +23,7 @@ def pairs_of(crowd: Crowd, rest: np.ndarray, exactness: float) -> tuple[PressedP
 
 def test_hessian_of_the_densities_matches_differences_of_their_gradient() -> None:
     points, mass, rest = crowded_points()
-    crowd = crowd_of(points, mass, 5e-3)
+    crowd = density_particles(points, mass, 5e-3)
 
     def gradient(x: np.ndarray) -> np.ndarray:
         # The same order as the undisturbed crowd's, though a point may have crossed into another cell.
@@ -58,7 +58,7 @@ def test_models_lie_between_a_convex_one_and_the_exact_one() -> None:
 def hessian_of_the_crowd(exactness: float) -> tuple[PressedPairs, np.ndarray]:
     """The pairs, and the matrix of their products."""
     points, mass, rest = crowded_points()
-    pairs, _ = pairs_of(crowd_of(points, mass, 5e-3), rest, exactness)
+    pairs, _ = pairs_of(density_particles(points, mass, 5e-3), rest, exactness)
     columns = [density_product(pairs, one.reshape(60, 3)).ravel() for one in np.eye(180)]
     return pairs, np.stack(columns, axis=1)
 
@@ -71,7 +71,7 @@ def least_curvature(matrix: np.ndarray) -> float:
 def test_a_pair_at_the_rim_of_the_kernel_stays_finite(short_of_the_rim: float) -> None:
     """The kernel's own Hessian over its squared gradient grows there like the distance to the power of -3."""
     points = np.array([[0.0, 0, 0], [1e-2 * (1 - short_of_the_rim), 0, 0]])
-    pairs = pressed_pairs(crowd_of(points, np.ones(2), 5e-3), np.ones(2), np.ones(2))
+    pairs = pressed_pairs(density_particles(points, np.ones(2), 5e-3), np.ones(2), np.ones(2))
     assert np.isfinite(pairs.along).all()
     product = density_product(pairs, np.array([[0.0, 0, 0], [1e-3, 0, 0]]))
     assert np.isfinite(product).all()

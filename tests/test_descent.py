@@ -6,16 +6,16 @@ import pytest
 import torch
 
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.drapers.adam import AdamDraper, AdamPositionsDraper
-from quaffure.drapers.draper import Draper
-from quaffure.drapers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
-from quaffure.drapers.solvers import DESCENTS, MODIFIED_ONLY, SOLVERS, solver
-from quaffure.drapers.stopping import energy_and_gradient, relative_gradient, without_tensions
-from quaffure.energies.closed_form import sagged_edges, sagged_vectors
+from quaffure.draper import Draper
+from quaffure.energies.closed_form import equilibrium_edges, equilibrium_vectors
 from quaffure.energies.elastic_model import ELASTIC_MODELS
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import integrate_directions
+from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
+from quaffure.solvers.by_name import DESCENTS, MODIFIED_ONLY, SOLVERS, solver
+from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
+from quaffure.solvers.stopping import energy_and_gradient, relative_gradient, without_tensions
 from tests.scenes import bent_inwards, sphere_groom, sphere_surface
 from tests.test_xpbd import scene_of, strands_by_hand
 
@@ -46,7 +46,7 @@ def test_free_strands_descend_towards_the_closed_form(
     scene = scene_of(sphere_groom(strands=12))
     energy = HairEnergy(scene.groom, FREE)
     rest = energy.rest
-    edges = sagged_edges(scene.director, rest.rest_length, rest.mass_beyond, FREE.k_cosserat, FREE.k_stretch)
+    edges = equilibrium_edges(scene.director, rest.rest_length, rest.mass_beyond, FREE.k_cosserat, FREE.k_stretch)
     exact = torch.cat([scene.posed[:, :, :1], scene.posed[:, :, :1] + edges.cumsum(2)], dim=2)
     least, most = (float(energy.total(x, scene.director, scene.surface)) for x in (exact, scene.posed))
     draped, report = draper.solve(scene)
@@ -60,7 +60,7 @@ def test_lbfgs_on_directions_pushes_the_sag_out_of_the_body_and_keeps_lengths() 
     scene = scene_of(sphere_groom(strands=12))
     energy = HairEnergy(scene.groom, material)
     rest = energy.rest
-    sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, material.k_cosserat)
+    sag = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, material.k_cosserat)
     start = integrate_directions(scene.posed[:, :, 0], sag, rest.rest_length)
     before = float(energy.per_vertex(energy.total(start, scene.director, scene.surface)))
     draped, report = LbfgsDraper(material).solve(scene)

@@ -11,7 +11,7 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.errors import InputError
-from quaffure.groom.groom import Groom
+from quaffure.hair.groom import Groom
 from quaffure.training.distributed import Worker, joined_workers
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_decoder import DecoderTraining

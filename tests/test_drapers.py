@@ -4,20 +4,20 @@ from unittest import mock
 import pytest
 import torch
 
+from quaffure.baselines.posed import PosedDraper
+from quaffure.benchmark.metrics import acceleration, intersection_percent, measure, metrics
 from quaffure.body.body_model import load_body
 from quaffure.body.clips import bundled_clip
 from quaffure.config import HairMaterial
-from quaffure.drapers.adam import AdamDraper
-from quaffure.drapers.drape_motion import drape_motion
-from quaffure.drapers.posed import PosedDraper
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.energies.closed_form import sagged_vectors
+from quaffure.drape_motion import drape_motion
+from quaffure.energies.closed_form import equilibrium_vectors
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
-from quaffure.evaluation.figures import acceleration, figures_of_merit, intersection_percent, measure
 from quaffure.geometry.polyline import integrate_directions
-from quaffure.groom.procedural import make_groom
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
+from quaffure.solvers.adam import AdamDraper
 
 BODY = load_body()
 GROOM = make_groom("long_straight", BODY).select(torch.arange(0, 2400, 40))
@@ -31,10 +31,10 @@ def test_adam_finds_the_closed_form_where_nothing_touches() -> None:
     material = HairMaterial(k_body_collision=0.0, k_self_collision=0.0)
     scene = turned_scene()
     rest = rest_state(GROOM.rest_strands, material)
-    sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, material.k_cosserat)
+    sag = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, material.k_cosserat)
     expected = integrate_directions(scene.posed[:, :, 0], sag, rest.rest_length)
     # Adam starts from the sag itself: shake it, to make the solver work.
-    with mock.patch("quaffure.drapers.descent.sagged_vectors", return_value=sag + 0.3 * torch.randn(sag.shape)):
+    with mock.patch("quaffure.solvers.descent.equilibrium_vectors", return_value=sag + 0.3 * torch.randn(sag.shape)):
         draped, report = AdamDraper(material, steps=200).solve(scene)
     assert report.relative_gradient < 0.02
     torch.testing.assert_close(draped, expected, atol=5e-4, rtol=0)
@@ -44,7 +44,7 @@ def test_adam_takes_hair_out_of_the_body_and_lowers_the_energy() -> None:
     scene = turned_scene()
     draped, report = AdamDraper(steps=150).solve(scene)
     energy = HairEnergy(GROOM)
-    before, after = (figures_of_merit(x, scene, energy) for x in (scene.posed, draped))
+    before, after = (metrics(x, scene, energy) for x in (scene.posed, draped))
     assert before["body_intersection_percent"].min() > 1
     assert after["body_intersection_percent"].max() < 0.3
     assert (after["energy"] < before["energy"]).all()
@@ -54,7 +54,7 @@ def test_adam_takes_hair_out_of_the_body_and_lowers_the_energy() -> None:
 
 def test_figures_of_a_rigidly_posed_groom() -> None:
     scene = turned_scene()
-    figures = figures_of_merit(scene.posed, scene, HairEnergy(GROOM), reference=scene.posed + 0.01)
+    figures = metrics(scene.posed, scene, HairEnergy(GROOM), reference=scene.posed + 0.01)
     assert figures["orientation_error_deg"].max() < 0.1
     assert figures["length_error_percent"].max() < 0.01
     torch.testing.assert_close(figures["distance_mm"], torch.full((2,), 10 * 3**0.5))

@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel
-from quaffure.cli.main import main
-from quaffure.config import HairMaterial
-from quaffure.errors import InputError
-from quaffure.evaluation.competitors import competitors
-from quaffure.evaluation.evaluation_set import (
+from quaffure.apps.cli.main import main
+from quaffure.benchmark.evaluation_set import (
     CaseEntry,
     EvaluationSet,
     GroomSource,
 )
-from quaffure.evaluation.report import FIGURES, PAGE, PICTURE, RATIOS, page, shown
-from quaffure.groom.groom import Groom
+from quaffure.benchmark.methods import methods
+from quaffure.benchmark.report import FIGURES, PAGE, PICTURE, RATIOS, page, shown
+from quaffure.body.body_model import BodyModel
+from quaffure.config import HairMaterial
+from quaffure.errors import InputError
+from quaffure.hair.groom import Groom
 from quaffure.io.groom_file import write_groom
-from quaffure.networks.checkpoint import save_network
-from quaffure.networks.quaffure_network import NetworkConfig, build_network
+from quaffure.model.checkpoint import save_network
+from quaffure.model.quaffure_network import NetworkConfig, build_network
 from tests.test_comparison import STRANDS, tiny_groom
 
 MATERIAL = HairMaterial(k_cosserat=1e-7)
@@ -67,8 +67,8 @@ def run(tmp_path: Path, inputs: Path, tiny_set: EvaluationSet) -> Callable[..., 
     def run(command: str, *arguments: str | Path) -> None:
         folders = ("--cache", tmp_path / "cache", "--motion-folder", inputs, "--groom-folder", inputs)
         with (
-            mock.patch("quaffure.cli.evaluate.load_evaluation_set", return_value=tiny_set),
-            mock.patch("quaffure.cli.score.load_evaluation_set", return_value=tiny_set),
+            mock.patch("quaffure.apps.cli.evaluate.load_evaluation_set", return_value=tiny_set),
+            mock.patch("quaffure.apps.cli.score.load_evaluation_set", return_value=tiny_set),
         ):
             weights = ("--weights", f"neural={inputs / 'own.safetensors'}")
             main([command, *map(str, (*folders, *weights, *arguments))])
@@ -190,7 +190,7 @@ def test_evaluate_takes_what_a_user_brings(
 ) -> None:
     out, report = tmp_path / "results.json", tmp_path / "report"
     posed = ("--draper", "posed")
-    with mock.patch("quaffure.evaluation.report.importlib.util.find_spec", return_value=None):
+    with mock.patch("quaffure.benchmark.report.importlib.util.find_spec", return_value=None):
         run("evaluate", "--out", out, "--groom", inputs / "tiny.npz", "--motion", "nod", *posed, "--report", report)
     printed = capfd.readouterr().out
     results = json.loads(out.read_text())
@@ -263,18 +263,18 @@ def test_score_says_when_there_is_nothing_to_measure_against(
 
 
 def test_rows_share_one_hair(inputs: Path) -> None:
-    own = competitors(("posed", "newton", "neural_refined"), {"neural": inputs / "stiff.safetensors"})
+    own = methods(("posed", "newton", "neural_refined"), {"neural": inputs / "stiff.safetensors"})
     assert {row.draper.material.k_cosserat for row in own} == {1.0}
     assert [row.is_solver for row in own] == [False, True, False]
     both = {"neural": inputs / "own.safetensors", "stiff": inputs / "stiff.safetensors"}
     with pytest.raises(InputError, match=r"stiff\.safetensors: expected weights for hair of"):
-        competitors(("posed",), both)
-    twice = competitors(("neural", "posed", "neural"), {"neural": inputs / "own.safetensors"})
+        methods(("posed",), both)
+    twice = methods(("neural", "posed", "neural"), {"neural": inputs / "own.safetensors"})
     assert [row.name for row in twice] == ["neural", "posed"]
 
 
 def test_a_network_has_one_name_everywhere(inputs: Path) -> None:
-    for row in competitors(("posed", "neural", "neural_refined"), {"neural": inputs / "own.safetensors"}):
+    for row in methods(("posed", "neural", "neural_refined"), {"neural": inputs / "own.safetensors"}):
         assert row.draper.name == row.name
 
 
@@ -291,7 +291,7 @@ def test_mistakes_are_told_in_one_line_before_the_work(
 ) -> None:
     out = ("--out", tmp_path / "results.json")
     own = inputs / "own.safetensors"
-    with mock.patch("quaffure.cli.evaluate.compare", side_effect=AssertionError):
+    with mock.patch("quaffure.apps.cli.evaluate.compare", side_effect=AssertionError):
         assert "--out" in refused("evaluate")
         assert "suffix .json" in refused("evaluate", "--out", tmp_path / "results.txt")
         assert "existing folder" in refused("evaluate", "--out", tmp_path / "none" / "results.json")

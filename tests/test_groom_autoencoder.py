@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel
-from quaffure.cli import train_code
-from quaffure.cli.main import main
-from quaffure.errors import InputError
-from quaffure.evaluation.groom_code_figures import (
+from quaffure.apps.cli import train_code
+from quaffure.apps.cli.main import main
+from quaffure.benchmark.groom_code_figures import (
     betweenness,
     code_figures,
     codes_of,
@@ -20,15 +18,15 @@ from quaffure.evaluation.groom_code_figures import (
     reconstruction,
     scatter_of_styles,
 )
+from quaffure.body.body_model import BodyModel
+from quaffure.errors import InputError
 from quaffure.geometry.surface import Surface
-from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import HELD_OUT, STYLES
-from quaffure.groom.procedural import make_groom
-from quaffure.groom.scalp_texture import select_guides
+from quaffure.hair.groom import Groom
+from quaffure.hair.scalp_texture import select_guides
 from quaffure.io.groom_file import write_groom
 from quaffure.io.load_groom import load_groom
-from quaffure.networks.groom_autoencoder import GroomAutoencoder, decoded_channels, relative_distance
-from quaffure.networks.groom_code import (
+from quaffure.model.groom_autoencoder import GroomAutoencoder, decoded_channels, relative_distance
+from quaffure.model.groom_code import (
     WEIGHTS,
     groom_code,
     load_groom_autoencoder,
@@ -36,7 +34,7 @@ from quaffure.networks.groom_code import (
     save_autoencoder,
     save_encoder,
 )
-from quaffure.networks.groom_texture import (
+from quaffure.model.groom_texture import (
     SHAPE_CHANNELS,
     GroomSample,
     groom_texture,
@@ -45,6 +43,8 @@ from quaffure.networks.groom_texture import (
     strand_features,
     strands_of,
 )
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import HELD_OUT, STYLES
 from quaffure.training.groom_batches import batch_of, mean_strands, mirrored, part_of, patch_of, scaled
 from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeTraining, train
 

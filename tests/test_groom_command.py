@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure.apps.cli.main import main
+from quaffure.apps.cli.outputs import writer_for
+from quaffure.apps.cli.style_settings import ABOVE_ZERO, with_settings
+from quaffure.apps.render import before_after, pictures, video
 from quaffure.body.body_model import BodyModel, load_body
-from quaffure.cli.main import main
-from quaffure.cli.outputs import writer_for
-from quaffure.cli.style_settings import ABOVE_ZERO, with_settings
 from quaffure.errors import InputError
-from quaffure.groom import hair_style
-from quaffure.groom.hair_style import STYLES, HairStyle
-from quaffure.groom.procedural import make_groom
 from quaffure.io.groom_file import read_groom, write_groom
 from quaffure.io.read_strands import read_strands
-from quaffure.render import before_after, pictures, video
+from quaffure.procedural import hair_style
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import STYLES, HairStyle
 from tests.test_groom_files import tfx4_bytes
 
 FEW_ROOTS = "root_rows=14"
@@ -229,7 +229,7 @@ def test_bad_renders(tmp_path: Path, drape: Path, capfd: pytest.CaptureFixture[s
 def test_usd_that_would_not_fit_memory_is_refused(
     tmp_path: Path, drape: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("quaffure.cli.outputs.MOST_BYTES", 1e6)
+    monkeypatch.setattr("quaffure.apps.cli.outputs.MOST_BYTES", 1e6)
     line = refused(capfd, "render", drape, "--strands", "900", "--out", tmp_path / "hair.usd")
     assert "--strands: expected at most 868 for 2 frames of USD, found 900" in line
     assert writer_for(tmp_path / "hair.png")

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from quaffure.errors import InputError
-from quaffure.groom.strands import Strands
+from quaffure.hair.strands import Strands
 from quaffure.io.hair import write_hair
 from quaffure.io.npz_strands import write_npz_strands
 from quaffure.io.read_strands import read_strands

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import torch
 
-import quaffure.groom
+import quaffure.procedural
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.geometry.surface import Surface
-from quaffure.groom.hair_style import STYLES
+from quaffure.procedural.hair_style import STYLES
 from quaffure.training import groom_samples
 from quaffure.training.groom_samples import Growing, family_growings, grow_samples, library_growings
 from quaffure.training.run_folder import body_digest
@@ -44,7 +44,7 @@ def test_what_was_edited_is_grown_anew(body: BodyModel, tmp_path: Path, monkeypa
         growing.file_on(body_digest(taller)),
     ]
     generator = tmp_path / "procedural.py"
-    monkeypatch.setattr(quaffure.groom, "__path__", [str(tmp_path)])
+    monkeypatch.setattr(quaffure.procedural, "__path__", [str(tmp_path)])
     for code in ("grow()", "grow(faster=True)"):
         generator.write_text(code)
         groom_samples._digest_of_sources.cache_clear()

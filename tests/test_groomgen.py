@@ -11,21 +11,20 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure.apps.cli.main import main
+from quaffure.baselines.groomgen import GroomGenDraper, head_strands, load_groomgen, texel_cells
+from quaffure.baselines.groomgen_network import GroomGenLayers, GroomGenNetwork, save_groomgen
+from quaffure.baselines.posed import PosedDraper
+from quaffure.benchmark.methods import methods
 from quaffure.body.body_model import BodyModel
 from quaffure.body.clips import bundled_clip
 from quaffure.body.neck import NECK_SHARES, head_turn, turned_head
-from quaffure.cli.main import main
 from quaffure.config import HairMaterial
-from quaffure.drapers.groomgen import GroomGenDraper, head_strands, load_groomgen, texel_cells
-from quaffure.drapers.posed import PosedDraper
-from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.errors import InputError
-from quaffure.evaluation.competitors import competitors
-from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import HELD_OUT
+from quaffure.hair.groom import Groom
 from quaffure.io.groom_file import write_groom
-from quaffure.networks.checkpoint import save_groomgen
-from quaffure.networks.groomgen import GroomGenLayers, GroomGenNetwork
+from quaffure.procedural.hair_style import HELD_OUT
+from quaffure.scene import BodyBatch, Scene
 from quaffure.training.groomgen_data import (
     LARGEST_TURN,
     DrapedPoses,
@@ -407,7 +406,7 @@ def test_hair_of_another_kind_is_no_row(groom: Groom, body: BodyModel, tmp_path:
     path = tmp_path / "stiff.safetensors"
     save_groomgen(path, network_of(groom, body), HairMaterial(k_cosserat=1.0), {})
     with pytest.raises(InputError, match="weights for hair of"):
-        competitors(("posed",), {"groomgen": path})
+        methods(("posed",), {"groomgen": path})
 
 
 @pytest.mark.parametrize(

@@ -5,20 +5,20 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from quaffure.apps.cli import grooms as command
+from quaffure.apps.cli.main import main
+from quaffure.apps.render import contact_sheet
 from quaffure.body.body_model import BodyModel
-from quaffure.cli import grooms as command
-from quaffure.cli.main import main
-from quaffure.groom.hair_style import HELD_OUT, STYLES
-from quaffure.groom.procedural import make_groom
-from quaffure.groom.style_sizes import StyleSize, style_sizes
-from quaffure.render import contact_sheet
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import HELD_OUT, STYLES
+from quaffure.procedural.style_sizes import StyleSize, style_sizes
 
 
 @pytest.fixture(autouse=True)
 def three_small_styles(monkeypatch: pytest.MonkeyPatch) -> None:
     few = {name: replace(STYLES[name], root_rows=16) for name in ("bob", "mullet", "ponytail")}
     monkeypatch.setattr(command, "STYLES", few)
-    monkeypatch.setattr("quaffure.groom.procedural.STYLES", few)
+    monkeypatch.setattr("quaffure.procedural.generator.STYLES", few)
     monkeypatch.setattr(contact_sheet, "DRAWN_STRANDS", 300)
     monkeypatch.setattr(contact_sheet, "SUPERSAMPLING", 1)
 

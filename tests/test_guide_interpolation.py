@@ -8,23 +8,23 @@ import pytest
 import torch
 
 from quaffure.body.body_model import BodyModel, load_body
-from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.groom.drape_sequence import DrapeSequence
-from quaffure.groom.groom import Groom
-from quaffure.groom.guide_interpolation import (
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.groom import Groom
+from quaffure.hair.guide_interpolation import (
     axis_projection,
     groom_of_drape,
     interpolation_of,
     strands_reference,
     with_strands,
 )
-from quaffure.groom.guide_triangles import spread_places, togetherness, triangulate
-from quaffure.groom.registration import register_groom
-from quaffure.groom.scalp_texture import select_guides
+from quaffure.hair.guide_triangles import spread_places, togetherness, triangulate
+from quaffure.hair.registration import register_groom
+from quaffure.hair.scalp_texture import select_guides
 from quaffure.io.read_strands import read_strands
+from quaffure.scene import BodyBatch, Scene
 
 ROWS, LENGTH, VERTICES = 24, 0.2, 24
 SHARE = torch.linspace(0, 1, VERTICES)

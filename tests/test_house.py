@@ -18,16 +18,16 @@ HEAVY = ("pxr", "moderngl", "av", "anny", "igl", "trimesh", "PIL", "viser")
 
 # Numba compiles no structs of arrays, so a kernel takes its arrays one by one.
 KERNELS_WITH_MANY_PARAMETERS = {
-    "drapers/compiled_drape.py": {"finish"},
-    "drapers/undeformed_kernels.py": {"feel", "grow"},
-    "drapers/xpbd_kernels.py": {"find_planes", "sweep_strands"},
-    "energies/density_hessian.py": {"_multiply"},
-    "energies/density_pairs.py": {"_list"},
+    "model/compiled_drape.py": {"finish"},
+    "model/initial_shape_kernels.py": {"feel", "grow"},
+    "solvers/xpbd_kernels.py": {"find_planes", "sweep_strands"},
+    "solvers/newton/density_hessian.py": {"_multiply"},
+    "solvers/newton/density_pairs.py": {"_list"},
     "energies/fused_strand.py": {"_strands"},
-    "energies/strand_hessian.py": {"_add_contact", "_add_edge", "strand_hessian"},
-    "geometry/clear_cells.py": {"_outside"},
+    "solvers/newton/strand_hessian.py": {"_add_contact", "_add_edge", "strand_hessian"},
+    "geometry/occupancy_grid.py": {"_outside"},
     "geometry/surface.py": {"_fill"},
-    "groom/guide_interpolation.py": {"_mix"},
+    "hair/guide_interpolation.py": {"_mix"},
 }
 
 
@@ -89,7 +89,10 @@ def test_importing_the_package_costs_next_to_nothing() -> None:
 
 @pytest.mark.parametrize(
     "statement",
-    ["import quaffure.cli.main", "import quaffure as qf\nqf.load_groom, qf.load_body, qf.load_model, qf.HairEnergy"],
+    [
+        "import quaffure.apps.cli.main",
+        "import quaffure as qf\nqf.load_groom, qf.load_body, qf.load_model, qf.HairEnergy",
+    ],
 )
 def test_heavy_libraries_wait_until_they_are_needed(statement: str) -> None:
     loaded = imported(statement)

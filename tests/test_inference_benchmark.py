@@ -4,11 +4,11 @@ from pathlib import Path
 import pytest
 import torch
 
+from quaffure.apps.cli.main import main
 from quaffure.body.pose_features import FEATURE_COUNT
-from quaffure.cli.main import main
 from quaffure.config import HairMaterial
-from quaffure.networks.checkpoint import save_network
-from quaffure.networks.quaffure_network import NetworkConfig, build_network
+from quaffure.model.checkpoint import save_network
+from quaffure.model.quaffure_network import NetworkConfig, build_network
 
 
 @pytest.fixture(scope="module")

@@ -6,12 +6,12 @@ import torch
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.errors import InputError
-from quaffure.groom.groom import Groom
-from quaffure.groom.procedural import make_groom
-from quaffure.groom.strands import Strands
+from quaffure.hair.groom import Groom
+from quaffure.hair.strands import Strands
 from quaffure.io.groom_file import NUMBERS, is_groom_file, read_groom, write_groom
 from quaffure.io.load_groom import load_groom, read_head
 from quaffure.io.npz_strands import write_npz_strands
+from quaffure.procedural.generator import make_groom
 
 
 @pytest.fixture(scope="module")

@@ -5,27 +5,27 @@ import pytest
 import torch
 
 from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.mls_body import mls_body
 from quaffure.body.motion import Motion
 from quaffure.body.pose_features import FEATURE_COUNT, pose_features
-from quaffure.body.soft_body import soft_body
 from quaffure.config import HairMaterial
-from quaffure.drapers import fitted_groom
-from quaffure.drapers.fitted_groom import MOST_TOLERATED, THICKNESS, starting_margin
-from quaffure.drapers.neural import NeuralDraper
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.drapers.undeformed import slid_twice
-from quaffure.energies.closed_form import sagged_vectors
+from quaffure.energies.closed_form import equilibrium_vectors
 from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
+from quaffure.geometry.mls_surface import resolve_contact_reference
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from quaffure.geometry.soft_surface import slide_reference
-from quaffure.groom.groom import Groom
-from quaffure.groom.procedural import make_groom
-from quaffure.groom.strand_packets import leader_of
-from quaffure.networks.checkpoint import load_network, save_network
-from quaffure.networks.quaffure_network import NetworkConfig, build_network
+from quaffure.hair.groom import Groom
+from quaffure.hair.strand_blocks import cluster_representatives
+from quaffure.model import prepared_groom
+from quaffure.model.checkpoint import load_network, save_network
+from quaffure.model.initial_shape import resolve_contact_twice
+from quaffure.model.neural import NeuralDraper
+from quaffure.model.prepared_groom import MOST_TOLERATED, THICKNESS, initial_clearance
+from quaffure.model.quaffure_model import load_model
+from quaffure.model.quaffure_network import NetworkConfig, build_network
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
 
 MATERIAL = HairMaterial()
@@ -62,10 +62,10 @@ def shaken(config: NetworkConfig, strength: float = 0.05) -> NeuralDraper:
 def sagged_and_slid(scene: Scene) -> tuple[Positions, Positions]:
     """The closed-form sag, and the same slid along the softened body, twice."""
     rest, root = rest_state(scene.groom.rest_strands, MATERIAL), scene.posed[:, :, 0]
-    sag = sagged_vectors(scene.director, rest.rest_length, rest.mass_beyond, MATERIAL.k_cosserat)
-    surface = soft_body(scene.bodies.body, scene.bodies.posed)
-    margin = starting_margin(scene.groom, rest, MATERIAL, scene.bodies.body)
-    edges, _ = slid_twice(root, sag, rest.rest_length, margin, surface, leader_of(scene.groom))
+    sag = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, MATERIAL.k_cosserat)
+    surface = mls_body(scene.bodies.body, scene.bodies.posed)
+    margin = initial_clearance(scene.groom, rest, MATERIAL, scene.bodies.body)
+    edges, _ = resolve_contact_twice(root, sag, rest.rest_length, margin, surface, cluster_representatives(scene.groom))
     return tuple(integrate_directions(root, vectors, rest.rest_length) for vectors in (sag, edges))  # type: ignore[return-value]
 
 
@@ -83,7 +83,7 @@ def test_untrained_directions_are_the_sag_slid_along_the_body(scene: Scene) -> N
 def test_strands_of_the_crown_start_above_those_of_the_neck(groom: Groom, body: BodyModel) -> None:
     rest = rest_state(groom.rest_strands, MATERIAL)
     away = replace(groom, rest_strands=groom.rest_strands + groom.rest_strands.new_tensor([0.0, 0.0, 1.0]))
-    above = starting_margin(away, rest, MATERIAL, body) - rest.collision_margin  # where the body hinders nothing
+    above = initial_clearance(away, rest, MATERIAL, body) - rest.collision_margin  # where the body hinders nothing
     heights = groom.rest_strands[:, 0, 2]
     assert (above[heights.argmax(), 1:] > above[heights.argmin(), 1:]).all()
     assert above[:, 0].max() == 0
@@ -93,9 +93,9 @@ def test_strands_of_the_crown_start_above_those_of_the_neck(groom: Groom, body: 
 def test_hair_starts_no_further_out_than_it_is_at_rest(groom: Groom, body: BodyModel) -> None:
     rest = rest_state(groom.rest_strands, MATERIAL)
     posed = Scene(groom, BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
-    surface = soft_body(body, posed.bodies.posed)
-    margin = starting_margin(groom, rest, MATERIAL, body)
-    edges, _ = slide_reference(posed.posed[:, :, 0], posed.director, rest.rest_length, margin, surface)
+    surface = mls_body(body, posed.bodies.posed)
+    margin = initial_clearance(groom, rest, MATERIAL, body)
+    edges, _ = resolve_contact_reference(posed.posed[:, :, 0], posed.director, rest.rest_length, margin, surface)
     torch.testing.assert_close(edges, posed.director, atol=1e-3, rtol=0)
 
 
@@ -103,8 +103,8 @@ def test_hair_starts_no_further_out_than_it_is_at_rest(groom: Groom, body: BodyM
 def test_stubble_is_not_bent_where_the_softened_skin_is_less_true_than_it_is_stiff(body: BodyModel, name: str) -> None:
     groom = make_groom(name, body).select(torch.arange(0, 2400, 40))
     rest, unyielding = rest_state(groom.rest_strands, MATERIAL), replace(MATERIAL, k_body_collision=1e9)
-    clearance = starting_margin(groom, rest, unyielding, body)
-    deeper = (clearance - starting_margin(groom, rest, MATERIAL, body)).amax(1)
+    clearance = initial_clearance(groom, rest, unyielding, body)
+    deeper = (clearance - initial_clearance(groom, rest, MATERIAL, body)).amax(1)
     balanced = MATERIAL.k_cosserat / (3 * MATERIAL.k_body_collision * rest.rest_length.mean(1) ** 2)
     torch.testing.assert_close(deeper, (0.25 * balanced).clamp(max=MOST_TOLERATED), atol=1e-6, rtol=1e-3)
     assert (deeper.median() > 2e-3) == (name == "crew_cut")
@@ -155,8 +155,8 @@ def test_a_drape_does_not_depend_on_the_batch_or_the_order_of_strands(scene: Sce
 
 def test_a_groom_is_fitted_to_a_body_once(groom: Groom, body: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
     fitted: list[Groom] = []
-    at_rest = fitted_groom.rest_state
-    monkeypatch.setattr(fitted_groom, "rest_state", lambda *of: (fitted.append(groom), at_rest(*of))[1])
+    at_rest = prepared_groom.rest_state
+    monkeypatch.setattr(prepared_groom, "rest_state", lambda *of: (fitted.append(groom), at_rest(*of))[1])
     model = load_model()
     for _ in range(2):
         model.drape(groom, torch.zeros(1, 81), torch.zeros(1, 10))

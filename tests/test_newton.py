@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure.baselines.posed import PosedDraper
 from quaffure.config import HairMaterial
-from quaffure.drapers.adam import AdamDraper
-from quaffure.drapers.lbfgs import LbfgsDraper
-from quaffure.drapers.newton import ACTIVE_SHARE, HELD_SHARE, LBFGS_EVALUATIONS, PATIENT, NewtonDraper, heaviest
-from quaffure.drapers.newton_descent import MOST_DAMPING, Trust, conjugate_gradients
-from quaffure.drapers.newton_system import NewtonSystem, Point, QuadraticModel
-from quaffure.drapers.posed import PosedDraper
-from quaffure.drapers.xpbd import XpbdDraper
-from quaffure.energies.closed_form import sagged_edges
+from quaffure.energies.closed_form import equilibrium_edges
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.signed_distance import signed_distance
+from quaffure.solvers.adam import AdamDraper
+from quaffure.solvers.lbfgs import LbfgsDraper
+from quaffure.solvers.newton.newton import ACTIVE_SHARE, HELD_SHARE, LBFGS_EVALUATIONS, PATIENT, NewtonDraper, heaviest
+from quaffure.solvers.newton.newton_descent import MOST_DAMPING, Trust, conjugate_gradients
+from quaffure.solvers.newton.newton_system import NewtonSystem, Point, QuadraticModel
+from quaffure.solvers.xpbd import XpbdDraper
 from quaffure.types import Positions
 from tests.scenes import bent_inwards, sphere_groom, sphere_surface
 from tests.test_strand_newton import near_the_sphere
@@ -44,7 +44,7 @@ def test_free_strands_reach_the_closed_form_from_the_posed_groom() -> None:
     rest = energy.rest
     system = NewtonSystem(energy, scene, 0)
     settled, relative = NewtonDraper(FREE, tolerance=1e-6).minimize(system, scene.posed[0].double().numpy())
-    exact = sagged_edges(
+    exact = equilibrium_edges(
         scene.director.double(), rest.rest_length.double(), rest.mass_beyond.double(), FREE.k_cosserat, FREE.k_stretch
     )
     edges = torch.from_numpy(np.diff(settled, axis=1))[None]
@@ -207,7 +207,9 @@ def test_gradient_is_that_of_the_torch_twin() -> None:
 
 def test_a_sample_does_not_know_its_batch(monkeypatch: pytest.MonkeyPatch) -> None:
     """L-BFGS, whose batches are one problem, is the only start."""
-    monkeypatch.setattr("quaffure.drapers.newton.XpbdDraper", lambda material, setting=None: PosedDraper(material))
+    monkeypatch.setattr(
+        "quaffure.solvers.newton.newton.XpbdDraper", lambda material, setting=None: PosedDraper(material)
+    )
     groom = sphere_groom(strands=10)
     posed: Positions = groom.rest_strands.expand(2, -1, -1, -1).clone()
     posed[1] = posed[1] @ torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -283,8 +285,8 @@ def test_a_part_hands_no_damping_to_the_whole(monkeypatch: pytest.MonkeyPatch) -
         told.append((len(point.positions), trust.damping))
         return point, replace(trust, damping=4 * max(trust.damping, MOST_DAMPING)), steps
 
-    monkeypatch.setattr("quaffure.drapers.newton.descend", stuck)
-    monkeypatch.setattr("quaffure.drapers.newton.heaviest", lambda forces: np.arange(20))
+    monkeypatch.setattr("quaffure.solvers.newton.newton.descend", stuck)
+    monkeypatch.setattr("quaffure.solvers.newton.newton.heaviest", lambda forces: np.arange(20))
     NewtonDraper(CROWDED).minimize(system, scene.posed[0].double().numpy())
     assert told[:2] == [(20, 0.0), (120, 0.0)]
     assert told[2][1] > MOST_DAMPING

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quaffure.drapers.newton_descent import (
+from quaffure.solvers.newton.density_particles import density_particles
+from quaffure.solvers.newton.newton_descent import (
     LEAST_DAMPING,
     MOST_DAMPING,
     SHORTER,
@@ -15,8 +16,7 @@ from quaffure.drapers.newton_descent import (
     Trust,
     line_search,
 )
-from quaffure.drapers.newton_system import NewtonSystem, Point, QuadraticModel
-from quaffure.energies.density_crowd import crowd_of
+from quaffure.solvers.newton.newton_system import NewtonSystem, Point, QuadraticModel
 
 
 def tried(trials: int = 1, agreement: float = 1.0, is_bent: bool = False, rise: float = 0.0) -> Step:
@@ -77,7 +77,7 @@ def test_a_shortened_step_leads_downhill(monkeypatch: pytest.MonkeyPatch, other_
         lengths.append(length.copy())
         return at(1.0)
 
-    monkeypatch.setattr("quaffure.drapers.newton_descent._moved", moved)
+    monkeypatch.setattr("quaffure.solvers.newton.newton_descent._moved", moved)
     step = line_search(system, model, np.ones((2, 1, 3)), False)
     assert step.agreement == 0
     assert [tuple(length) for length in lengths[:3]] == [(1, 1), (SHORTER, 1), (SHORTER**2, 1)]
@@ -94,7 +94,7 @@ def test_a_step_must_bring_a_part_of_what_its_own_length_promises(monkeypatch: p
     forecast = SimpleNamespace(surprise=lambda start, length, reached: np.array([1.0, 0.0]))
     gradient = np.broadcast_to(slope[:, None, None], (2, 1, 3)) / 3
     model.__dict__.update(gradient=gradient, point=at(0.0), forecast=lambda step: forecast)
-    monkeypatch.setattr("quaffure.drapers.newton_descent._moved", lambda *arguments: at(next(energies)))
+    monkeypatch.setattr("quaffure.solvers.newton.newton_descent._moved", lambda *arguments: at(next(energies)))
     # By the mean of the lengths, 0.7, the second trial would do.
     assert SUFFICIENT * 0.7 < 0.08 < SUFFICIENT
     assert line_search(system, model, np.ones((2, 1, 3)), False).trials == 3
@@ -103,5 +103,5 @@ def test_a_step_must_bring_a_part_of_what_its_own_length_promises(monkeypatch: p
 def at(energy: float) -> Point:
     """Two strands of one vertex."""
     nothing = np.zeros((2, 1))
-    crowd = crowd_of(np.zeros((2, 3)), np.ones(2), 1.0)
+    crowd = density_particles(np.zeros((2, 3)), np.ones(2), 1.0)
     return Point(np.zeros((2, 1, 3)), np.zeros(2), nothing, nothing, crowd, np.empty(0), energy)

@@ -1,6 +1,6 @@
 import pytest
 
-from quaffure.evaluation.paper_table import ratio_rows
+from quaffure.benchmark.paper_table import ratio_rows
 
 
 def figures(milliseconds: float, inside: float, length: float, orientation: float) -> dict[str, dict[str, float]]:

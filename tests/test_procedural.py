@@ -6,18 +6,18 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.geometry.surface import Surface
-from quaffure.groom.clearance import (
+from quaffure.hair.clearance import (
     CLEARANCE,
     CLEARANCE_RAMP,
     distances_and_normals,
     inside_share,
     pushed_out,
 )
-from quaffure.groom.curls import arc_lengths, curl_arc_factor
-from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import HELD_OUT, STYLES
-from quaffure.groom.pose_transform import root_positions
-from quaffure.groom.procedural import evenly, make_groom
+from quaffure.hair.groom import Groom
+from quaffure.hair.posing import root_positions
+from quaffure.procedural.curls import arc_lengths, curl_arc_factor
+from quaffure.procedural.generator import evenly, make_groom
+from quaffure.procedural.hair_style import HELD_OUT, STYLES
 
 
 @pytest.fixture(scope="module")

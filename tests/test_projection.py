@@ -4,16 +4,16 @@ import pytest
 import torch
 
 from quaffure.body.body_model import BodyModel
-from quaffure.body.hair_skin import hair_skin
-from quaffure.body.head_view import posed_skin
-from quaffure.drapers.neural import NeuralDraper
-from quaffure.drapers.projection import clearance_of, projected, projected_reference
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.body.collision_skin import collision_skin
+from quaffure.body.head_frame import posed_skin
 from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.groom.procedural import make_groom
-from quaffure.networks.quaffure_network import NetworkConfig, build_network
+from quaffure.model.neural import NeuralDraper
+from quaffure.model.projection import clearance_of, projected, projected_reference
+from quaffure.model.quaffure_model import load_model
+from quaffure.model.quaffure_network import NetworkConfig, build_network
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
 
 
@@ -44,7 +44,7 @@ def inside(strands: Positions, scene: Scene) -> torch.Tensor:
 
 
 def test_kernel_and_twin_agree(scene: Scene, rest: RestState) -> None:
-    found, skin = pushed(scene.posed, rest, scene.bodies), hair_skin(scene.bodies.body)
+    found, skin = pushed(scene.posed, rest, scene.bodies), collision_skin(scene.bodies.body)
     assert (found - scene.posed).norm(dim=-1).max() > 0.02  # posed strands run through the shoulders
     for sample in range(2):
         vertices = scene.bodies.posed.vertices[sample, skin.vertices]
@@ -56,7 +56,7 @@ def test_kernel_and_twin_agree(scene: Scene, rest: RestState) -> None:
 
 def test_stubble_is_looked_at_as_its_twin_is(bodies: BodyBatch) -> None:
     scene = Scene(make_groom("crew_cut", bodies.body).select(torch.arange(0, 2400, 31)), bodies)
-    rest, skin = rest_state(scene.groom.rest_strands, load_model().draper.material), hair_skin(bodies.body)
+    rest, skin = rest_state(scene.groom.rest_strands, load_model().draper.material), collision_skin(bodies.body)
     flat = scene.posed.clone()
     flat[..., 1:, :] -= 0.8 * (flat[..., 1:, :] - flat[..., :1, :])  # most of it is too close to the skin
     flat = flat[..., :1, :] + torch.nn.functional.pad(
@@ -121,7 +121,7 @@ def test_networks_without_the_skin_stay_without_it(scene: Scene, config: Network
 def test_the_skin_is_the_posed_bodys(bodies: BodyBatch) -> None:
     vertices, heads = posed_skin(bodies.body, bodies.body_pose, bodies.body_shape)
     posed, head = bodies.posed, bodies.body.joint_names.index("Head")
-    torch.testing.assert_close(vertices, posed.vertices[:, hair_skin(bodies.body).vertices], atol=3e-6, rtol=0)
+    torch.testing.assert_close(vertices, posed.vertices[:, collision_skin(bodies.body).vertices], atol=3e-6, rtol=0)
     torch.testing.assert_close(heads, posed.joint_positions[:, head], atol=3e-6, rtol=0)
 
 

@@ -9,16 +9,16 @@ from scipy.spatial.transform import Rotation
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.geometry.surface import Surface
-from quaffure.groom.clearance import inside_share
-from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import STYLES
-from quaffure.groom.pose_transform import root_positions
-from quaffure.groom.procedural import make_groom
-from quaffure.groom.registration import HeadMesh, nearest_on_scalp, register_groom
-from quaffure.groom.resample import concatenate_strands
-from quaffure.groom.strands import Strands
+from quaffure.hair.clearance import inside_share
+from quaffure.hair.groom import Groom
+from quaffure.hair.posing import root_positions
+from quaffure.hair.registration import HeadMesh, nearest_on_scalp, register_groom
+from quaffure.hair.resample import concatenate_strands
+from quaffure.hair.strands import Strands
 from quaffure.io.load_groom import read_head
 from quaffure.io.read_strands import read_strands
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import STYLES
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from our axes to a file whose y is up and whose face is +z
 

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quaffure.apps.render import scene
+from quaffure.apps.render.camera import Camera
+from quaffure.apps.render.framing import facing_deg, frame_hair
+from quaffure.apps.render.pictures import write_picture
+from quaffure.apps.render.scene import StrandRenderer, samples_of, width_of
+from quaffure.apps.render.video import encode_video, write_video
 from quaffure.errors import InputError
-from quaffure.render import scene
-from quaffure.render.camera import Camera
-from quaffure.render.framing import facing_deg, frame_hair
-from quaffure.render.pictures import write_picture
-from quaffure.render.scene import StrandRenderer, samples_of, width_of
-from quaffure.render.video import encode_video, write_video
 from tests.synthetic_drape import HEAD_CENTRE, ball, drape, patch_of_strands
 
 SIZE = 96

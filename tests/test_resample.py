@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from quaffure.errors import InputError
-from quaffure.groom.resample import concatenate_strands, polyline_lengths, resample_by_arc_length, without_degenerate
-from quaffure.groom.strands import Strands
+from quaffure.hair.resample import concatenate_strands, polyline_lengths, resample_by_arc_length, without_degenerate
+from quaffure.hair.strands import Strands
 
 
 def ragged(*polylines: list[list[float]]) -> Strands:

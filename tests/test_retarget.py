@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.bvh_clip import BvhClip
 from quaffure.body.motion import Motion
-from quaffure.body.retarget import retarget_bvh
+from quaffure.body.retargeting import retarget_bvh
 from quaffure.errors import InputError
 from quaffure.io.bvh import read_bvh
 from quaffure.io.read_motion import read_motion

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.config import HairMaterial
-from quaffure.energies.elastic_model import MassSpring, elastic_model
-from quaffure.evaluation.heavy_rod import REAL_HAIR_WEIGHT, HeavyRod
-from quaffure.evaluation.rod_validation import (
+from benchmarks.rods.heavy_rod import REAL_HAIR_WEIGHT, HeavyRod
+from benchmarks.rods.rod_validation import (
     Case,
     Curl,
     Sphere,
@@ -27,6 +25,8 @@ from quaffure.evaluation.rod_validation import (
     settle_under_weight,
     stretch_percent,
 )
+from quaffure.config import HairMaterial
+from quaffure.energies.elastic_model import MassSpring, elastic_model
 
 STRAIGHT, CURLY, HANGING_CURL = Case(0.25), Case(0.25, curl=Curl()), Case(0.25, -90.0, Curl())
 

@@ -7,13 +7,13 @@ import torch
 
 from quaffure.body.body_model import load_body
 from quaffure.body.pose_prior import load_pose_prior
-from quaffure.drapers.scene import BodyBatch
-from quaffure.geometry.clear_cells import FREE, OUTSIDE, REACH, UNKNOWN, SpaceMap, whereabouts
-from quaffure.geometry.face_tree import LANES, MAX_DEPTH, search, squared_distance
+from quaffure.geometry.binary_bvh import LANES, MAX_DEPTH, search, squared_distance
+from quaffure.geometry.bvh import BVH_STACK, Bvh, nearest_face, search_all
 from quaffure.geometry.mesh import opposite_faces
-from quaffure.geometry.signed_distance import foot_points, foot_points_reference, signed_distance
+from quaffure.geometry.occupancy_grid import FREE, OUTSIDE, REACH, UNKNOWN, OccupancyGrid, classify
+from quaffure.geometry.signed_distance import closest_points, closest_points_reference, signed_distance
 from quaffure.geometry.surface import Surface, posed_surface, reference_surface_normals, surface_topology
-from quaffure.geometry.wide_tree import WIDE_STACK, WideTree, nearest_face, search_all
+from quaffure.scene import BodyBatch
 from quaffure.training.pose_sampler import PoseSampler
 from tests.scenes import sphere_mesh, sphere_surface
 
@@ -48,7 +48,7 @@ def test_kernel_and_twin_agree() -> None:
         surface_topology(vertices, faces), torch.stack([vertices, 1.3 * vertices.flip(1)[:, [0, 2, 1]]])
     )
     points = queries(500).expand(2, -1, -1)
-    kernel, twin = foot_points(points, surface), foot_points_reference(points, surface)
+    kernel, twin = closest_points(points, surface), closest_points_reference(points, surface)
     triangles = surface.vertices[:, faces]
     for sample in range(2):
         feet = [
@@ -121,15 +121,15 @@ def test_wide_search_finds_what_the_binary_one_finds(mesh: Callable[[], tuple[to
         assert np.sqrt(to_wide) == pytest.approx(np.sqrt(to_binary), abs=1e-6)
 
 
-def one_body(surface: Surface) -> tuple[np.ndarray, WideTree]:
-    return surface.corners[0], surface.wide_tree(0)
+def one_body(surface: Surface) -> tuple[np.ndarray, Bvh]:
+    return surface.corners[0], surface.bvh(0)
 
 
 def test_limited_search_finds_just_the_faces_within_its_limit() -> None:
     vertices, faces = star()
     surface = posed_surface(surface_topology(vertices, faces), vertices[None])
     corners, tree = one_body(surface)
-    stack, room = np.empty(WIDE_STACK, np.int32), np.empty(WIDE_STACK + 2 * LANES, np.float32)
+    stack, room = np.empty(BVH_STACK, np.int32), np.empty(BVH_STACK + 2 * LANES, np.float32)
     points, limit = queries(1000), np.float32(0.01)
     nearest = search_all(points[0].numpy(), corners, tree)
     found = 0
@@ -154,8 +154,8 @@ def test_points_that_are_not_numbers_or_far_away_break_nothing() -> None:
 
 
 def map_of(surface: Surface, points: torch.Tensor) -> np.ndarray:
-    space = SpaceMap(*(field[0] for field in surface.map))
-    return np.array([whereabouts(*point, space) for point in points.numpy()])
+    space = OccupancyGrid(*(field[0] for field in surface.map))
+    return np.array([classify(*point, space) for point in points.numpy()])
 
 
 def test_the_map_never_calls_a_point_free_or_outside_that_is_not() -> None:
@@ -201,8 +201,8 @@ def test_distance_and_sign_on_posed_bodies_are_those_of_libigl() -> None:
         assert 0.2 < (exact < 0).mean() < 0.8
         np.testing.assert_allclose(np.abs(found[sample]), np.abs(exact), atol=1e-5)
         assert ((found[sample] < 0) == (exact < 0))[np.abs(exact) > 1e-5].all()
-        space = SpaceMap(*(field[sample] for field in surface.map))
-        known = np.array([whereabouts(*point, space) for point in points[sample].numpy()])
+        space = OccupancyGrid(*(field[sample] for field in surface.map))
+        known = np.array([classify(*point, space) for point in points[sample].numpy()])
         assert exact[known == FREE].min() >= REACH - 1e-6
         assert exact[known == OUTSIDE].min() > 0
         assert (known == OUTSIDE).sum() > 100

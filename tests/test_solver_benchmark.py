@@ -4,10 +4,10 @@ from unittest import mock
 
 import pytest
 
-from quaffure.cli.main import main
+from quaffure.apps.cli.main import main
+from quaffure.baselines.posed import PosedDraper
+from quaffure.benchmark.solver_benchmark import Budget, Case, budgets, run_benchmark
 from quaffure.config import HairMaterial
-from quaffure.drapers.posed import PosedDraper
-from quaffure.evaluation.solver_benchmark import Budget, Case, budgets, run_benchmark
 from tests.scenes import sphere_groom
 from tests.test_xpbd import scene_of
 
@@ -51,7 +51,7 @@ def test_benchmark_writes_prints_and_plots(tmp_path: Path, capfd: pytest.Capture
 
 
 def test_a_table_without_a_plot_where_matplotlib_is_missing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    with mock.patch("quaffure.cli.benchmark_file.importlib.util.find_spec", return_value=None):
+    with mock.patch("quaffure.apps.cli.benchmark_file.importlib.util.find_spec", return_value=None):
         bench(tmp_path / "bench.json", "--solver", "posed", "--frames", "3:5", "--motion", "nod")
     printed = capfd.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["bench.json"]
@@ -64,8 +64,8 @@ def test_a_part_of_a_run_is_extrapolated_and_the_best_has_no_excess() -> None:
     parts = [Budget("posed", 1, PosedDraper), Budget("posed", 2, PosedDraper, share=0.25)]
     case = Case("sphere", scene_of(sphere_groom(strands=3)))
     with (
-        mock.patch("quaffure.evaluation.solver_benchmark._compile"),
-        mock.patch("quaffure.evaluation.solver_benchmark.time.perf_counter", side_effect=lambda: next(ticks)),
+        mock.patch("quaffure.benchmark.solver_benchmark._compile"),
+        mock.patch("quaffure.benchmark.solver_benchmark.time.perf_counter", side_effect=lambda: next(ticks)),
     ):
         whole, part = run_benchmark([case], parts, HairMaterial())
     assert (whole.seconds, part.seconds, part.share) == (1, 4, 0.25)

@@ -5,13 +5,13 @@ import pytest
 import torch
 
 from quaffure.config import HairMaterial
-from quaffure.drapers.scene import Scene
-from quaffure.energies.block_tridiagonal import factor_strand, solve_strand
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.energies.rounded_contact import CREASE_WIDTH, body_arrays, rounded_distance
-from quaffure.energies.strand_hessian import hair_arrays, strand_hessian
-from quaffure.energies.strand_newton import turn_edges
 from quaffure.geometry.surface import Surface, posed_surface, surface_topology
+from quaffure.scene import Scene
+from quaffure.solvers.newton.block_tridiagonal import factor_strand, solve_strand
+from quaffure.solvers.newton.rounded_contact import CREASE_WIDTH, body_arrays, rounded_distance
+from quaffure.solvers.newton.strand_hessian import hair_arrays, strand_hessian
+from quaffure.solvers.newton.strand_newton import turn_edges
 from tests.scenes import bent_inwards, sphere_groom
 from tests.test_xpbd import scene_of
 

@@ -5,12 +5,12 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.geometry.surface import Surface
-from quaffure.groom.clearance import inside_share
-from quaffure.groom.curls import curl_arc_factor
-from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import STYLES, HairStyle
-from quaffure.groom.procedural import make_groom
-from quaffure.groom.style_family import CURL_TYPES, VERTICES_OF_A_TURN, sample_style
+from quaffure.hair.clearance import inside_share
+from quaffure.hair.groom import Groom
+from quaffure.procedural.curls import curl_arc_factor
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import STYLES, HairStyle
+from quaffure.procedural.style_family import CURL_TYPES, VERTICES_OF_A_TURN, sample_style
 
 
 def drawn(count: int, seed: int = 0) -> list[HairStyle]:

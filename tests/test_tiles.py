@@ -7,10 +7,10 @@ import pytest
 import torch
 from PIL import Image
 
+from quaffure.benchmark.evaluation_set import CaseEntry
 from quaffure.body.body_model import load_body
-from quaffure.drapers.scene import BodyBatch
 from quaffure.errors import InputError
-from quaffure.evaluation.evaluation_set import CaseEntry
+from quaffure.scene import BodyBatch
 from scripts.figures.tiles import GAP, LINE, Caption, View, captioned, grid, load_scenes, save_picture
 
 BLACK = np.zeros((20, 60, 3), np.uint8)

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure.apps.cli import train as train_cli
+from quaffure.apps.cli.main import main
+from quaffure.benchmark.evaluation_set import load_evaluation_set, refuse_evaluation_data
 from quaffure.body.body_model import BodyModel
-from quaffure.cli import train as train_cli
-from quaffure.cli.main import main
-from quaffure.drapers.quaffure_model import load_model
 from quaffure.errors import InputError
-from quaffure.evaluation.evaluation_set import load_evaluation_set, refuse_evaluation_data
-from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import HELD_OUT
+from quaffure.hair.groom import Groom
 from quaffure.io.groom_file import write_groom
-from quaffure.networks.checkpoint import load_network
+from quaffure.model.checkpoint import load_network
+from quaffure.model.quaffure_model import load_model
+from quaffure.procedural.hair_style import HELD_OUT
 from quaffure.training.train_decoder import DecoderTraining
 from quaffure.training.validation import Validation
 from tests.training_runs import LONGEST_WAIT, QUAFFURE, TINY_OPTIONS, checkpoint, rows_of, tiny_groom, train_command

@@ -13,15 +13,15 @@ from quaffure.body.clips import bundled_clip
 from quaffure.body.motion import Motion
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.config import HairMaterial
-from quaffure.drapers.neural import NeuralDraper
-from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies import force_limit
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.errors import InputError
-from quaffure.groom.groom import Groom
-from quaffure.groom.procedural import make_groom
-from quaffure.networks.checkpoint import load_network, save_network
-from quaffure.networks.quaffure_network import build_network
+from quaffure.hair.groom import Groom
+from quaffure.model.checkpoint import load_network, save_network
+from quaffure.model.neural import NeuralDraper
+from quaffure.model.quaffure_network import build_network
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
 from quaffure.training import run_folder, train_decoder
 from quaffure.training.distributed import Worker
 from quaffure.training.pose_sampler import PoseSampler
@@ -142,7 +142,7 @@ def test_the_mean_loss_of_several_grooms_is_followed(
     body: BodyModel, groom: Groom, tmp_path: Path, largest_force: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same groom twice is the groom, also where every force is cut off."""
-    monkeypatch.setattr(force_limit, "STRAND_WEIGHTS", largest_force)
+    monkeypatch.setattr(force_limit, "MAX_FORCE", largest_force)
     config = replace(TINY, steps=1, grooms_per_step=2)
     alone, twice = (
         next(DecoderTraining(config, body, grooms, SamePoses(load_pose_prior()), tmp_path).steps())
@@ -178,7 +178,7 @@ def test_some_of_many_grooms_are_drawn_anew_for_every_step(body: BodyModel, groo
 def test_self_collision_on_every_second_step_is_as_strong(
     body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(train_decoder, "limit_forces", lambda positions, rest, joules: positions)  # is not linear
+    monkeypatch.setattr(train_decoder, "clip_gradients", lambda positions, rest, joules: positions)  # is not linear
     bodies = BodyBatch(body, *SamePoses(load_pose_prior()).sample(1, 2, torch.Generator()))
     gradients: dict[tuple[int, int], torch.Tensor] = {}
     for every in (1, 2):

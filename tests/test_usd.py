@@ -5,7 +5,7 @@ import pytest
 from pxr import Usd, UsdGeom, UsdValidation
 
 from quaffure.errors import InputError
-from quaffure.geometry.spread import spread_subset
+from quaffure.geometry.sampling import spread_subset
 from quaffure.io.usd import read_usd_strands, write_usd
 from tests.synthetic_drape import drape, patch_of_strands
 

@@ -16,30 +16,30 @@ import pytest
 import torch
 from PIL import Image
 
+from quaffure.apps.cli.main import main
+from quaffure.apps.viewer.catalogue import LIVE, REST, Catalogue
+from quaffure.apps.viewer.draping_thread import DrapingThread
+from quaffure.apps.viewer.hair_colours import INSIDE, hair_colours, segments
+from quaffure.apps.viewer.page import Address, Page
+from quaffure.apps.viewer.playback import Playback
+from quaffure.apps.viewer.session import free_path
+from quaffure.apps.viewer.stage import Degrees, Stage
+from quaffure.baselines.posed import PosedDraper
 from quaffure.body.clips import CLIP_FPS, CLIP_NAMES, bundled_clip
 from quaffure.body.motion import joint_matrices
 from quaffure.body.pose_features import HEAD
-from quaffure.cli.main import main
 from quaffure.config import HairMaterial
-from quaffure.drapers.posed import PosedDraper
-from quaffure.drapers.quaffure_model import Quaffure, load_model
-from quaffure.drapers.scene import Scene
-from quaffure.drapers.solvers import SOLVERS
 from quaffure.errors import InputError
-from quaffure.groom.drape_sequence import DrapeSequence
-from quaffure.groom.groom import Groom
-from quaffure.groom.guide_interpolation import GuideInterpolation
-from quaffure.groom.hair_style import STYLES
-from quaffure.groom.procedural import make_groom
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.groom import Groom
+from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.io.drape_file import read_drape
+from quaffure.model.quaffure_model import Quaffure, load_model
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import STYLES
+from quaffure.scene import Scene
+from quaffure.solvers.by_name import SOLVERS
 from quaffure.types import Positions
-from quaffure.viewer.catalogue import LIVE, REST, Catalogue
-from quaffure.viewer.draping_thread import DrapingThread
-from quaffure.viewer.hair_colours import INSIDE, hair_colours, segments
-from quaffure.viewer.page import Address, Page
-from quaffure.viewer.playback import Playback
-from quaffure.viewer.session import free_path
-from quaffure.viewer.stage import Degrees, Stage
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page as Tab
@@ -170,7 +170,7 @@ def test_posed_hair_has_no_network_and_its_own_figures(stage: Stage, catalogue: 
     assert draped["length_error_percent"] < 1e-2
 
 
-def test_inside_agrees_with_the_figures_of_merit(stage: Stage, catalogue: Catalogue) -> None:
+def test_inside_agrees_with_the_metrics(stage: Stage, catalogue: Catalogue) -> None:
     """Long hair posed on a head that looks far up goes through the back."""
     drape = replace(stage, draper=PosedDraper()).turned("Neck", (-45.0, 0.0, 0.0)).drape()
     inside = drape.inside(drape.strands)

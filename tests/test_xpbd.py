@@ -10,15 +10,15 @@ from scipy.spatial import ConvexHull
 
 from quaffure.body.body_model import shipped_body
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.drapers.adam import AdamDraper
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.drapers.stopping import energy_and_gradient
-from quaffure.drapers.xpbd import XpbdDraper, XpbdSetting, paper_setting
-from quaffure.energies.closed_form import sagged_edges
-from quaffure.energies.elastic import directors, edges
+from quaffure.energies.closed_form import equilibrium_edges
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.geometry.polyline import directors, edges
 from quaffure.geometry.surface import Surface, posed_surface, surface_topology
-from quaffure.groom.groom import Groom
+from quaffure.hair.groom import Groom
+from quaffure.scene import BodyBatch, Scene
+from quaffure.solvers.adam import AdamDraper
+from quaffure.solvers.stopping import energy_and_gradient
+from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting, paper_setting
 from tests.scenes import sphere_groom, sphere_surface
 
 SOFT = HairMaterial(k_cosserat=5e-8)
@@ -79,7 +79,7 @@ def test_free_strands_hang_in_the_closed_form() -> None:
     draper = XpbdDraper(FREE, LONG_STEPS)
     draped, report = draper.solve(scene)
     rest = HairEnergy(groom, FREE).rest
-    exact = sagged_edges(scene.director, rest.rest_length, rest.mass_beyond, FREE.k_cosserat, FREE.k_stretch)
+    exact = equilibrium_edges(scene.director, rest.rest_length, rest.mass_beyond, FREE.k_cosserat, FREE.k_stretch)
     distance = (draped[:, :, 1:] - draped[:, :, :1] - exact.cumsum(2)).norm(dim=-1)
     moved = (scene.posed - draped).norm(dim=-1)
     assert moved.max() > 0.1

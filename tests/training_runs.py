@@ -9,9 +9,9 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
-from quaffure.groom.groom import Groom
-from quaffure.groom.procedural import make_groom
-from quaffure.networks.quaffure_network import NetworkConfig
+from quaffure.hair.groom import Groom
+from quaffure.model.quaffure_network import NetworkConfig
+from quaffure.procedural.generator import make_groom
 from quaffure.training.distributed import Worker
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_config import TrainConfig

@@ -21,12 +21,12 @@ from rest import TOLERANCE, Trace, arrival, extrapolated
 from scene import add_scene_options, make_scene, write_scene
 from their import PART_RUN, PEERS, WHOLE_RUN, PeerRun, installed, peer_run
 
-from quaffure.drapers.scene import Scene
+from quaffure.benchmark.machine_facts import machine_facts
+from quaffure.benchmark.metrics import metrics
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.errors import InputError
-from quaffure.evaluation.figures import figures_of_merit
-from quaffure.evaluation.machine_facts import machine_facts
 from quaffure.io.atomic import replacing
+from quaffure.scene import Scene
 
 STRANDS, MANY = 100, 2000
 PATIENCE = 10.0
@@ -162,7 +162,7 @@ def _many_seconds(ours: Ours, arrived: int, seconds: float, scenes: dict[int, Sc
 
 def _figures(trace: Trace, scene: Scene) -> dict[str, float]:
     end = torch.from_numpy(trace.states[-1:]).float()
-    measured = figures_of_merit(end, scene, HairEnergy(scene.groom))
+    measured = metrics(end, scene, HairEnergy(scene.groom))
     return {name: float(measured[name]) for name in FIGURES}
 
 

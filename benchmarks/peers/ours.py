@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import torch
 from rest import Trace
 
-from quaffure.drapers.draper import Draper
-from quaffure.drapers.lbfgs import LbfgsDraper
-from quaffure.drapers.newton import NewtonDraper
-from quaffure.drapers.posed import PosedDraper
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.drapers.xpbd import XpbdDraper, XpbdSetting
+from quaffure.baselines.posed import PosedDraper
+from quaffure.draper import Draper
+from quaffure.model.quaffure_model import load_model
+from quaffure.scene import BodyBatch, Scene
+from quaffure.solvers.lbfgs import LbfgsDraper
+from quaffure.solvers.newton.newton import NewtonDraper
+from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting
 from quaffure.types import Positions
 
 WARM_UP_STRANDS = 8

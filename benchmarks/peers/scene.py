@@ -19,14 +19,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks.rods.heavy_rod import HeavyRod
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.clips import bundled_clip
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.evaluation.heavy_rod import HeavyRod
-from quaffure.geometry.spread import spread_subset
+from quaffure.geometry.sampling import spread_subset
 from quaffure.io.atomic import replacing
 from quaffure.io.load_groom import load_groom
+from quaffure.scene import BodyBatch, Scene
 
 GROOM, MOTION, FRAME = "curly_bob", "nod", 22
 STRAND_RADIUS = 1e-3

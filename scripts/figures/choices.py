@@ -13,10 +13,10 @@ from training_curves import plot_curves, read_curve
 
 from quaffure.body.body_model import load_body
 from quaffure.config import HairMaterial
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.drapers.solvers import solver
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.groom.procedural import make_groom
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
+from quaffure.solvers.by_name import solver
 from quaffure.training.validation import loss_unit, prior_validation, validation_figures
 
 PLOT = FIGURES / "choices.png"

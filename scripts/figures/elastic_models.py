@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from tiles import FIGURES, Caption, TileRenderer, View, captioned, grid, run_figure, save_picture
 
+from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
 from quaffure.body.body_model import load_body
 from quaffure.config import HairMaterial
-from quaffure.drapers.adam import AdamDraper
-from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.elastic_model import ELASTIC_MODELS
-from quaffure.groom.procedural import make_groom
-from quaffure.render.contact_sheet import NATURAL_COLOURS
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
+from quaffure.solvers.adam import AdamDraper
 from quaffure.types import Positions
 
 OUT = FIGURES / "elastic_models.jpg"

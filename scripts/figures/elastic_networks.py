@@ -12,14 +12,14 @@ from short_training import GROOM, train_shortly
 from tiles import FIGURES, Caption, TileRenderer, captioned, grid, run_figure, save_picture
 from training_curves import plot_curves, read_curve
 
+from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
+from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body.body_model import load_body
 from quaffure.body.clips import bundled_clip
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.elastic_model import ELASTIC_MODELS
-from quaffure.evaluation.figures import intersection_percent
-from quaffure.groom.procedural import make_groom
-from quaffure.render.contact_sheet import NATURAL_COLOURS
+from quaffure.model.quaffure_model import load_model
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
 
 PICTURE, PLOT = FIGURES / "elastic_networks.jpg", FIGURES / "elastic_training.png"

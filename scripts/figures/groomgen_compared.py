@@ -10,17 +10,17 @@ import numpy as np
 import torch
 from tiles import FIGURES, GAP, PAPER, Caption, Picture, TileRenderer, View, captioned, grid, run_figure, save_picture
 
+from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
+from quaffure.baselines.groomgen import load_groomgen
+from quaffure.benchmark.metrics import inside_body, metrics
 from quaffure.body.body_model import BodyModel
 from quaffure.body.neck import turned_head
-from quaffure.drapers.draper import Draper
-from quaffure.drapers.groomgen import load_groomgen
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.drapers.solvers import solver
+from quaffure.draper import Draper
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.evaluation.figures import figures_of_merit, inside_body
 from quaffure.io.load_groom import load_groom
-from quaffure.render.contact_sheet import NATURAL_COLOURS
+from quaffure.model.quaffure_model import load_model
+from quaffure.scene import BodyBatch, Scene
+from quaffure.solvers.by_name import solver
 from quaffure.training.groomgen_data import drawn_turn
 from quaffure.types import Positions
 
@@ -45,7 +45,7 @@ def main(weights: Path = WEIGHTS) -> list[Path]:
     with TileRenderer(WIDTH, WIDTH) as renderer, TileRenderer(INSET_WIDTH, INSET_WIDTH) as small:
         for name, draper in rows.items():
             hair = draper.drape(scene)
-            merit = figures_of_merit(hair, scene, HairEnergy(scene.groom, material))
+            merit = metrics(hair, scene, HairEnergy(scene.groom, material))
             tiles = renderer.tiles(scene, hair, VIEW, NATURAL_COLOURS[0])
             marked = _marked(scene, hair, small)
             column = [_with_inset(tile, inset) for tile, inset in zip(tiles, marked)]

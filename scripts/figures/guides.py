@@ -5,13 +5,13 @@ from pathlib import Path
 import torch
 from tiles import FIGURES, TileRenderer, View, grid, run_figure, save_picture
 
+from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
+from quaffure.benchmark.evaluation_set import load_evaluation_set
 from quaffure.body.body_model import BodyModel
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.evaluation.evaluation_set import load_evaluation_set
-from quaffure.groom.groom import Groom
+from quaffure.hair.groom import Groom
 from quaffure.io.load_groom import load_groom
-from quaffure.render.contact_sheet import NATURAL_COLOURS
+from quaffure.model.quaffure_model import load_model
+from quaffure.scene import BodyBatch, Scene
 
 OUT = FIGURES / "guides.jpg"
 GROOM_FOLDER = Path("data/grooms")

@@ -1,6 +1,6 @@
 """Fig. 6: the neck turns from right to left; a strip, how much the hair jitters from frame to frame, and a video.
 
-The jitter at a frame is the mean acceleration of the hair's vertices relative to the head (`docs/figures_of_merit.md`),
+The jitter at a frame is the mean acceleration of the hair's vertices relative to the head (`docs/metrics.md`),
 here in millimetres per frame squared and not over a solver's. Needs the extra `docs` (matplotlib).
 """
 
@@ -14,20 +14,20 @@ from matplotlib.figure import Figure
 from tiles import FIGURES, Caption, Picture, TileRenderer, View, captioned, grid, run_figure, save_picture
 from torch import Tensor
 
+from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
+from quaffure.apps.render.video import encode_video
+from quaffure.baselines.posed import PosedDraper
+from quaffure.benchmark.metrics import accelerations_from_head
 from quaffure.body.body_model import BodyModel
 from quaffure.body.clips import bundled_clip
 from quaffure.body.motion import Motion
-from quaffure.drapers.drape_motion import drape_motion
-from quaffure.drapers.draper import Draper
-from quaffure.drapers.posed import PosedDraper
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.refined import RefinedDraper
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.evaluation.figures import accelerations_from_head
-from quaffure.groom.groom import Groom
-from quaffure.groom.procedural import make_groom
-from quaffure.render.contact_sheet import NATURAL_COLOURS
-from quaffure.render.video import encode_video
+from quaffure.drape_motion import drape_motion
+from quaffure.draper import Draper
+from quaffure.hair.groom import Groom
+from quaffure.model.quaffure_model import load_model
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
+from quaffure.solvers.refined import RefinedDraper
 from quaffure.types import Positions
 
 STRIP, VIDEO = FIGURES / "neck_turn.jpg", FIGURES / "neck_turn.mp4"

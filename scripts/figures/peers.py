@@ -11,11 +11,11 @@ import numpy as np
 import torch
 from tiles import FIGURES, Caption, View, captioned, grid, run_figure, save_picture
 
+from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
+from quaffure.apps.render.scene import StrandRenderer
 from quaffure.body.body_model import load_body
 from quaffure.body.clips import bundled_clip
-from quaffure.drapers.scene import BodyBatch
-from quaffure.render.contact_sheet import NATURAL_COLOURS
-from quaffure.render.scene import StrandRenderer
+from quaffure.scene import BodyBatch
 
 OUT = FIGURES / "peers.jpg"
 RESULTS = FIGURES.parent / "peers.json"

@@ -19,10 +19,10 @@ from tiles import (
     save_picture,
 )
 
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.evaluation.evaluation_set import CaseEntry
-from quaffure.evaluation.figures import intersection_percent
-from quaffure.render.contact_sheet import NATURAL_COLOURS
+from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
+from quaffure.benchmark.evaluation_set import CaseEntry
+from quaffure.benchmark.metrics import intersection_percent
+from quaffure.model.quaffure_model import load_model
 
 OUT = FIGURES / "posed_and_draped.jpg"
 COLUMNS = (

@@ -16,11 +16,11 @@ from tiles import (
     save_picture,
 )
 
-from quaffure.drapers.quaffure_model import load_model
-from quaffure.drapers.scene import BodyBatch, Scene
-from quaffure.evaluation.evaluation_set import CaseEntry
-from quaffure.evaluation.figures import intersection_percent
-from quaffure.render.contact_sheet import NATURAL_COLOURS
+from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
+from quaffure.benchmark.evaluation_set import CaseEntry
+from quaffure.benchmark.metrics import intersection_percent
+from quaffure.model.quaffure_model import load_model
+from quaffure.scene import BodyBatch, Scene
 
 OUT = FIGURES / "shapes.jpg"
 POSE = CaseEntry("long_ringlets", "13_26", "a", (94,))

@@ -23,15 +23,15 @@ from tiles import (
     save_picture,
 )
 
+from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
+from quaffure.benchmark.evaluation_set import CaseEntry
+from quaffure.benchmark.methods import methods
+from quaffure.benchmark.metrics import metrics
 from quaffure.body.body_model import load_body
-from quaffure.drapers.draper import Draper
-from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.draper import Draper
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.evaluation.competitors import competitors
-from quaffure.evaluation.evaluation_set import CaseEntry
-from quaffure.evaluation.figures import figures_of_merit
-from quaffure.groom.groom import Groom
-from quaffure.render.contact_sheet import NATURAL_COLOURS
+from quaffure.hair.groom import Groom
+from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
 
 OUT = FIGURES / "solvers_compared.jpg"
@@ -48,9 +48,9 @@ def main(motion_folder: Path = MOTION_FOLDER, slow: bool = False) -> list[Path]:
     (scene,) = load_scenes([FRAME], motion_folder, load_body())
     tiles = []
     with TileRenderer(240, 270) as renderer:
-        for row in competitors(FAST + SLOW if slow else FAST, {}):
+        for row in methods(FAST + SLOW if slow else FAST, {}):
             draped, milliseconds = _timed(row.draper, scene)
-            merit = figures_of_merit(draped, scene, HairEnergy(scene.groom, row.draper.material))
+            merit = metrics(draped, scene, HairEnergy(scene.groom, row.draper.material))
             figures = {key: float(value) for key, value in merit.items()}
             notes = (
                 f"{figures['body_intersection_percent']:.2g} % inside the body",

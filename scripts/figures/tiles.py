@@ -15,16 +15,16 @@ import tyro
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from quaffure.apps.render.camera import Camera
+from quaffure.apps.render.contact_sheet import FAINT_INK, INK, PAPER
+from quaffure.apps.render.scene import StrandRenderer
+from quaffure.benchmark.evaluation_set import CaseEntry, DataFolders, GroomSource, load_cases, load_evaluation_set
 from quaffure.body.body_model import BodyModel
-from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.errors import InputError
-from quaffure.evaluation.evaluation_set import CaseEntry, DataFolders, GroomSource, load_cases, load_evaluation_set
-from quaffure.groom.groom import Groom
-from quaffure.groom.guide_interpolation import GuideInterpolation, interpolation_of
+from quaffure.hair.groom import Groom
+from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of
 from quaffure.io.atomic import replacing
-from quaffure.render.camera import Camera
-from quaffure.render.contact_sheet import FAINT_INK, INK, PAPER
-from quaffure.render.scene import StrandRenderer
+from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Float, Positions, Tensor
 
 FIGURES = Path(__file__).parents[2] / "docs" / "figures"

@@ -28,23 +28,23 @@ __all__ = [
 if TYPE_CHECKING:
     from quaffure.body.body_model import BodyModel, load_body
     from quaffure.config import HairMaterial
-    from quaffure.drapers.quaffure_model import Quaffure, load_model
     from quaffure.energies.hair_energy import HairEnergy
     from quaffure.errors import InputError
-    from quaffure.groom.groom import Groom
+    from quaffure.hair.groom import Groom
     from quaffure.io.load_groom import load_groom
+    from quaffure.model.quaffure_model import Quaffure, load_model
 else:
     # Torch takes a second to import, so each name is fetched when it is first asked for (PEP 562).
     _MODULES = {
         "BodyModel": "quaffure.body.body_model",
-        "Groom": "quaffure.groom.groom",
+        "Groom": "quaffure.hair.groom",
         "HairEnergy": "quaffure.energies.hair_energy",
         "HairMaterial": "quaffure.config",
         "InputError": "quaffure.errors",
-        "Quaffure": "quaffure.drapers.quaffure_model",
+        "Quaffure": "quaffure.model.quaffure_model",
         "load_body": "quaffure.body.body_model",
         "load_groom": "quaffure.io.load_groom",
-        "load_model": "quaffure.drapers.quaffure_model",
+        "load_model": "quaffure.model.quaffure_model",
     }
 
     def __getattr__(name: str) -> object:

@@ -16,7 +16,7 @@ from torch import Tensor
 from quaffure.body.body_model import BodyModel
 from quaffure.body.motion import Motion, pose_from_matrices
 from quaffure.body.neck import NECK_SHARES
-from quaffure.body.retarget import align_bone, body_bone
+from quaffure.body.retargeting import align_bone, body_bone
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
 

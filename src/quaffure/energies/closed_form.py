@@ -10,7 +10,7 @@ from quaffure.energies.gravity import GRAVITY
 from quaffure.types import EdgeVectors, Float, RestLengths, Tensor
 
 
-def sagged_vectors(
+def equilibrium_vectors(
     director: EdgeVectors, rest_length: RestLengths, mass_beyond: Float[Tensor, "s e"], k_cosserat: float
 ) -> EdgeVectors:
     """d3 + (l M / k) g: along the edges at the minimum of Eqs. 6 and 9, dimensionless.
@@ -22,7 +22,7 @@ def sagged_vectors(
     return director + pull[..., None] * director.new_tensor(GRAVITY)
 
 
-def sagged_edges(
+def equilibrium_edges(
     director: EdgeVectors,
     rest_length: RestLengths,
     mass_beyond: Float[Tensor, "s e"],
@@ -34,7 +34,7 @@ def sagged_edges(
     The edge lies along p = d3 + (l M / k) g, since Eq. 7 only adds a force along it; its length r solves
     (k / l^2) r + k_s (r - l) = (k / l) |p|, the derivative of the three terms along p.
     """
-    vectors = sagged_vectors(director, rest_length, mass_beyond, k_cosserat)
+    vectors = equilibrium_vectors(director, rest_length, mass_beyond, k_cosserat)
     pull = vectors.norm(dim=-1)
     bending = k_cosserat / rest_length
     length = (bending * pull + k_stretch * rest_length) / (bending / rest_length + k_stretch)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import torch
 
-from quaffure.energies.elastic import edges
+from quaffure.geometry.polyline import edges
 from quaffure.geometry.rotation import quaternion_from_matrix, quaternion_multiply, shortest_arc
 from quaffure.types import EdgeVectors, Energy, Float, Positions, RestLengths, Tensor
 

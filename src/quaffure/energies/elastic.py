@@ -6,17 +6,8 @@ the rigidly posed groom.
 
 import torch
 
+from quaffure.geometry.polyline import edges
 from quaffure.types import EdgeVectors, Energy, Float, Positions, RestLengths, Tensor
-
-
-def edges(positions: Positions) -> EdgeVectors:
-    """Vectors from each vertex to the next [m]."""
-    return positions[..., 1:, :] - positions[..., :-1, :]
-
-
-def directors(posed: Positions) -> EdgeVectors:
-    """Unit directors d3 of the rigidly posed groom."""
-    return torch.nn.functional.normalize(edges(posed), dim=-1)
 
 
 def stretch_shear_strain(positions: Positions, director: EdgeVectors, rest_length: RestLengths) -> EdgeVectors:

@@ -26,7 +26,7 @@ from quaffure.energies.cosserat import (
     transported_frames,
 )
 from quaffure.energies.cosserat import energy_stretch_shear as energy_cosserat_stretch_shear
-from quaffure.energies.elastic import directors, energy_stretch, energy_stretch_shear
+from quaffure.energies.elastic import energy_stretch, energy_stretch_shear
 from quaffure.energies.mass_spring import (
     BEND,
     EDGE,
@@ -37,6 +37,7 @@ from quaffure.energies.mass_spring import (
     with_ghosts,
 )
 from quaffure.errors import InputError
+from quaffure.geometry.polyline import directors
 from quaffure.geometry.rotation import quaternion_multiply
 from quaffure.types import EdgeVectors, Energy, Float, Positions, RestLengths, Tensor
 

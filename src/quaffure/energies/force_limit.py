@@ -9,17 +9,17 @@ from quaffure.config import STANDARD_GRAVITY
 from quaffure.energies.rest_state import RestState
 from quaffure.types import Float, Positions, Tensor
 
-STRAND_WEIGHTS = 10.0
+MAX_FORCE = 10.0
 """Largest force on a vertex, in weights of its whole strand."""
 
 
-def limit_forces(positions: Positions, rest: RestState, joules: float) -> Positions:
-    """The same positions; on the way back, each vertex's gradient is scaled down to at most `STRAND_WEIGHTS`.
+def clip_gradients(positions: Positions, rest: RestState, joules: float) -> Positions:
+    """The same positions; on the way back, each vertex's gradient is scaled down to at most `MAX_FORCE`.
 
     Args:
         joules: what one unit of the loss means [J], so that gradients become forces [N].
     """
-    limit = STRAND_WEIGHTS * STANDARD_GRAVITY * rest.mass.sum(dim=1)[:, None, None] / joules
+    limit = MAX_FORCE * STANDARD_GRAVITY * rest.mass.sum(dim=1)[:, None, None] / joules
     through = positions.view_as(positions)
     if through.requires_grad:
         through.register_hook(lambda gradient: _at_most(gradient, limit))

@@ -14,7 +14,7 @@ from torch.autograd.function import FunctionCtx
 
 from quaffure.config import HairMaterial
 from quaffure.energies.rest_state import RestState
-from quaffure.geometry.neighbors import cell_columns, check_finite, dealt, sort_into_cells
+from quaffure.geometry.cell_list import cell_columns, check_finite, interleaved, sort_into_cells
 from quaffure.types import Energy, Positions, Tensor
 
 
@@ -58,7 +58,7 @@ class _SelfCollision(torch.autograd.Function):
             _excess(particles, shape, rest_density, order, h, get_num_threads(), excess)
             energy[sample] = material.k_self_collision * float((excess.astype(np.float64) ** 3).sum())
             slope = np.float32(3 * material.k_self_collision) * excess * excess
-            pressing = pressing_particles(particles, slope)
+            pressing = active_particles(particles, slope)
             density_gradient(particles, pressing, shape, slope, order, h, get_num_threads(), gradient[sample])
         ctx.save_for_backward(torch.from_numpy(gradient).reshape(positions.shape))
         return energy
@@ -85,7 +85,7 @@ def sort_particles(
 
 
 @njit(cache=True)
-def pressing_particles(particles: Particles, slope: np.ndarray) -> Particles:
+def active_particles(particles: Particles, slope: np.ndarray) -> Particles:
     """The vertices whose `slope` is above 0 alone, weighted by it."""
     count = 0
     for place in range(len(slope)):
@@ -115,7 +115,7 @@ def _excess(
     start = particles.start
     columns, along = shape[0] * shape[1], shape[2]
     for index in prange(columns + threads):
-        column = dealt(index, columns, threads)
+        column = interleaved(index, columns, threads)
         if column >= columns or start[column * along] == start[(column + 1) * along]:
             continue
         room, ranges = np.empty((4, 256), np.float32), np.empty((9, 2), np.int64)
@@ -145,7 +145,7 @@ def density_gradient(
     it, and by all near it if it presses itself.
 
     Args:
-        pressing: `pressing_particles` of the same.
+        pressing: `active_particles` of the same.
         slope: in the sorted order, not negative [J m^3/kg].
         threads: that share the work.
         gradient: filled, in the unsorted order [N].
@@ -155,7 +155,7 @@ def density_gradient(
     start = particles.start
     columns, along = shape[0] * shape[1], shape[2]
     for index in prange(columns + threads):
-        column = dealt(index, columns, threads)
+        column = interleaved(index, columns, threads)
         if column >= columns or start[column * along] == start[(column + 1) * along]:
             continue
         room, ranges = np.empty((4, 256), np.float32), np.empty((9, 2), np.int64)

@@ -15,11 +15,11 @@ from torch.autograd.function import FunctionCtx
 
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.rest_state import RestState
-from quaffure.geometry.clear_cells import FREE, OUTSIDE, REACH, SpaceMap, whereabouts
-from quaffure.geometry.face_tree import LANES, closest_on_triangle, squared_distance
-from quaffure.geometry.neighbors import check_finite, dealt
+from quaffure.geometry.binary_bvh import LANES, closest_on_triangle, squared_distance
+from quaffure.geometry.bvh import BVH_STACK, Bvh, nearest_face
+from quaffure.geometry.cell_list import check_finite, interleaved
+from quaffure.geometry.occupancy_grid import FREE, OUTSIDE, REACH, OccupancyGrid, classify
 from quaffure.geometry.surface import Surface
-from quaffure.geometry.wide_tree import WIDE_STACK, WideTree, nearest_face
 from quaffure.types import EdgeVectors, Float, Positions, Tensor
 
 TERMS = ("stretch_shear", "stretch", "gravity", "body_collision")
@@ -31,8 +31,8 @@ class _Body(NamedTuple):
 
     corners: np.ndarray
     normals: np.ndarray
-    tree: WideTree
-    space: SpaceMap
+    tree: Bvh
+    space: OccupancyGrid
 
 
 def strand_energy(
@@ -101,8 +101,8 @@ def _strands(
     stiffness: np.ndarray,
     corners: np.ndarray,
     normals: np.ndarray,
-    wide: WideTree,
-    space: SpaceMap,
+    wide: Bvh,
+    space: OccupancyGrid,
     threads: int,
     terms: np.ndarray,
     gradient: np.ndarray,
@@ -110,19 +110,19 @@ def _strands(
     batch, strands = positions.shape[:2]
     runs = (strands + _RUN - 1) // _RUN
     for index in prange(batch * runs + threads):
-        item = dealt(index, batch * runs, threads)
+        item = interleaved(index, batch * runs, threads)
         if item >= batch * runs:
             continue
         sample = item // runs
         body = _Body(
             corners[sample],
             normals[sample],
-            WideTree(wide.blocks[sample], wide.boxes[sample], wide.levels),
-            SpaceMap(
+            Bvh(wide.blocks[sample], wide.boxes[sample], wide.levels),
+            OccupancyGrid(
                 space.origin[sample], space.clear[sample], space.slot[sample], space.outside[sample], space.free[sample]
             ),
         )
-        stack, room = np.empty(WIDE_STACK, np.int32), np.empty(WIDE_STACK + 2 * LANES, np.float32)
+        stack, room = np.empty(BVH_STACK, np.int32), np.empty(BVH_STACK + 2 * LANES, np.float32)
         seed = 0
         for strand in range((item % runs) * _RUN, min(strands, (item % runs + 1) * _RUN)):
             x, out, of_strand = positions[sample, strand], gradient[sample, strand], terms[sample, strand]
@@ -177,7 +177,7 @@ def _contact(
     energy, place, first = 0.0, seed, -1
     for vertex in range(1, len(x)):
         px, py, pz = x[vertex, 0], x[vertex, 1], x[vertex, 2]
-        where = whereabouts(px, py, pz, body.space)
+        where = classify(px, py, pz, body.space)
         if where == FREE:
             continue
         if where == OUTSIDE:

@@ -17,7 +17,7 @@ from quaffure.energies.self_collision import densities, energy_self_collision
 from quaffure.geometry.polyline import integrate_directions_reference
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.geometry.surface import Surface
-from quaffure.groom.groom import Groom
+from quaffure.hair.groom import Groom
 from quaffure.types import EdgeVectors, Energy, Float, Positions, Tensor
 
 

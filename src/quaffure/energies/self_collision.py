@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from quaffure.geometry.neighbors import fixed_radius_pairs
+from quaffure.geometry.cell_list import fixed_radius_pairs
 from quaffure.types import Energy, Float, Int, Positions, Tensor
 
 

@@ -8,6 +8,16 @@ from torch.autograd.function import FunctionCtx
 from quaffure.types import EdgeVectors, Float, Positions, RestLengths, Tensor
 
 
+def edges(positions: Positions) -> EdgeVectors:
+    """Vectors from each vertex to the next [m]."""
+    return positions[..., 1:, :] - positions[..., :-1, :]
+
+
+def directors(posed: Positions) -> EdgeVectors:
+    """Unit directors d3 of the rigidly posed groom."""
+    return torch.nn.functional.normalize(edges(posed), dim=-1)
+
+
 def integrate_directions_reference(
     root: Float[Tensor, "b s 3"], vectors: EdgeVectors, rest_length: RestLengths
 ) -> Positions:

@@ -1,7 +1,7 @@
 """Signed distance to a closed surface: the search finds integers and weights, the formula is plain torch.
 
-Distance is positive outside. `foot_points` is compiled and exact; `foot_points_reference` is its torch twin, which also
-runs on CUDA.
+Distance is positive outside. `closest_points` is compiled and exact; `closest_points_reference` is its torch twin, for
+any device.
 """
 
 from dataclasses import dataclass
@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from quaffure.geometry.bvh import search_all
 from quaffure.geometry.surface import Surface, reference_surface_normals
-from quaffure.geometry.wide_tree import search_all
 from quaffure.types import Float, Int, Tensor
 
 _REFERENCE_PAIRS = 4_000_000  # point-face pairs that the twin holds in memory at once
 
 
 @dataclass(frozen=True)
-class FootPoints:
+class ClosestPoints:
     """The nearest point of the surface to each of a set of points. No gradient flows through any of it.
 
     Attributes:
@@ -31,25 +31,25 @@ class FootPoints:
     normals: Float[Tensor, "b p 3"]
 
 
-def foot_points(points: Float[Tensor, "b p 3"], surface: Surface) -> FootPoints:
+def closest_points(points: Float[Tensor, "b p 3"], surface: Surface) -> ClosestPoints:
     """Feet of `points` [m] on the surface of the same sample. Compiled search on the CPU, the twin elsewhere."""
     if points.device.type != "cpu":
-        return foot_points_reference(points, surface)
+        return closest_points_reference(points, surface)
     tree = surface.topology.tree
     samples = []
     for sample, of_sample in enumerate(points.detach()):
         array = np.ascontiguousarray(of_sample.numpy(), dtype=np.float32)
-        places = search_all(array, surface.corners[sample], surface.wide_tree(sample))
+        places = search_all(array, surface.corners[sample], surface.bvh(sample))
         faces = torch.from_numpy(tree.face_order[places]).long()
         triangles = surface.vertices[sample].detach().to(points)[surface.topology.faces[faces]]
         barycentric, feature = closest_barycentric(of_sample, triangles)
         normals = torch.from_numpy(surface.normals[sample, places, feature.numpy()]).to(points)
         samples.append((faces, barycentric, normals))
-    return FootPoints(*(torch.stack(field) for field in zip(*samples)))
+    return ClosestPoints(*(torch.stack(field) for field in zip(*samples)))
 
 
-def foot_points_reference(points: Float[Tensor, "b p 3"], surface: Surface) -> FootPoints:
-    """Torch twin of `foot_points`: every point against every face, in chunks."""
+def closest_points_reference(points: Float[Tensor, "b p 3"], surface: Surface) -> ClosestPoints:
+    """Torch twin of `closest_points`: every point against every face, in chunks."""
     triangles = surface.vertices.detach()[:, surface.topology.faces].to(points)
     normals = reference_surface_normals(surface.topology, surface.vertices.detach()).to(points)
     chunk = max(1, _REFERENCE_PAIRS // triangles.shape[1])
@@ -60,7 +60,7 @@ def foot_points_reference(points: Float[Tensor, "b p 3"], surface: Surface) -> F
     faces, barycentric, at_feet = (
         torch.stack([torch.cat([part[field] for part in parts]) for parts in samples]) for field in range(3)
     )
-    return FootPoints(faces, barycentric, at_feet)
+    return ClosestPoints(faces, barycentric, at_feet)
 
 
 def _nearest_of_all(
@@ -117,7 +117,7 @@ def signed_distance(points: Float[Tensor, "b p 3"], surface: Surface) -> Float[T
     The gradient holds the foot point's weights fixed, which is exact to first order (envelope theorem); at distance
     zero, where the norm has no gradient, it is the feature's normal.
     """
-    foot = foot_points(points, surface)
+    foot = closest_points(points, surface)
     triangles = surface.vertices.to(points)[:, surface.topology.faces]
     nearest = torch.stack([triangles[sample, foot.faces[sample]] for sample in range(len(points))])
     offset = points - (foot.barycentric[..., None] * nearest).sum(-2)

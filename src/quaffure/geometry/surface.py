@@ -7,10 +7,17 @@ import torch
 from jaxtyping import Float, Int
 from numba import njit, prange
 
-from quaffure.geometry.clear_cells import CELLS, MOST_SPLIT, ORIGIN, SpaceMap, find_clear_cells, split_near_cells
-from quaffure.geometry.face_tree import FaceTree, build_face_tree, refit
+from quaffure.geometry.binary_bvh import BinaryBvh, build_binary_bvh, refit
+from quaffure.geometry.bvh import Bvh, allocate_bvh, refit_bvh
 from quaffure.geometry.mesh import angle_weighted_vertex_normals, face_normals, opposite_faces
-from quaffure.geometry.wide_tree import WideTree, refit_wide, wide_tree_room
+from quaffure.geometry.occupancy_grid import (
+    CELLS,
+    MOST_SPLIT,
+    ORIGIN,
+    OccupancyGrid,
+    flood_clear_cells,
+    split_near_cells,
+)
 from quaffure.types import MeshFaces, MeshVertices, Tensor
 
 
@@ -26,7 +33,7 @@ class SurfaceTopology:
     """
 
     faces: MeshFaces
-    tree: FaceTree
+    tree: BinaryBvh
     tree_faces: Int[np.ndarray, "k 3"]
     tree_opposite: Int[np.ndarray, "k 3"]
 
@@ -44,7 +51,7 @@ class Surface:
             unit. The sign of a point is that of its offset along the normal of its nearest feature
             (Baerentzen and Aanaes 2005).
         wide: the tree that nearest faces are sought in.
-        map: what is known of each place in space round the head; see `quaffure.geometry.clear_cells`.
+        map: what is known of each place in space round the head; see `quaffure.geometry.occupancy_grid`.
     """
 
     topology: SurfaceTopology
@@ -52,12 +59,12 @@ class Surface:
     corners: Float[np.ndarray, "b k 3 3"]
     bounds: Float[np.ndarray, "b m 6"]
     normals: Float[np.ndarray, "b k 7 3"]
-    wide: WideTree
-    map: SpaceMap
+    wide: Bvh
+    map: OccupancyGrid
 
-    def wide_tree(self, sample: int) -> WideTree:
+    def bvh(self, sample: int) -> Bvh:
         """The tree of one pose."""
-        return WideTree(self.wide.blocks[sample], self.wide.boxes[sample], self.wide.levels)
+        return Bvh(self.wide.blocks[sample], self.wide.boxes[sample], self.wide.levels)
 
 
 def surface_topology(vertices: Float[Tensor, "v 3"], faces: MeshFaces) -> SurfaceTopology:
@@ -68,7 +75,7 @@ def surface_topology(vertices: Float[Tensor, "v 3"], faces: MeshFaces) -> Surfac
     """
     opposite = opposite_faces(faces).cpu().numpy()
     faces_array = faces.cpu().numpy()
-    tree = build_face_tree(vertices.detach().cpu().numpy(), faces_array)
+    tree = build_binary_bvh(vertices.detach().cpu().numpy(), faces_array)
     place_of_face = np.empty(len(faces_array), np.int32)
     place_of_face[tree.face_order] = np.arange(len(faces_array), dtype=np.int32)
     return SurfaceTopology(
@@ -97,8 +104,8 @@ def posed_surface(
         corners=np.empty((batch, places, 3, 3), np.float32),
         bounds=np.empty((batch, nodes, 6), np.float32),
         normals=np.empty((batch, places, 7, 3), np.float32),
-        wide=wide_tree_room(topology.tree.levels, batch),
-        map=SpaceMap(
+        wide=allocate_bvh(topology.tree.levels, batch),
+        map=OccupancyGrid(
             centre + ORIGIN,
             np.empty(grid, np.uint8),
             np.empty(grid, np.int32),
@@ -123,8 +130,8 @@ def _fill(
     corners: np.ndarray,
     bounds: np.ndarray,
     normals: np.ndarray,
-    wide: WideTree,
-    space: SpaceMap,
+    wide: Bvh,
+    space: OccupancyGrid,
 ) -> None:
     for sample in prange(len(vertices)):
         for place in range(len(faces)):
@@ -133,13 +140,13 @@ def _fill(
                     corners[sample, place, corner, axis] = vertices[sample, faces[place, corner], axis]
         _pseudonormals(corners[sample], faces, opposite, vertices.shape[1], normals[sample])
         refit(corners[sample], first, second, bounds[sample])
-        refit_wide(corners[sample], WideTree(wide.blocks[sample], wide.boxes[sample], wide.levels))
-        find_clear_cells(
+        refit_bvh(corners[sample], Bvh(wide.blocks[sample], wide.boxes[sample], wide.levels))
+        flood_clear_cells(
             corners[sample], normals[sample], bounds[sample], first, second, space.origin[sample], space.clear[sample]
         )
         split_near_cells(
             corners[sample],
-            SpaceMap(
+            OccupancyGrid(
                 space.origin[sample], space.clear[sample], space.slot[sample], space.outside[sample], space.free[sample]
             ),
         )

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.motion import Motion, filter_flips, resample
-from quaffure.body.retarget import (
+from quaffure.body.retargeting import (
     BODY_FROM_Y_UP,
     RETARGET_FPS,
     JointSource,
@@ -109,7 +109,7 @@ def _world_rotations(poses: Float[Tensor, "f 66"]) -> dict[str, Float[Tensor, "f
 
 
 def _on_body(world: dict[str, Float[Tensor, "f 3 3"]], body: BodyModel) -> dict[str, Float[Tensor, "f 3 3"]]:
-    """World rotations by the body's joint names; see the formula in `quaffure.body.retarget`."""
+    """World rotations by the body's joint names; see the formula in `quaffure.body.retargeting`."""
     turned: dict[str, Tensor] = {}
     for name, source in SMPL_BODY.items():
         rotation = source_rotation(source, world)

@@ -5,7 +5,7 @@ A point is its position, its normal and its label. Positions are in millimetres.
 
 from pathlib import Path
 
-from quaffure.groom.strands import Strands, checked_strands
+from quaffure.hair.strands import Strands, checked_strands
 from quaffure.io.hairsalon import read_counted_strands
 
 

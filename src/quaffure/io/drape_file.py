@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from quaffure.errors import InputError
-from quaffure.groom.drape_sequence import DrapeSequence
+from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.io.atomic import replacing
 
 # F frames, S strands, N vertices of a strand, E = N - 1, V body vertices, K body faces.

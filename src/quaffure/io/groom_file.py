@@ -9,7 +9,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
-from quaffure.groom.groom import Groom
+from quaffure.hair.groom import Groom
 from quaffure.io.atomic import replacing
 
 NUMBERS: dict[str, tuple[tuple[str | int, ...], str]] = {

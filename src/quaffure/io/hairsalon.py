@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from quaffure.errors import InputError
-from quaffure.groom.strands import Strands, checked_strands
+from quaffure.hair.strands import Strands, checked_strands
 from quaffure.io.binary import BinaryCursor
 
 

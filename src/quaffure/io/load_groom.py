@@ -7,13 +7,13 @@ import numpy as np
 from quaffure.body.body_model import BodyModel, shipped_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
-from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import STYLES
-from quaffure.groom.procedural import make_groom
-from quaffure.groom.registration import HeadMesh, register_groom
-from quaffure.groom.scalp_texture import select_guides
+from quaffure.hair.groom import Groom
+from quaffure.hair.registration import HeadMesh, register_groom
+from quaffure.hair.scalp_texture import select_guides
 from quaffure.io.groom_file import is_groom_file, read_groom
 from quaffure.io.read_strands import read_strands
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import STYLES
 
 
 def load_groom(groom: str | Path, body: BodyModel | None = None, head: Path | None = None) -> Groom:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from quaffure.errors import InputError
-from quaffure.groom.strands import Strands, checked_strands
+from quaffure.hair.strands import Strands, checked_strands
 from quaffure.io.atomic import replacing
 
 # The most that deflate can shrink (zlib's technical notes); a member that claims more has a damaged size.

@@ -8,7 +8,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.motion import Motion
-from quaffure.body.retarget import retarget_bvh
+from quaffure.body.retargeting import retarget_bvh
 from quaffure.errors import InputError
 from quaffure.io.amass import read_amass
 from quaffure.io.bvh import read_bvh

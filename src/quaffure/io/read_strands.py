@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from quaffure.errors import InputError
-from quaffure.groom.strands import Strands
+from quaffure.hair.strands import Strands
 from quaffure.io.ct2hair import read_ct2hair
 from quaffure.io.hair import read_hair
 from quaffure.io.hairsalon import read_hairsalon

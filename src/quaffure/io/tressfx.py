@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from quaffure.errors import InputError
-from quaffure.groom.strands import Strands, checked_strands
+from quaffure.hair.strands import Strands, checked_strands
 from quaffure.io.binary import BinaryCursor
 
 

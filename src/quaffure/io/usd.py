@@ -12,9 +12,9 @@ import numpy as np
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 
 from quaffure.errors import InputError
-from quaffure.geometry.spread import spread_subset
-from quaffure.groom.drape_sequence import DrapeSequence
-from quaffure.groom.strands import Strands, checked_strands
+from quaffure.geometry.sampling import spread_subset
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.strands import Strands, checked_strands
 from quaffure.io.atomic import replacing
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc")

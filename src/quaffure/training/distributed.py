@@ -56,7 +56,7 @@ class Worker:
         for gradient, mean in zip(gradients, parts):
             gradient.copy_(mean.view_as(gradient))
 
-    def of_first(self, make: Callable[[], T]) -> T:
+    def broadcast_from_first(self, make: Callable[[], T]) -> T:
         """What the first worker makes, for all of them: no other one needs to see its disk."""
         if self.world_size == 1:
             return make()
@@ -65,12 +65,12 @@ class Worker:
         return made[0]  # type: ignore[return-value]
 
 
-ALONE = Worker()
+SINGLE_PROCESS = Worker()
 
 
 @contextmanager
 def joined_workers(device: Device = "auto") -> Iterator[Worker]:
-    """This process's place among those that a launcher started; `ALONE` on a device where none did.
+    """This process's place among those that a launcher started; `SINGLE_PROCESS` on a device where none did.
 
     Args:
         device: `auto` is CUDA where there is a device, each process of a machine on one of its own.

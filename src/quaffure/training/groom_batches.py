@@ -7,8 +7,8 @@ import torch
 from scipy.ndimage import distance_transform_edt
 
 from quaffure.config import TEXTURE_SIZE
-from quaffure.networks.groom_autoencoder import DECODED_CHANNELS, decoded_channels
-from quaffure.networks.groom_texture import SHAPE_CHANNELS, TEXTURE_CHANNELS, GroomSample
+from quaffure.model.groom_autoencoder import DECODED_CHANNELS, decoded_channels
+from quaffure.model.groom_texture import SHAPE_CHANNELS, TEXTURE_CHANNELS, GroomSample
 from quaffure.types import Float, Int, Tensor
 
 

@@ -12,19 +12,19 @@ from pathlib import Path
 import numpy as np
 import torch
 
-import quaffure.groom
+import quaffure.procedural
 from quaffure.body.body_model import BodyModel
 from quaffure.config import TEXTURE_SIZE
 from quaffure.errors import InputError
 from quaffure.geometry.surface import Surface
-from quaffure.groom.groom import Groom
-from quaffure.groom.hair_style import STYLES, HairStyle
-from quaffure.groom.procedural import make_groom
-from quaffure.groom.style_family import sample_style
+from quaffure.hair.groom import Groom
 from quaffure.io.atomic import replacing
 from quaffure.io.npz_strands import read_npz
-from quaffure.networks import groom_texture
-from quaffure.networks.groom_texture import TEXTURE_CHANNELS, GroomSample, sample_of
+from quaffure.model import groom_texture
+from quaffure.model.groom_texture import TEXTURE_CHANNELS, GroomSample, sample_of
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import STYLES, HairStyle
+from quaffure.procedural.style_family import sample_style
 from quaffure.training.run_folder import body_digest
 
 
@@ -83,7 +83,7 @@ def grow_samples(
 
 @cache
 def _digest_of_sources() -> str:
-    (room,) = quaffure.groom.__path__
+    (room,) = quaffure.procedural.__path__
     sources = [*sorted(Path(room).glob("*.py")), Path(groom_texture.__file__)]
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()
 

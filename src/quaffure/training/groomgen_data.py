@@ -22,13 +22,13 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.neck import head_turn, turned_head
 from quaffure.body.pose_features import world_from_head
 from quaffure.config import HairMaterial
-from quaffure.drapers.draper import Draper
-from quaffure.drapers.scene import BodyBatch, Scene
+from quaffure.draper import Draper
 from quaffure.errors import InputError
-from quaffure.groom.groom import Groom
+from quaffure.hair.groom import Groom
 from quaffure.io.atomic import made_folder, replacing
 from quaffure.io.groom_file import read_groom, write_groom
 from quaffure.io.npz_strands import read_npz
+from quaffure.scene import BodyBatch, Scene
 from quaffure.training.run_folder import body_digest, code_version
 from quaffure.types import BodyPose, Float, Tensor
 

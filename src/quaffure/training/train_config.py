@@ -9,8 +9,8 @@ from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.config import HairMaterial
 from quaffure.energies.elastic_model import elastic_model
 from quaffure.errors import InputError
-from quaffure.geometry.clear_cells import REACH
-from quaffure.networks.quaffure_network import NetworkConfig
+from quaffure.geometry.occupancy_grid import REACH
+from quaffure.model.quaffure_network import NetworkConfig
 
 
 @dataclass(frozen=True)

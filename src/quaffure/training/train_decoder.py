@@ -11,20 +11,20 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import world_from_head
-from quaffure.drapers.neural import NeuralDraper
-from quaffure.drapers.scene import BodyBatch, Scene
 from quaffure.energies.elastic_model import ModifiedCosserat
-from quaffure.energies.force_limit import limit_forces
+from quaffure.energies.force_limit import clip_gradients
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.pose_regularization import energy_pose_regularization
 from quaffure.errors import InputError
-from quaffure.groom.groom import Groom
+from quaffure.hair.groom import Groom
 from quaffure.io.atomic import replacing
-from quaffure.networks.checkpoint import save_network
-from quaffure.networks.groom_code import load_groom_encoder
-from quaffure.networks.quaffure_network import QuaffureNetwork, build_network
+from quaffure.model.checkpoint import save_network
+from quaffure.model.groom_code import load_groom_encoder
+from quaffure.model.neural import NeuralDraper
+from quaffure.model.quaffure_network import QuaffureNetwork, build_network
+from quaffure.scene import BodyBatch, Scene
 from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
-from quaffure.training.distributed import ALONE, Worker
+from quaffure.training.distributed import SINGLE_PROCESS, Worker
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.run_folder import RunFolder, body_digest
 from quaffure.training.train_config import TrainConfig
@@ -53,7 +53,7 @@ class DecoderTraining:
         grooms: tuple[Groom, ...],
         sampler: PoseSampler,
         folder: Path,
-        worker: Worker = ALONE,
+        worker: Worker = SINGLE_PROCESS,
     ) -> None:
         """
         Args:
@@ -135,7 +135,7 @@ class DecoderTraining:
         config, energy, unit = self.config, self.loss_energies[index], loss_unit(self.energies[index])
         draped = self.draper.deform(scene)
         # The gradient that arrives is that of the mean over samples and grooms.
-        positions = limit_forces(draped, energy.rest, len(draped) * grooms * unit)
+        positions = clip_gradients(draped, energy.rest, len(draped) * grooms * unit)
         carried = energy.carried(positions, scene.director)
         total = energy.along_strands(positions, scene.director, scene.surface, carried)
         if self.step % config.self_collision_every == 0:
@@ -219,7 +219,7 @@ class DecoderTraining:
         Raises:
             InputError: it is of another run, or damaged.
         """
-        state: dict[str, Any] | None = self.worker.of_first(lambda: self.folder.load(self._identity()))
+        state: dict[str, Any] | None = self.worker.broadcast_from_first(lambda: self.folder.load(self._identity()))
         if state is not None:
             self._restore(state)
         if self.worker.is_first:

@@ -11,10 +11,10 @@ import torch
 
 from quaffure.errors import InputError
 from quaffure.io.atomic import replacing
-from quaffure.networks.groom_autoencoder import GroomAutoencoder, Widths, relative_distance
-from quaffure.networks.groom_code import save_autoencoder, save_encoder
-from quaffure.networks.groom_texture import SHAPE_CHANNELS, GroomSample
-from quaffure.networks.weights_file import MAX_WIDTH
+from quaffure.model.groom_autoencoder import GroomAutoencoder, Widths, relative_distance
+from quaffure.model.groom_code import save_autoencoder, save_encoder
+from quaffure.model.groom_texture import SHAPE_CHANNELS, GroomSample
+from quaffure.model.weights_file import MAX_WIDTH
 from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
 from quaffure.training.groom_batches import GroomBatch, batch_of, mean_strands, mirrored, part_of, patch_of, scaled
 from quaffure.training.run_folder import RunFolder

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import torch
 
-from quaffure.drapers.groomgen import head_strands, texel_cells
+from quaffure.baselines.groomgen import head_strands, texel_cells
+from quaffure.baselines.groomgen_network import DISPLACEMENT_UNIT, GroomGenLayers, GroomGenNetwork, save_groomgen
 from quaffure.errors import InputError
 from quaffure.io.atomic import replacing
-from quaffure.networks.checkpoint import save_groomgen
-from quaffure.networks.groomgen import DISPLACEMENT_UNIT, GroomGenLayers, GroomGenNetwork
 from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
 from quaffure.training.groomgen_data import DrapedPoses, DrapeFolder, hair_of
 from quaffure.training.run_folder import RunFolder

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import torch
 
 from quaffure.body.pose_prior import load_pose_prior
-from quaffure.drapers.draper import Draper
-from quaffure.drapers.scene import Scene
+from quaffure.draper import Draper
 from quaffure.energies.elastic import length_errors, orientation_errors
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.signed_distance import signed_distance
+from quaffure.scene import Scene
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.types import BodyPose, BodyShape, Energy, Float, Positions, Tensor
 

@@ -1,0 +1,86 @@
+"""The command line: subcommands, one line for a user's mistake, exit code 2."""
+
+import io
+import re
+import signal
+import sys
+import threading
+from contextlib import redirect_stderr
+from typing import Annotated, NoReturn
+
+import tyro
+
+from quaffure.apps.cli.benchmark import BenchmarkCommand
+from quaffure.apps.cli.drape import DrapeCommand
+from quaffure.apps.cli.evaluate import EvaluateCommand
+from quaffure.apps.cli.groom import GroomCommand
+from quaffure.apps.cli.groomgen_data import GroomgenDataCommand
+from quaffure.apps.cli.grooms import GroomsCommand
+from quaffure.apps.cli.info import InfoCommand
+from quaffure.apps.cli.render import RenderCommand
+from quaffure.apps.cli.score import ScoreCommand
+from quaffure.apps.cli.train import TrainCommand
+from quaffure.apps.cli.train_code import TrainCodeCommand
+from quaffure.apps.cli.train_groomgen import TrainGroomgenCommand
+from quaffure.apps.cli.view import ViewCommand
+from quaffure.errors import InputError
+
+Command = (
+    Annotated[DrapeCommand, tyro.conf.subcommand("drape")]
+    | Annotated[TrainCommand, tyro.conf.subcommand("train")]
+    | Annotated[TrainCodeCommand, tyro.conf.subcommand("train-code")]
+    | Annotated[GroomgenDataCommand, tyro.conf.subcommand("groomgen-data")]
+    | Annotated[TrainGroomgenCommand, tyro.conf.subcommand("train-groomgen")]
+    | Annotated[RenderCommand, tyro.conf.subcommand("render")]
+    | Annotated[ViewCommand, tyro.conf.subcommand("view")]
+    | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
+    | Annotated[ScoreCommand, tyro.conf.subcommand("score")]
+    | Annotated[BenchmarkCommand, tyro.conf.subcommand("benchmark")]
+    | Annotated[GroomsCommand, tyro.conf.subcommand("grooms")]
+    | Annotated[GroomCommand, tyro.conf.subcommand("groom")]
+    | Annotated[InfoCommand, tyro.conf.subcommand("info")]
+)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run `quaffure`. Exits with 2 and one line on the error stream for bad input."""
+    if threading.current_thread() is threading.main_thread():
+        # By default nothing would be tidied up: files that are being written would stay behind.
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    try:
+        _parsed(arguments).run()
+    except InputError as error:
+        _refuse(str(error))
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _parsed(arguments: list[str] | None) -> Command:
+    """The subcommand with its options; tyro's boxed complaint about them is told in one line instead."""
+    complaint = io.StringIO()
+    try:
+        with redirect_stderr(complaint):
+            return tyro.cli(
+                Command,
+                prog="quaffure",
+                description="Drape strand hair on a posed, shaped body.",
+                args=arguments,
+                config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+            )
+    except SystemExit as stop:
+        if not stop.code:  # --help
+            raise
+        _refuse(_without_box(complaint.getvalue()))
+
+
+def _without_box(complaint: str) -> str:
+    """What stands between a box's title and its first rule."""
+    lines = re.findall(r"^│(.*)│$", complaint, re.MULTILINE) or [complaint]
+    # Dataclasses that refuse their values carry a name of tyro's own.
+    said = "\n".join(lines).partition("──")[0].replace("__tyro-dummy-inner__.", "")
+    return f"{said.strip().rstrip('.')} (see quaffure --help)"
+
+
+def _refuse(reason: str) -> NoReturn:
+    print("quaffure:", " ".join(reason.split()), file=sys.stderr)
+    sys.exit(2)

@@ -1,0 +1,67 @@
+"""`quaffure view`: the live page in a browser."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from quaffure.apps.cli.console import console
+from quaffure.apps.cli.inputs import motion_of
+from quaffure.apps.cli.outputs import WRITERS
+from quaffure.body.clips import CLIP_NAMES
+from quaffure.errors import InputError
+from quaffure.io.load_groom import load_groom
+from quaffure.model.quaffure_model import load_model
+from quaffure.procedural.hair_style import STYLES
+
+if TYPE_CHECKING:
+    from quaffure.apps.viewer.page import Page
+
+
+@dataclass(frozen=True)
+class ViewCommand:
+    """Look at drapes live in a browser: groom, clip, pose, body shape and draper at the touch of a slider."""
+
+    groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")] = "long_straight"
+    """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
+    motion: str = "nod"
+    """A bundled clip, `rest` for the rest pose, or a .bvh or .npz file."""
+    weights: Path | None = None
+    """Weights of a training run instead of the shipped ones."""
+    port: int = 8080
+    """Where the page is served; 0 for any free port."""
+    host: str = "127.0.0.1"
+    """The address to listen at. 0.0.0.0 opens the page to the network: whoever sees it can move it and save files."""
+    folder: Path = Path(".")
+    """Where the page's save button writes."""
+
+    def run(self) -> None:
+        page = self.open()
+        console.print(f"quaffure: look at {page.url}; Ctrl+C ends it")
+        try:
+            page.wait()
+        finally:
+            page.stop()
+
+    def open(self) -> "Page":
+        """The page, served.
+
+        Raises:
+            InputError: a groom, a motion, weights, a folder or an address that is no good.
+        """
+        from quaffure.apps.viewer.catalogue import REST, Catalogue
+        from quaffure.apps.viewer.page import Address, Page
+
+        if not self.folder.is_dir():
+            raise InputError("--folder", "an existing folder", f"{self.folder}")
+        model = load_model(self.weights)
+        motion = None if self.motion in (*CLIP_NAMES, REST) else motion_of(self.motion, model.body)
+        console.print(f"reading the groom {self.groom}")
+        groom = None if self.groom in STYLES else load_groom(self.groom, model.body)
+        catalogue = Catalogue(model, groom, motion)
+        start = (
+            self.groom if groom is None else catalogue.groom_names[0],
+            self.motion if motion is None else catalogue.motion_names[0],
+        )
+        return Page(catalogue, start, Address(self.host, self.port), self.folder, WRITERS[".png"])

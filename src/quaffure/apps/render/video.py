@@ -1,0 +1,95 @@
+"""A drape as a video."""
+
+from collections.abc import Callable, Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+from jaxtyping import UInt8
+
+from quaffure.apps.render.camera import Camera
+from quaffure.apps.render.framing import drawn_strands, facing_deg, frame_hair
+from quaffure.apps.render.scene import CHESTNUT, StrandRenderer
+from quaffure.errors import InputError
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.guide_interpolation import GuideInterpolation
+from quaffure.io.atomic import replacing
+
+Picture = UInt8[np.ndarray, "h w 3"]
+VIEWS = (Camera.front, Camera.side)
+TILE = 512
+# Motion hides what a still would show: fewer samples a pixel than in a picture.
+SUPERSAMPLING = 3
+CONSTANT_RATE_FACTOR = 20
+
+
+def write_video(
+    path: Path,
+    seq: DrapeSequence,
+    hair_colour: tuple[float, float, float] = CHESTNUT,
+    tile: int = TILE,
+    on_frame: Callable[[int], None] | None = None,
+    interpolation: GuideInterpolation | None = None,
+) -> None:
+    """Write front and side views next to each other (.mp4, H.264).
+
+    The camera stands still, facing where the body faces half way.
+
+    Args:
+        hair_colour: albedo in linear RGB.
+        tile: width and height of one view, even [pixels].
+        on_frame: called with the number of frames written so far.
+        interpolation: of strands between the drape's guides; without it the guides themselves are drawn.
+
+    Raises:
+        InputError: not an .mp4, not writable, or no OpenGL on this machine.
+    """
+    centre, extent = frame_hair(seq)
+    cameras = [view(centre, extent, facing_deg(seq, len(seq) // 2)) for view in VIEWS]
+
+    def pictures() -> Iterator[Picture]:
+        with StrandRenderer(tile, tile, supersampling=SUPERSAMPLING) as renderer:
+            for frame, body in enumerate(seq.body_vertices):
+                strands = drawn_strands(seq, frame, interpolation)
+                views = [renderer.render(strands, body, seq.body_faces, camera, hair_colour) for camera in cameras]
+                yield np.hstack(views)
+                if on_frame is not None:
+                    on_frame(frame + 1)
+
+    encode_video(path, pictures(), seq.fps)
+
+
+def encode_video(
+    path: Path, pictures: Iterable[Picture], fps: float, constant_rate_factor: int = CONSTANT_RATE_FACTOR
+) -> None:
+    """Write pictures of one size as a video (.mp4, H.264), each as it comes.
+
+    Args:
+        pictures: sRGB, even in height and width; at least one.
+        constant_rate_factor: of x264, 0 to 51: higher is smaller and worse.
+
+    Raises:
+        InputError: not an .mp4, not writable, no pictures, or an odd number of pixels.
+    """
+    if path.suffix.lower() != ".mp4":
+        raise InputError(path, "a video's name ending in .mp4", f"{path.suffix or 'no suffix'}")
+    with (
+        replacing(path) as temporary,
+        av.open(str(temporary), "w", format="mp4", options={"movflags": "+faststart"}) as container,
+    ):
+        rate = Fraction(fps).limit_denominator(1001)
+        stream = container.add_stream("libx264", rate=rate, options={"crf": str(constant_rate_factor)})
+        stream.pix_fmt = "yuv420p"
+        size: tuple[int, ...] = ()
+        for picture in pictures:
+            if not size:
+                size = picture.shape[:2]
+                if size[0] % 2 or size[1] % 2:
+                    expected = "an even number of pixels, as H.264 stores colour at half size"
+                    raise InputError(path, expected, f"{size[1]} x {size[0]}")
+                stream.height, stream.width = size
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        if not size:
+            raise InputError(path, "at least one picture", "none")
+        container.mux(stream.encode())

@@ -1,0 +1,78 @@
+"""What the pickers of the live page offer, loaded when it is first picked and then kept."""
+
+import torch
+
+from quaffure.baselines.posed import PosedDraper
+from quaffure.body.clips import CLIP_FPS, CLIP_NAMES, bundled_clip
+from quaffure.body.motion import Motion
+from quaffure.draper import Draper
+from quaffure.hair.groom import Groom
+from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of
+from quaffure.model.quaffure_model import Quaffure
+from quaffure.model.quaffure_network import POSE_SIZE
+from quaffure.procedural.generator import make_groom
+from quaffure.procedural.hair_style import STYLES
+from quaffure.solvers.by_name import SOLVERS, solver
+
+NEURAL = "neural"
+REST = "rest"
+LIVE = (NEURAL, PosedDraper.name)
+"""Drapers that follow every change; all others take seconds to minutes."""
+
+
+class Catalogue:
+    """Grooms, clips and drapers by name.
+
+    Args:
+        model: the network and the body that everything stands on.
+        groom: one of the user's own, beside the bundled styles.
+        motion: one of the user's own, at 30 frames per second, beside the bundled clips.
+    """
+
+    def __init__(self, model: Quaffure, groom: Groom | None = None, motion: Motion | None = None) -> None:
+        self.body = model.body
+        self._model = model
+        self._grooms = {} if groom is None else {_own_name(groom.name, tuple(STYLES)): groom}
+        self._motions = {REST: Motion(torch.zeros(1, POSE_SIZE), CLIP_FPS, REST)}
+        if motion is not None:
+            self._motions[_own_name(motion.name, (*CLIP_NAMES, REST))] = motion
+        self._interpolation: tuple[Groom, GuideInterpolation] | None = None
+        self.groom_names = (*self._grooms, *STYLES)
+        self.motion_names = tuple(dict.fromkeys((*reversed(self._motions), *CLIP_NAMES)))
+        self.draper_names = (*LIVE, *(name for name in SOLVERS if name not in LIVE))
+
+    def groom(self, name: str) -> Groom:
+        """Raises:
+        InputError: no groom of that name.
+        """
+        if name not in self._grooms:
+            self._grooms[name] = make_groom(name, self.body)
+        return self._grooms[name]
+
+    def motion(self, name: str) -> Motion:
+        """Raises:
+        InputError: no clip of that name.
+        """
+        if name not in self._motions:
+            self._motions[name] = bundled_clip(name, self.body)
+        return self._motions[name]
+
+    def draper(self, name: str) -> Draper:
+        """With the material that the weights were trained for, so that drapes can be compared.
+
+        Raises:
+            InputError: no draper of that name.
+        """
+        return self._model.draper if name == NEURAL else solver(name, self._model.draper.material)
+
+    def interpolation(self, groom: Groom, strands: int) -> GuideInterpolation:
+        """Of strands between the guides of a groom; the last one is kept."""
+        kept = self._interpolation
+        if kept is None or kept[0] is not groom or len(kept[1]) != strands:
+            kept = self._interpolation = groom, interpolation_of(groom, self.body, strands)
+        return kept[1]
+
+
+def _own_name(name: str, taken: tuple[str, ...]) -> str:
+    """A file may be called like something bundled."""
+    return f"{name} (file)" if name in taken else name

@@ -1,0 +1,17 @@
+"""The groom as the pose transform leaves it: the start of all others, and the row to beat."""
+
+from quaffure.config import HairMaterial
+from quaffure.scene import Scene
+from quaffure.types import Positions
+
+
+class PosedDraper:
+    """x_posed, without any deformation."""
+
+    name = "posed"
+
+    def __init__(self, material: HairMaterial | None = None) -> None:
+        self.material = material or HairMaterial()
+
+    def drape(self, scene: Scene) -> Positions:
+        return scene.posed

@@ -1,0 +1,87 @@
+"""Who is compared: one row a draper, all on the same hair."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
+from quaffure.baselines.posed import PosedDraper
+from quaffure.body.body_model import BodyModel
+from quaffure.draper import Draper
+from quaffure.errors import InputError
+from quaffure.hair.groom import Groom
+from quaffure.model.quaffure_model import load_model
+from quaffure.solvers.by_name import solver
+from quaffure.solvers.refined import RefinedDraper
+
+POSED, NETWORK, REFINED = "posed", "neural", "neural_refined"
+GROOMGEN = GroomGenDraper.name
+"""The row whose weights are those of `quaffure train-groomgen`."""
+SOLVER_ROWS = ("adam", "lbfgs", "xpbd", "newton")
+"""Whose lowest drape of a frame is the reference of all rows."""
+ROWS = (POSED, *SOLVER_ROWS, NETWORK, REFINED)
+QUICK_ROWS = (POSED, "xpbd", NETWORK, REFINED)
+
+
+@dataclass(frozen=True, eq=False)
+class Competitor:
+    """A row of the comparison.
+
+    Attributes:
+        is_solver: whether its drapes may be the reference.
+        notes: how its weights were made.
+    """
+
+    name: str
+    draper: Draper
+    is_solver: bool = False
+    notes: dict[str, str] = field(default_factory=dict)
+
+    def drapes(self, groom: Groom, body: BodyModel) -> bool:
+        """Whether it has an answer for this groom: GroomGen has one for its own alone."""
+        return not isinstance(self.draper, GroomGenDraper) or self.draper.knows(groom, body)
+
+
+def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Competitor]:
+    """The rows asked for, in that order and each once.
+
+    All rows drape the hair of the row `neural`: the shipped weights, or those that take their place.
+
+    Args:
+        names: of `ROWS` or of `weights`.
+        weights: checkpoints by the name of their row; `neural` replaces the shipped ones, `groomgen` is the baseline.
+
+    Raises:
+        InputError: a name that is no row, a file that is no checkpoint, or one that was trained for other hair.
+    """
+    shipped = load_model(weights.get(NETWORK))
+    material = shipped.draper.material
+    rows = {
+        POSED: Competitor(POSED, PosedDraper(material)),
+        NETWORK: Competitor(NETWORK, shipped.draper, notes=shipped.notes),
+        REFINED: Competitor(REFINED, RefinedDraper(shipped.draper), notes=shipped.notes),
+    }
+    rows |= {name: Competitor(name, solver(name, material), is_solver=True) for name in SOLVER_ROWS}
+    for name, path in weights.items():
+        if name == NETWORK:
+            continue
+        if name in rows or not re.fullmatch(r"\w[\w.-]*", name):
+            raise InputError(f"weights '{name}={path}'", f"another name than {', '.join(rows)}", f"'{name}'")
+        draper, notes = _trained(name, path)
+        if draper.material != material:
+            raise InputError(path, f"weights for hair of {material}, as all rows", f"{draper.material}")
+        rows[name] = Competitor(name, draper, notes=notes)
+    for name in names:
+        if name == GROOMGEN and name not in rows:
+            raise InputError(f"draper {name}", f"--weights {name}=FILE beside it: none are shipped", "none")
+        if name not in rows:
+            raise InputError("draper", f"one of {', '.join(rows)}", f"'{name}'")
+    return [rows[name] for name in dict.fromkeys(names)]
+
+
+def _trained(name: str, path: Path) -> tuple[Draper, dict[str, str]]:
+    if name == GROOMGEN:
+        return load_groomgen(path)
+    model = load_model(path)
+    return model.draper, model.notes

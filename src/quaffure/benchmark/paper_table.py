@@ -1,0 +1,63 @@
+"""Table 1 of the paper: what it measured, and the same ratios from an evaluation.
+
+Absolute figures cannot be compared: grooms, body, poses and machine are others, and the paper gives its length and
+orientation columns without formula or unit. What each method has over the paper's own network can.
+"""
+
+from typing import NamedTuple
+
+from quaffure.benchmark.comparison import TIME
+
+Summary = dict[str, dict[str, dict[str, float]]]
+NETWORK = "neural"
+
+
+class PaperRow(NamedTuple):
+    """A row of Table 1 as printed.
+
+    Attributes:
+        seconds: for one drape.
+        intersection: body intersection [%].
+        length, orientation: preservation, units not given.
+    """
+
+    seconds: float
+    intersection: float
+    length: float
+    orientation: float
+
+
+PAPER = {
+    "adam": PaperRow(179.38, 0.22, 103.53, 76.15),
+    "lbfgs": PaperRow(281.18, 0.22, 89.53, 70.22),
+    "xpbd": PaperRow(63.26, 0.01, 57.96, 18.10),
+    "groomgen": PaperRow(0.00249, 0.39, 1319.74, 1281.96),
+    NETWORK: PaperRow(0.00286, 0.26, 175.42, 286.13),
+}
+"""Sec. 4.2, by the names of our rows."""
+COLUMNS = {
+    "seconds": (TIME, "median"),
+    "intersection": ("body_intersection_percent", "mean"),
+    "length": ("length_error_percent", "mean"),
+    "orientation": ("orientation_error_deg", "mean"),
+}
+"""The figure of merit that stands for each column, and how it is summed up."""
+
+
+def ratio_rows(summary: Summary) -> list[dict[str, object]]:
+    """A table row a method: each column over the network's, here and in the paper; none without the network.
+
+    Args:
+        summary: figures of all cases by row, `results.json`'s `summary["all"]`.
+    """
+    if NETWORK not in summary:
+        return []
+    rows: list[dict[str, object]] = []
+    for name in (name for name in summary if name in PAPER and name != NETWORK):
+        row: dict[str, object] = {"draper": name}
+        for column, (figure, kind) in COLUMNS.items():
+            own, ours = (summary[each].get(figure, {}).get(kind) for each in (name, NETWORK))
+            row[column] = own / ours if own is not None and ours else ""
+            row[f"{column}, paper"] = getattr(PAPER[name], column) / getattr(PAPER[NETWORK], column)
+        rows.append(row)
+    return rows

@@ -1,0 +1,143 @@
+"""The page of an evaluation, in Markdown: nothing on it that `results.json` does not hold."""
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+from quaffure.benchmark.comparison import TIME
+from quaffure.benchmark.paper_table import ratio_rows
+from quaffure.benchmark.results import Results
+from quaffure.errors import InputError
+from quaffure.io.atomic import replacing
+
+PAGE = "evaluation_results.md"
+PICTURE = "figures/evaluation_results.png"
+FIGURES = (
+    "body_intersection_percent",
+    "length_error_percent",
+    "length_error_percent_max",
+    "orientation_error_deg",
+    "density_excess_percent",
+    "energy",
+    "excess_energy",
+    "distance_mm",
+    "jitter",
+    "milliseconds",
+)
+"""Figures of merit in the order of the columns; docs/metrics.md explains them."""
+RATIOS = "Table 1 of the paper: over the network"
+BY_GROUP = ("body_intersection_percent", "excess_energy", "distance_mm")
+
+
+def write_report(folder: Path, results: Results) -> list[Path]:
+    """Write the page, and its picture where matplotlib is installed.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InputError: the folder cannot be made or written to.
+    """
+    picture = folder / PICTURE
+    try:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(folder, "a folder for the report", error.strerror or str(error)) from error
+    drawn = []
+    if importlib.util.find_spec("matplotlib") is not None:
+        from quaffure.benchmark.report_plot import plot_results
+
+        plot_results(picture, results)
+        drawn = [picture]
+    with replacing(folder / PAGE) as temporary:
+        temporary.write_text(page(results, with_picture=bool(drawn)), encoding="utf-8")
+    return [folder / PAGE, *drawn]
+
+
+def page(results: Results, with_picture: bool) -> str:
+    """The page's text."""
+    summary = results["summary"]
+    parts = ["# Results of the evaluation", _about(results)]
+    if with_picture:
+        parts.append(f"![Quality against time, one mark a draper]({PICTURE})")
+    parts += ["## Means", _table(mean_rows(summary["all"])), "## Worst frames", _table(worst_rows(summary["all"]))]
+    ratios = ratio_rows(summary["all"])
+    if ratios:
+        parts += [f"## {RATIOS}", _table(ratios)]
+    for figure in BY_GROUP:
+        rows = group_rows(summary, figure)
+        if rows:
+            parts += [f"## {figure} by group of cases", _table(rows)]
+    parts += ["## Rows", _table(setting_rows(results))]
+    return "\n\n".join(parts) + "\n"
+
+
+def mean_rows(of_group: dict[str, dict[str, dict[str, float]]]) -> list[dict[str, object]]:
+    """A table row a draper: means over cases, the median of times."""
+    middle = {key: "median" if key == TIME else "mean" for key in FIGURES}
+    return [{"draper": row} | _cells(figures, middle) for row, figures in of_group.items()]
+
+
+def worst_rows(of_group: dict[str, dict[str, dict[str, float]]]) -> list[dict[str, object]]:
+    """A table row a draper: the worst frames."""
+    return [{"draper": row} | _cells(figures, dict.fromkeys(FIGURES, "worst")) for row, figures in of_group.items()]
+
+
+def group_rows(summary: Results, figure: str) -> list[dict[str, object]]:
+    """A table row a draper: means of one figure in every group; none where no draper has the figure."""
+    known = [row for row in summary["all"] if figure in summary["all"][row]]
+    return [
+        {"draper": row} | {group: rows.get(row, {}).get(figure, {}).get("mean", "") for group, rows in summary.items()}
+        for row in known
+    ]
+
+
+def setting_rows(results: Results) -> list[dict[str, object]]:
+    return [
+        {"draper": name, "setting": _in_words(row["setting"]), "weights": _in_words(row["weights"])}
+        for name, row in results["rows"].items()
+    ]
+
+
+def shown(cell: object) -> str:
+    """A cell as every table shows it."""
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+
+
+def _cells(figures: dict[str, dict[str, float]], kinds: dict[str, str]) -> dict[str, object]:
+    return {key: figures[key][kind] if key in figures else "" for key, kind in kinds.items()}
+
+
+def _table(rows: list[dict[str, object]]) -> str:
+    lines = [list(rows[0]), ["---"] * len(rows[0]), *([shown(cell) for cell in row.values()] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _about(results: Results) -> str:
+    frames = sum(len(case["frames"]) for case in results["cases"])
+    of_set = results["evaluation_set"]
+    cases = "Cases of the user" if of_set is None else f"Evaluation set, version {of_set}"
+    about = [
+        f"Made by `quaffure evaluate` {results['version']}; do not edit. How to read it is said in quaffure's "
+        "docs/evaluation.md, what the columns mean in its docs/metrics.md.",
+        f"- {cases}{', quick' if results['quick'] else ''}: {len(results['cases'])}, frames: {frames}"
+        f"{_skipped(results['skipped'])}",
+        f"- Hair: {_in_words(results['material'])}",
+        f"- Reference, frames each solver is it: {_in_words(results['reference']) or 'none'}",
+        f"- Times on: {'; '.join(results['machines'])}",
+    ]
+    return about[0] + "\n\n" + "\n".join(about[1:])
+
+
+def _skipped(skipped: dict[str, str]) -> str:
+    if not skipped:
+        return ""
+    return f"; left out, as their files were not there: {', '.join(skipped)}"
+
+
+def _in_words(values: dict[str, Any]) -> str:
+    parts = []
+    for name, value in values.items():
+        said = f"({_in_words(value)})" if isinstance(value, dict) else shown(value)
+        parts.append(said if name == "class" else f"{name} {said}")
+    return ", ".join(parts)

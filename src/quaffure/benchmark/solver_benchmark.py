@@ -1,0 +1,195 @@
+"""Energy against time: every solver on the same drapes, each with several budgets.
+
+A budget is a run of its own and not a pause of a longer one, since Adam's learning rate and XPBD's time steps follow
+schedules that end with the run.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+
+import torch
+
+from quaffure.baselines.posed import PosedDraper
+from quaffure.benchmark.machine_facts import machine_facts
+from quaffure.benchmark.metrics import metrics
+from quaffure.config import HairMaterial
+from quaffure.draper import Draper
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.scene import Scene
+from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
+from quaffure.solvers.by_name import Solver, solver
+from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
+from quaffure.solvers.stopping import energy_and_gradient, relative_gradient
+from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting, paper_setting
+from quaffure.types import Positions
+
+PAPER = "xpbd_paper"
+PAPER_STEPS = 2
+"""Of the paper's 30 steps, measured; its time is extrapolated."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One drape to find.
+
+    Attributes:
+        scene: of one sample.
+    """
+
+    name: str
+    scene: Scene
+
+
+@dataclass(frozen=True)
+class Budget:
+    """A solver that may work so hard.
+
+    Attributes:
+        effort: steps or evaluations, in the solver's own unit.
+        share: part of the whole setting that this run is; below 1 the whole one's time is extrapolated.
+    """
+
+    solver: str
+    effort: int
+    draper: Callable[[HairMaterial], Draper]
+    share: float = 1.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one budget reached on one case. Energies in m g L per vertex, see `docs/metrics.md`.
+
+    Attributes:
+        excess_energy: above the least energy that any run reached on the case.
+        relative_gradient: `quaffure.solvers.stopping`, the same measure for all.
+        reported_gradient: of the solver's `StoppingReport`; another measure for `newton` alone. None without a report.
+        iterations: of that report, over `share` of the run.
+        seconds, cpu_seconds: wall and processor time of the whole setting, measured over `share` of it.
+    """
+
+    case: str
+    solver: str
+    effort: int
+    energy: float
+    excess_energy: float
+    relative_gradient: float
+    reported_gradient: float | None
+    iterations: int | None
+    body_intersection_percent: float
+    length_error_percent: float
+    density_excess_percent: float
+    seconds: float
+    cpu_seconds: float
+    share: float
+
+
+def budgets(quick: bool = False) -> list[Budget]:
+    """The solvers of the benchmark with their budgets; `quick` runs say that everything works and little else."""
+    efforts = _QUICK if quick else _WHOLE
+    every = [Budget("posed", 0, PosedDraper)]
+    every += [Budget(name, effort, _WITH_EFFORT[name](effort)) for name, many in efforts.items() for effort in many]
+    if quick:
+        return every
+    every.append(Budget("newton", 0, lambda material: solver("newton", material)))
+    part = replace(paper_setting(), steps=PAPER_STEPS)
+    share = PAPER_STEPS / paper_setting().steps
+    return [*every, Budget(PAPER, PAPER_STEPS, lambda material: XpbdDraper(material, part), share)]
+
+
+def run_benchmark(
+    cases: Sequence[Case],
+    chosen: Sequence[Budget],
+    material: HairMaterial | None = None,
+    on_run: Callable[[str], None] = lambda label: None,
+) -> list[Run]:
+    """Every budget on every case.
+
+    Args:
+        on_run: told what is about to run.
+    """
+    material = material or HairMaterial()
+    _compile(cases[0], chosen, material)
+    runs: list[Run] = []
+    for case in cases:
+        energy = HairEnergy(case.scene.groom, material)
+        _ = case.scene.director, case.scene.surface, energy.rest.rest_density  # made before the clock starts
+        of_case = []
+        for budget in chosen:
+            on_run(f"{budget.solver} {budget.effort or ''} on {case.name}")
+            of_case.append(_run(case, budget, energy))
+        least = min(run.energy for run in of_case)
+        runs += [replace(run, excess_energy=run.energy - least) for run in of_case]
+    return runs
+
+
+def report(runs: Sequence[Run], chosen: Sequence[Budget]) -> dict[str, object]:
+    """What `bench.json` holds."""
+    return {
+        "version": version("quaffure"),
+        "machine": machine_facts(),
+        "extrapolated": sorted({budget.solver for budget in chosen if budget.share < 1}),
+        "runs": [asdict(run) for run in runs],
+    }
+
+
+def _run(case: Case, budget: Budget, energy: HairEnergy) -> Run:
+    draper = budget.draper(energy.material)
+    wall, processor = time.perf_counter(), time.process_time()
+    draped, stopped = draper.solve(case.scene) if isinstance(draper, Solver) else (draper.drape(case.scene), None)
+    seconds, cpu_seconds = time.perf_counter() - wall, time.process_time() - processor
+    draped = draped.detach()
+    figures = {name: float(figure) for name, figure in metrics(draped, case.scene, energy).items()}
+    return Run(
+        case=case.name,
+        solver=budget.solver,
+        effort=budget.effort,
+        energy=figures["energy"],
+        excess_energy=0.0,
+        relative_gradient=_residual(draped, case.scene, energy),
+        reported_gradient=None if stopped is None else stopped.relative_gradient,
+        iterations=None if stopped is None else stopped.iterations,
+        body_intersection_percent=figures["body_intersection_percent"],
+        length_error_percent=figures["length_error_percent"],
+        density_excess_percent=figures["density_excess_percent"],
+        seconds=seconds / budget.share,
+        cpu_seconds=cpu_seconds / budget.share,
+        share=budget.share,
+    )
+
+
+def _residual(draped: Positions, scene: Scene, energy: HairEnergy) -> float:
+    gradient = energy_and_gradient(energy, scene, draped)[1]
+    return float(relative_gradient(energy, draped, gradient))
+
+
+def _compile(case: Case, chosen: Sequence[Budget], material: HairMaterial) -> None:
+    """Run every solver once, as briefly as it can, so that no clock sees the compiler.
+
+    On the whole groom: a few strands press on none and leave the kernels of hair against hair out. `newton` compiles
+    those that only it has on a few; its starts have the others.
+    """
+    for name in {budget.solver for budget in chosen}:
+        draper = _WITH_EFFORT[name](1)(material) if name in _WITH_EFFORT else solver("posed", material)
+        draper.drape(case.scene)
+    if any(budget.solver == "newton" for budget in chosen):
+        few = Scene(case.scene.groom.select(torch.arange(min(8, len(case.scene.groom)))), case.scene.bodies)
+        solver("newton", material).drape(few)
+
+
+_WITH_EFFORT: dict[str, Callable[[int], Callable[[HairMaterial], Draper]]] = {
+    "adam": lambda effort: lambda material: AdamDraper(material, steps=effort),
+    "adam_positions": lambda effort: lambda material: AdamPositionsDraper(material, steps=effort),
+    "lbfgs": lambda effort: lambda material: LbfgsDraper(material, evaluations=effort),
+    "lbfgs_positions": lambda effort: lambda material: LbfgsPositionsDraper(material, evaluations=effort),
+    "xpbd": lambda effort: lambda material: XpbdDraper(material, XpbdSetting(steps=effort)),
+}
+_WHOLE = {
+    "adam": (100, 300, 1000),
+    "adam_positions": (300, 1000, 3000),
+    "lbfgs": (100, 300, 1000),
+    "lbfgs_positions": (300, 1000, 3000),
+    "xpbd": (25, 50, 100, 200),
+}
+_QUICK = {"adam": (20, 60), "adam_positions": (60,), "lbfgs": (20, 60), "lbfgs_positions": (60,), "xpbd": (10, 30)}

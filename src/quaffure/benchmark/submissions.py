@@ -1,0 +1,103 @@
+"""Cases as files for a method from elsewhere, and its answers read back. Both are drape files (docs/evaluation.md)."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from quaffure.benchmark.drape_cache import TimedDrape
+from quaffure.benchmark.evaluation_set import CaseEntry, EvaluationCase, EvaluationSet
+from quaffure.body.body_model import BodyModel
+from quaffure.config import HairMaterial
+from quaffure.errors import InputError
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.io.drape_file import read_drape, write_drape
+from quaffure.scene import Scene
+
+ROOT_SLACK = 1e-3
+"""A root may be so far from its place on the scalp [m]."""
+
+
+def write_case(folder: Path, case: EvaluationCase, set_version: int, body: BodyModel, material: HairMaterial) -> Path:
+    """Write `<case>.npz`: a drape file whose strands are still the posed ones, with the groom and the body at rest.
+
+    Raises:
+        InputError: the folder is missing or not writable.
+    """
+    scene = Scene(case.groom, case.bodies(body))
+    posed = scene.posed.numpy()
+    meta = {
+        "case": case.name,
+        "evaluation_set": set_version,
+        "groom": case.groom.name,
+        "licence": case.groom.licence,
+        "motion": case.motion.name,
+        "frames": case.frames,
+        "material": asdict(material),
+    }
+    posed_groom = DrapeSequence(
+        strands=posed,
+        posed=posed,
+        rest_lengths=case.groom.rest_lengths.numpy(),
+        body_vertices=scene.bodies.posed.vertices.numpy(),
+        body_faces=body.faces.numpy().astype(np.int32),
+        body_pose=case.motion.body_pose.numpy(),
+        body_shape=case.body_shape.numpy(),
+        fps=case.motion.fps,
+        meta=meta,
+    )
+    at_rest = {
+        "rest_strands": case.groom.rest_strands.numpy(),
+        "root_faces": case.groom.root_faces.numpy(),
+        "root_barycentric": case.groom.root_barycentric.numpy(),
+        "root_uv": case.groom.root_uv.numpy(),
+        "rest_body_vertices": body.rest_vertices.numpy(),
+    }
+    path = folder / f"{case.name}.npz"
+    write_drape(path, posed_groom, at_rest)
+    return path
+
+
+def read_answer(path: Path, of: EvaluationSet, material: HairMaterial) -> tuple[CaseEntry, DrapeSequence]:
+    """The case that a drape file answers, and the drape.
+
+    Raises:
+        InputError: no drape file, NaN in it, no case of this version of the set, or hair of another material.
+    """
+    sequence = read_drape(path)
+    said, found = sequence.meta.get("evaluation_set"), sequence.meta.get("case")
+    if said != of.version:
+        raise InputError(path, f"meta with evaluation_set {of.version}, as --write-cases writes it", f"{said}")
+    entry = next((entry for entry in of.cases if entry.name == found), None)
+    if entry is None:
+        raise InputError(path, "meta with the name of a case of the evaluation set", f"'{found}'")
+    if sequence.meta.get("material") != asdict(material):
+        raise InputError(path, f"hair of {asdict(material)}", f"{sequence.meta.get('material')}")
+    return entry, sequence
+
+
+def answered_frames(path: Path, sequence: DrapeSequence, case: EvaluationCase, body: BodyModel) -> list[TimedDrape]:
+    """The frames of an answer, once they prove to be those of the case.
+
+    Raises:
+        InputError: other shapes, bodies or strands than the case's, or roots that left the scalp.
+    """
+    scene = Scene(case.groom, case.bodies(body))
+    expected: Mapping[str, np.ndarray] = {
+        "body_pose": case.motion.body_pose.numpy(),
+        "body_shape": case.body_shape.numpy(),
+        "rest_lengths": case.groom.rest_lengths.numpy(),
+    }
+    if sequence.strands.shape != tuple(scene.posed.shape):
+        raise InputError(path, f"strands {tuple(scene.posed.shape)}", f"{sequence.strands.shape}")
+    for name, values in expected.items():
+        if not np.allclose(getattr(sequence, name), values, atol=1e-4):
+            raise InputError(path, f"the {name} of the case {case.name}", "another")
+    off = float(np.abs(sequence.strands[:, :, 0] - scene.posed[:, :, 0].numpy()).max())
+    if off > ROOT_SLACK:
+        raise InputError(path, f"roots within {1000 * ROOT_SLACK:g} mm of the scalp", f"{1000 * off:.3g} mm")
+    milliseconds = sequence.meta.get("milliseconds")
+    taken = float(milliseconds) if isinstance(milliseconds, int | float) else None
+    return [TimedDrape(torch.from_numpy(frame), taken) for frame in sequence.strands]

@@ -1,0 +1,76 @@
+"""A draper carried over a motion, a few frames at a time; the drapes of all frames are kept."""
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from importlib.metadata import version
+
+import numpy as np
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.motion import Motion
+from quaffure.config import HairMaterial
+from quaffure.draper import Draper
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.groom import Groom
+from quaffure.scene import BodyBatch, Scene
+from quaffure.types import Float, Tensor
+
+FRAMES_AT_ONCE = 8
+
+
+def drape_motion(
+    draper: Draper,
+    groom: Groom,
+    body: BodyModel,
+    motion: Motion,
+    body_shape: Float[Tensor, "10"],
+    on_frames: Callable[[int], None] = lambda frames: None,
+) -> DrapeSequence:
+    """Drape every frame by itself: quasi-static, no frame knows another.
+
+    Args:
+        on_frames: told how many frames were done, each time some are.
+
+    Returns:
+        The drapes. `meta` says what made them, and `milliseconds`, the median wall time of one drape, from pose in to
+        strands out, in batches of `FRAMES_AT_ONCE`, the first batch left out where there are others.
+    """
+    strands, posed, vertices, times = [], [], [], []
+    for body_pose in motion.body_pose.split(FRAMES_AT_ONCE):
+        start = time.perf_counter()
+        scene = Scene(groom, BodyBatch(body, body_pose, body_shape.expand(len(body_pose), -1)))
+        strands.append(draper.drape(scene).detach())
+        times.append(1000 * (time.perf_counter() - start) / len(body_pose))
+        posed.append(scene.posed)
+        vertices.append(scene.bodies.posed.vertices)
+        on_frames(len(body_pose))
+    return DrapeSequence(
+        strands=_frames(strands),
+        posed=_frames(posed),
+        rest_lengths=groom.rest_lengths.numpy(),
+        body_vertices=_frames(vertices),
+        body_faces=body.faces.numpy().astype(np.int32),
+        body_pose=motion.body_pose.numpy(),
+        body_shape=body_shape.numpy(),
+        fps=motion.fps,
+        meta={
+            "groom": groom.name,
+            "licence": groom.licence,
+            "motion": motion.name,
+            "draper": draper.name,
+            "version": version("quaffure"),
+            "material": asdict(draper.material),
+            "milliseconds": float(np.median(times[1:] or times)),
+        },
+    )
+
+
+def material_of(sequence: DrapeSequence) -> HairMaterial:
+    """The material that a drape was made with; the default one where its file does not say."""
+    return HairMaterial(**sequence.meta.get("material", {}))
+
+
+def _frames(parts: list[torch.Tensor]) -> np.ndarray:
+    return np.concatenate([part.detach().cpu().numpy() for part in parts])

@@ -1,0 +1,47 @@
+"""What every way of draping answers to."""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from quaffure.config import HairMaterial
+from quaffure.scene import Scene
+from quaffure.types import Positions
+
+
+@runtime_checkable
+class Draper(Protocol):
+    """Settles a groom on posed bodies.
+
+    Attributes:
+        name: as the command line knows it.
+        material: what the hair is made of.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def material(self) -> HairMaterial: ...
+
+    def drape(self, scene: Scene) -> Positions:
+        """Draped vertices of every sample [m, world]."""
+        ...
+
+
+@dataclass(frozen=True)
+class StoppingReport:
+    """Where an iterative draper stopped.
+
+    Attributes:
+        energy: mean energy of the samples [J].
+        relative_gradient: of the worst sample, as `quaffure.solvers.stopping` defines it; `newton` reports its own, the
+            whole gradient in double precision of the energy with rounded creases, before the drape is cast to float32.
+        iterations: energy evaluations, of a part of the strands in proportion; sweeps of XPBD. Those of `newton` are
+            without its starts'.
+        seconds: wall time, of `newton` with its starts.
+    """
+
+    energy: float
+    relative_gradient: float
+    iterations: int
+    seconds: float

@@ -1,0 +1,318 @@
+"""Cells of space round a point that hold no part of a closed surface, nor come near it, and lie outside.
+
+Most hair hangs free: one look into such a cell spares it the search for its nearest face. A cell is called clear only
+if it is reached, through cells that no face comes near, from one that is known to be outside; whatever is not reached
+is searched, so the answer is exact.
+
+Cells that faces do come near are split into 4 x 4 x 4 small ones, one bit each. The flood goes on through small cells
+that no face touches. Where it arrives a point is outside, so that faces beyond its margin need not be looked for;
+and where besides no face comes near, it needs no search at all.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import UInt64
+from numba import njit
+
+from quaffure.geometry.binary_bvh import MAX_DEPTH, closest_on_triangle, search
+
+CELLS = 64
+"""Cells along each axis."""
+CELL_SIZE = 0.02
+"""Side of a cell [m]."""
+REACH = 0.005
+"""A clear cell is at least this far from the surface [m]."""
+ORIGIN = np.array([-0.64, -0.64, -0.80], np.float32)
+"""Corner of the grid relative to the head [m]: hair hangs down."""
+MOST_SPLIT = 16384
+"""Cells that may be split; points in further ones are searched."""
+FREE, OUTSIDE, UNKNOWN = 0, 1, 2
+"""What `classify` answers."""
+_SPLIT = 4
+_SMALL = CELL_SIZE / _SPLIT
+_ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+_ROUNDING = 1e-4  # a face this near to a small cell counts as touching it [m]
+_STRIDES = np.array([16, 4, 1])
+
+
+def _runs() -> UInt64[np.ndarray, "3 4 4"]:
+    """Bits of the small cells of a cell whose coordinate along an axis is from `low` to `high`: [axis, low, high]."""
+    coordinates = np.indices((_SPLIT, _SPLIT, _SPLIT)).reshape(3, -1)
+    low, high = np.arange(_SPLIT)[:, None, None], np.arange(_SPLIT)[None, :, None]
+    within = (coordinates[:, None, None] >= low) & (coordinates[:, None, None] <= high)
+    bits: UInt64[np.ndarray, "3 4 4"] = (within * (np.uint64(1) << np.arange(64, dtype=np.uint64))).sum(
+        -1, dtype=np.uint64
+    )
+    return bits
+
+
+_RUNS = _runs()
+
+
+class OccupancyGrid(NamedTuple):
+    """What is known of space round a posed surface, or round each of a batch with one more axis in front.
+
+    Attributes:
+        origin: corner of the grid [m].
+        clear: 1 where a cell is clear.
+        slot: of a split cell its place in `outside` and `free`; -1 elsewhere.
+        outside: bit 16 x + 4 y + z of a split cell is set where its small cell (x, y, z) is outside.
+        free: the same, where besides it is at least `REACH` from the surface.
+    """
+
+    origin: np.ndarray
+    clear: np.ndarray
+    slot: np.ndarray
+    outside: np.ndarray
+    free: np.ndarray
+
+
+@njit(cache=True)
+def flood_clear_cells(
+    corners: np.ndarray,
+    normals: np.ndarray,
+    bounds: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    origin: np.ndarray,
+    clear: np.ndarray,
+) -> None:
+    """Fill `clear` [64, 64, 64] with 1 where a cell of the grid at `origin` is clear, else 0."""
+    near = np.zeros((CELLS, CELLS, CELLS), np.uint8)
+    _mark_near(corners, origin, near)
+    clear[:] = 0
+    stack = np.empty(CELLS**3, np.int32)
+    top = 0
+    for seed in range(8):
+        ix, iy, iz = (CELLS - 1) * (seed & 1), (CELLS - 1) * ((seed >> 1) & 1), (CELLS - 1) * (1 - (seed >> 2))
+        if (
+            near[ix, iy, iz] == 0
+            and clear[ix, iy, iz] == 0
+            and _outside(origin, ix, iy, iz, corners, normals, bounds, first, second)
+        ):
+            clear[ix, iy, iz] = 1
+            stack[top] = (ix * CELLS + iy) * CELLS + iz
+            top += 1
+        while top > 0:
+            top -= 1
+            cell = stack[top]
+            for side in range(6):
+                step = 1 if side < 3 else -1
+                axis = side % 3
+                jx = cell // (CELLS * CELLS) + (step if axis == 0 else 0)
+                jy = (cell // CELLS) % CELLS + (step if axis == 1 else 0)
+                jz = cell % CELLS + (step if axis == 2 else 0)
+                if jx < 0 or jy < 0 or jz < 0 or jx >= CELLS or jy >= CELLS or jz >= CELLS:
+                    continue
+                if near[jx, jy, jz] == 0 and clear[jx, jy, jz] == 0:
+                    clear[jx, jy, jz] = 1
+                    stack[top] = (jx * CELLS + jy) * CELLS + jz
+                    top += 1
+
+
+@njit(cache=True)
+def _mark_near(corners: np.ndarray, origin: np.ndarray, near: np.ndarray) -> None:
+    """Mark every cell that the box of a face, grown by `REACH`, meets."""
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for face in range(len(corners)):
+        meets = True
+        for axis in range(3):
+            a, b, c = corners[face, 0, axis], corners[face, 1, axis], corners[face, 2, axis]
+            low[axis] = np.floor((min(a, b, c) - REACH - origin[axis]) / CELL_SIZE)
+            high[axis] = np.floor((max(a, b, c) + REACH - origin[axis]) / CELL_SIZE)
+            meets = meets and high[axis] >= 0 and low[axis] < CELLS
+        if not meets:
+            continue
+        for ix in range(max(0, low[0]), min(CELLS, high[0] + 1)):
+            for iy in range(max(0, low[1]), min(CELLS, high[1] + 1)):
+                for iz in range(max(0, low[2]), min(CELLS, high[2] + 1)):
+                    near[ix, iy, iz] = 1
+
+
+@njit(cache=True)
+def _outside(
+    origin: np.ndarray, ix: int, iy: int, iz: int, corners: np.ndarray, normals: np.ndarray, bounds: np.ndarray,
+    first: np.ndarray, second: np.ndarray,
+) -> bool:  # fmt: skip
+    """Whether the middle of a cell is outside, by the exact signed distance."""
+    point = np.empty(3, np.float32)
+    point[0] = origin[0] + (ix + 0.5) * CELL_SIZE
+    point[1] = origin[1] + (iy + 0.5) * CELL_SIZE
+    point[2] = origin[2] + (iz + 0.5) * CELL_SIZE
+    place = search(point, 0, corners, bounds, first, second, np.empty(MAX_DEPTH, np.int32))
+    cx, cy, cz, feature = closest_on_triangle(corners[place], point[0], point[1], point[2])
+    normal = normals[place, feature]
+    return (point[0] - cx) * normal[0] + (point[1] - cy) * normal[1] + (point[2] - cz) * normal[2] > 0.0
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def is_clear(x: float, y: float, z: float, origin: np.ndarray, clear: np.ndarray) -> bool:
+    """Whether a point lies in a clear cell; points off the grid do not."""
+    scale = np.float32(1.0 / CELL_SIZE)
+    fx, fy, fz = (x - origin[0]) * scale, (y - origin[1]) * scale, (z - origin[2]) * scale
+    if fx < 0 or fy < 0 or fz < 0 or fx >= CELLS or fy >= CELLS or fz >= CELLS:
+        return False
+    return clear[int(fx), int(fy), int(fz)] == 1
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def classify(x: float, y: float, z: float, space: OccupancyGrid) -> int:
+    """`FREE`: outside, at least `REACH` from the surface. `OUTSIDE`: outside. `UNKNOWN`: anywhere."""
+    scale = np.float32(1.0 / _SMALL)
+    fx, fy, fz = (x - space.origin[0]) * scale, (y - space.origin[1]) * scale, (z - space.origin[2]) * scale
+    most = CELLS * _SPLIT
+    if fx < 0 or fy < 0 or fz < 0 or fx >= most or fy >= most or fz >= most:
+        return UNKNOWN
+    ix, iy, iz = int(fx), int(fy), int(fz)
+    if space.clear[ix >> 2, iy >> 2, iz >> 2] == 1:
+        return FREE
+    slot = space.slot[ix >> 2, iy >> 2, iz >> 2]
+    if slot < 0:
+        return UNKNOWN
+    bit = np.uint64(1) << np.uint64(16 * (ix & 3) + 4 * (iy & 3) + (iz & 3))
+    if space.free[slot] & bit:
+        return FREE
+    return OUTSIDE if space.outside[slot] & bit else UNKNOWN
+
+
+@njit(cache=True)
+def split_near_cells(corners: np.ndarray, space: OccupancyGrid) -> None:
+    """Fill `slot`, `outside` and `free`, given the clear cells."""
+    origin, slot = space.origin, space.slot
+    slot[:] = -1
+    cells = _assign_slots(corners, origin, slot)
+    open_cells, far = space.outside, space.free
+    open_cells[: len(cells)] = _ALL
+    far[: len(cells)] = _ALL
+    _take_out(corners, origin, slot, _ROUNDING, open_cells)
+    _take_out(corners, origin, slot, REACH, far)
+    reached = _flood(cells, space.clear, slot, open_cells)
+    for index in range(len(cells)):
+        space.outside[index] = reached[index]
+        space.free[index] = far[index] & reached[index]
+
+
+@njit(cache=True)
+def _assign_slots(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray) -> np.ndarray:
+    """Number the cells that the box of a face, grown by `REACH`, meets; return their coordinates."""
+    cells = np.empty((MOST_SPLIT, 3), np.int32)
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    count = 0
+    for face in range(len(corners)):
+        if not _small_range(corners[face], origin, REACH, low, high):
+            continue
+        for ix in range(low[0] >> 2, (high[0] >> 2) + 1):
+            for iy in range(low[1] >> 2, (high[1] >> 2) + 1):
+                for iz in range(low[2] >> 2, (high[2] >> 2) + 1):
+                    if slot[ix, iy, iz] < 0 and count < MOST_SPLIT:
+                        slot[ix, iy, iz] = count
+                        cells[count, 0], cells[count, 1], cells[count, 2] = ix, iy, iz
+                        count += 1
+    return cells[:count]
+
+
+@njit(cache=True, inline="always")
+def _small_range(face: np.ndarray, origin: np.ndarray, growth: float, low: np.ndarray, high: np.ndarray) -> bool:
+    """Write the small cells that the box of a face, grown by `growth` [m], meets; False where there are none."""
+    meets = True
+    for axis in range(3):
+        a, b, c = face[0, axis], face[1, axis], face[2, axis]
+        low[axis] = max(0, int(np.floor((min(a, b, c) - growth - origin[axis]) / _SMALL)))
+        high[axis] = min(_SPLIT * CELLS - 1, int(np.floor((max(a, b, c) + growth - origin[axis]) / _SMALL)))
+        meets = meets and low[axis] <= high[axis]
+    return meets
+
+
+@njit(cache=True)
+def _take_out(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray, growth: float, words: np.ndarray) -> None:
+    """Clear the bits of all small cells that the box of a face, grown by `growth` [m], meets."""
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for face in range(len(corners)):
+        if not _small_range(corners[face], origin, growth, low, high):
+            continue
+        for ix in range(low[0] >> 2, (high[0] >> 2) + 1):
+            in_x = _RUNS[0, max(0, low[0] - _SPLIT * ix), min(_SPLIT - 1, high[0] - _SPLIT * ix)]
+            for iy in range(low[1] >> 2, (high[1] >> 2) + 1):
+                in_y = _RUNS[1, max(0, low[1] - _SPLIT * iy), min(_SPLIT - 1, high[1] - _SPLIT * iy)]
+                for iz in range(low[2] >> 2, (high[2] >> 2) + 1):
+                    in_z = _RUNS[2, max(0, low[2] - _SPLIT * iz), min(_SPLIT - 1, high[2] - _SPLIT * iz)]
+                    at = slot[ix, iy, iz]
+                    if at >= 0:
+                        words[at] &= ~(in_x & in_y & in_z)
+
+
+@njit(cache=True)
+def _flood(cells: np.ndarray, clear: np.ndarray, slot: np.ndarray, open_cells: np.ndarray) -> np.ndarray:
+    """Bits of the open small cells that are reached from clear cells, through the sides of open ones."""
+    count = len(cells)
+    reached = np.zeros(count, np.uint64)
+    waits = np.ones(count, np.bool_)
+    stack = np.arange(count)
+    top = count
+    for index in range(count):
+        for side in range(6):
+            jx, jy, jz = _beside(cells[index], side)
+            if _on_grid(jx, jy, jz) and clear[jx, jy, jz] == 1:
+                reached[index] |= _across(_ALL, side ^ 1) & open_cells[index]
+    while top > 0:
+        top -= 1
+        index = stack[top]
+        waits[index] = False
+        if reached[index] == 0:
+            continue
+        reached[index] = _spread(reached[index], open_cells[index])
+        for side in range(6):
+            jx, jy, jz = _beside(cells[index], side)
+            other = slot[jx, jy, jz] if _on_grid(jx, jy, jz) else -1
+            if other < 0:
+                continue
+            new = _across(reached[index], side) & open_cells[other] & ~reached[other]
+            if new != 0:
+                reached[other] |= new
+                if not waits[other]:
+                    waits[other] = True
+                    stack[top] = other
+                    top += 1
+    return reached
+
+
+@njit(cache=True, inline="always")
+def _beside(cell: np.ndarray, side: int) -> tuple[int, int, int]:
+    """The cell at a side: 0 and 1 are +x and -x, 2 and 3 along y, 4 and 5 along z."""
+    step, axis = 1 - 2 * (side & 1), side >> 1
+    return (
+        cell[0] + (step if axis == 0 else 0),
+        cell[1] + (step if axis == 1 else 0),
+        cell[2] + (step if axis == 2 else 0),
+    )
+
+
+@njit(cache=True, inline="always")
+def _on_grid(ix: int, iy: int, iz: int) -> bool:
+    return ix >= 0 and iy >= 0 and iz >= 0 and ix < CELLS and iy < CELLS and iz < CELLS
+
+
+@njit(cache=True, inline="always")
+def _across(bits: np.uint64, side: int) -> np.uint64:
+    """What the small cells along a side of a cell become in the cell beside it."""
+    axis = side >> 1
+    stride = np.uint64((_SPLIT - 1) * _STRIDES[axis])
+    if side & 1 == 0:
+        return (bits & _RUNS[axis, _SPLIT - 1, _SPLIT - 1]) >> stride
+    return (bits & _RUNS[axis, 0, 0]) << stride
+
+
+@njit(cache=True, inline="always")
+def _spread(bits: np.uint64, open_bits: np.uint64) -> np.uint64:
+    """Flood inside a cell, all small cells at once."""
+    while True:
+        wider = bits
+        for axis in range(3):
+            stride = np.uint64(_STRIDES[axis])
+            wider |= (bits & _RUNS[axis, 0, _SPLIT - 2]) << stride
+            wider |= (bits & _RUNS[axis, 1, _SPLIT - 1]) >> stride
+        wider &= open_bits
+        if wider == bits:
+            return bits
+        bits = wider

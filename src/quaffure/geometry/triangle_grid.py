@@ -1,0 +1,370 @@
+"""Nearest faces for points that are close to a posed surface or in it, a few nanoseconds a face.
+
+A grid of small cells lists the faces that a point in each cell could be under, or close above, as far as each face
+reaches. Unlike a tree it answers most points at once, that nothing is near; unlike stored distances it is exact, but
+for points that are beside all faces, at ridges and creases (`BESIDE`). Faces are listed only round the points that the
+grid is made for, which costs less than a drape. Distances without bounds are in `quaffure.geometry.signed_distance`.
+Shapes cannot be checked at run time inside compiled code, hence `no_type_check`.
+"""
+
+from typing import NamedTuple, no_type_check
+
+import numpy as np
+import torch
+from numba import get_num_threads, njit, prange
+
+from quaffure.geometry.mesh import face_normals
+from quaffure.geometry.mls_surface import FAST
+from quaffure.types import Float, Int, Tensor
+
+CELL_SIZE, CELLS = 0.0125, 80
+"""Side of a cell [m], and how many there are along each axis."""
+CORNER = (-0.5, -0.5, -0.75)
+"""Of the grid, from its centre [m]: hair hangs down."""
+BESIDE = 0.001
+"""How far beside a face a point may be and still count as under it [m]: at a ridge or crease a point can be beside all
+faces, and learns of none. More would let faces beyond a ridge claim points that are outside."""
+IN_BLOCK = 8
+"""Faces that are compared without a branch; as long as a list's blocks."""
+NONE, OUT_OF_BAND = -1, -2
+"""In place of a face: none is near; nobody has looked which are."""
+_WIDE, _REGIONS = 5, CELLS // 5  # cells along a side of a region, in all of which faces are listed or in none; regions
+_ROOM = 2.0  # blocks of lists to begin with, for each face
+_FLAT = 1e-10  # faces with a smaller area are left out: their normals are rounding [m^2]
+_REFERENCE_PAIRS = 4_000_000  # point-face pairs that the twin holds in memory at once
+_APART = 64  # rows between the rooms of threads, which would write into one line of the cache
+_TIE = 0.99  # of faces about as near as each other, the one that a point is furthest above or below tells its side
+# Columns of a face's record: normal, the directions along its first edge and across, each with its height at the face;
+# length of that edge, third corner in the plane, inverse squared lengths of the other two edges; reach.
+_ALONG, _ACROSS, _LENGTH, _THIRD, _INVERSE, _REACH, _COLUMNS = 4, 8, 12, 13, 15, 17, 20
+
+
+class TriangleGrid(NamedTuple):
+    """Faces of one posed surface by cells.
+
+    Attributes:
+        origin: lowest corner [m].
+        records: of each face, and of one that is near to nothing.
+        first: of every cell the last block of its list; `NONE` without one, `OUT_OF_BAND` away from the grid's points.
+        following: of every block the next, or `NONE`.
+        faces: of every block.
+    """
+
+    origin: Float[np.ndarray, "3"]
+    records: Float[np.ndarray, "face 20"]
+    first: Int[np.ndarray, " cell"]
+    following: Int[np.ndarray, " block"]
+    faces: Int[np.ndarray, "block 8"]
+
+
+def triangle_grid(
+    vertices: Float[np.ndarray, "v 3"],
+    faces: Int[np.ndarray, "k 3"],
+    reach: Float[np.ndarray, "k 2"],
+    centre: Float[np.ndarray, "3"],
+    points: Float[np.ndarray, "p 3"] | None = None,
+) -> TriangleGrid:
+    """List faces, those near `points` or all.
+
+    Args:
+        vertices: finite, float32 [m].
+        reach: how far below and above each face points are told of it [m].
+        centre: of the grid, see `CORNER` [m].
+        points: finite, float32 [m]; every second one is looked at.
+    """
+    threads, count = get_num_threads(), len(faces)
+    origin = (centre + np.array(CORNER)).astype(np.float32)
+    marked, first = np.ones((_REGIONS,) * 3, np.uint8), np.empty(CELLS**3, np.int32)
+    if points is not None:
+        _mark(points, origin, marked)
+    records, boxes = np.empty((count + 1, _COLUMNS), np.float32), np.empty((count, 6), np.int32)
+    _measure(vertices, faces, reach, origin, marked, threads, records, boxes)
+    room = int(_ROOM * count / threads) + 64
+    while True:
+        following, blocks = np.empty(threads * room, np.int32), np.empty((threads * room, IN_BLOCK), np.int32)
+        if _list(records, boxes, marked, threads, first, following, blocks):
+            return TriangleGrid(origin, records, first, following, blocks)
+        room *= 2
+
+
+def nearest_triangle_in_band_reference(
+    points: Float[Tensor, "p 3"],
+    vertices: Float[Tensor, "v 3"],
+    faces: Int[Tensor, "k 3"],
+    reach: Float[Tensor, "k 2"],
+) -> tuple[Float[Tensor, " p"], Int[Tensor, " p"]]:
+    """Torch twin of `nearest_triangle_in_band`: every point against every face.
+
+    Returns:
+        Height above the nearest face [m], and that face; 1 and `NONE` where none is reached.
+    """
+    chunk = max(1, _REFERENCE_PAIRS // len(faces))
+    parts = [_nearest_of_all(part, vertices[faces], reach) for part in points.split(chunk)]
+    return torch.cat([height for height, _ in parts]), torch.cat([face for _, face in parts])
+
+
+def _nearest_of_all(
+    points: Float[Tensor, "p 3"], corners: Float[Tensor, "k 3 3"], reach: Float[Tensor, "k 2"]
+) -> tuple[Float[Tensor, " p"], Int[Tensor, " p"]]:
+    a, b, c = corners.unbind(dim=1)
+    length, normal = (b - a).norm(dim=-1), face_normals(corners)
+    along = (b - a) / (length[:, None] + 1e-12)
+    across = torch.linalg.cross(normal, along)
+    flat = torch.linalg.cross(b - a, c - a).norm(dim=-1) < 2 * _FLAT
+    offset = points[:, None] - a
+    u, v, height = ((offset * direction).sum(-1) for direction in (along, across, normal))
+    x, y = ((c - a) * along).sum(-1), ((c - a) * across).sum(-1)
+    beside = (u - u.clamp(min=0).minimum(length)).square() + v.square()
+    for start, end_x in ((0 * length, x), (length, x - length)):
+        share = ((u - start) * end_x + v * y) / (end_x.square() + y.square() + 1e-24)
+        share = share.clamp(0, 1)
+        beside = beside.minimum((u - start - share * end_x).square() + (v - share * y).square())
+    within = torch.minimum(v, torch.minimum(u * y - v * x, (x - length) * v - y * (u - length)))
+    beside = torch.where(within < 0, beside, 0)
+    reached = (height >= -reach[:, 0]) & (height <= reach[:, 1]) & (beside <= BESIDE**2) & ~flat
+    key, nearest = torch.where(reached, beside + _TIE * height.square(), 1).min(dim=1)
+    chosen = height.gather(1, nearest[:, None])[:, 0]
+    return torch.where(key < 1, chosen, 1), torch.where(key < 1, nearest, NONE)
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def nearest_triangle_in_band(x: float, y: float, z: float, grid: TriangleGrid, rows: np.ndarray) -> tuple[float, int]:
+    """Height of a point above the nearest of the faces that reach it, and that face; 1 and `NONE` or `OUT_OF_BAND`.
+
+    Args:
+        x, y, z: finite, and less than 1e6 m, since they become integers.
+        rows: room for twice `IN_BLOCK` float32.
+    """
+    one, none = np.float32(1.0), np.float32(0.0)
+    x, y, z = x - grid.origin[0], y - grid.origin[1], z - grid.origin[2]
+    per_cell, best, height, face = one / np.float32(CELL_SIZE), one, one, NONE
+    if x < none or y < none or z < none:
+        return height, face
+    i, j, k = int(x * per_cell), int(y * per_cell), int(z * per_cell)
+    if i >= CELLS or j >= CELLS or k >= CELLS:
+        return height, face
+    block = grid.first[(i * CELLS + j) * CELLS + k]
+    if block == OUT_OF_BAND:
+        return height, OUT_OF_BAND
+    while block >= 0:
+        _compare(x, y, z, block, grid.faces, grid.records, rows)
+        for lane in range(IN_BLOCK):
+            if rows[lane] < best:
+                best, height, face = rows[lane], rows[IN_BLOCK + lane], grid.faces[block, lane]
+        block = grid.following[block]
+    return height, face
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _compare(
+    x: float, y: float, z: float, block: int, faces: np.ndarray, records: np.ndarray, rows: np.ndarray
+) -> None:
+    """Fill in the squared distances to a block of faces, 1 where they are out of reach, then the heights above them."""
+    none, one, beyond = np.float32(0.0), np.float32(1.0), np.float32(BESIDE * BESIDE)
+    for lane in range(IN_BLOCK):
+        face = records[faces[block, lane]]
+        height = x * face[0] + y * face[1] + z * face[2] - face[3]
+        u = x * face[_ALONG] + y * face[_ALONG + 1] + z * face[_ALONG + 2] - face[_ALONG + 3]
+        v = x * face[_ACROSS] + y * face[_ACROSS + 1] + z * face[_ACROSS + 2] - face[_ACROSS + 3]
+        length, cx, cy = face[_LENGTH], face[_THIRD], face[_THIRD + 1]
+        du = u - min(max(u, none), length)
+        beside = du * du + v * v
+        share = min(max((u * cx + v * cy) * face[_INVERSE], none), one)
+        du, dv = u - share * cx, v - share * cy
+        beside = min(beside, du * du + dv * dv)
+        bx, bu = cx - length, u - length
+        share = min(max((bu * bx + v * cy) * face[_INVERSE + 1], none), one)
+        du, dv = bu - share * bx, v - share * cy
+        beside = min(beside, du * du + dv * dv)
+        within = min(min(v, u * cy - v * cx), bx * v - cy * bu)
+        beside = beside if within < none else none
+        out = (height < -face[_REACH]) | (height > face[_REACH + 1]) | (beside > beyond)
+        rows[lane] = one if out else beside + np.float32(_TIE) * height * height
+        rows[IN_BLOCK + lane] = height
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _mark(points: np.ndarray, origin: np.ndarray, marked: np.ndarray) -> None:
+    """Mark the regions that every second point is in, and those next to them."""
+    seen, per_region = np.zeros(marked.shape, np.uint8), np.float32(1.0 / (CELL_SIZE * _WIDE))
+    for index in range(0, len(points), 2):
+        point = points[index]
+        x, y, z = point[0] - origin[0], point[1] - origin[1], point[2] - origin[2]
+        i, j, k = int(x * per_region), int(y * per_region), int(z * per_region)
+        if min(x, min(y, z)) >= np.float32(0.0) and max(i, max(j, k)) < _REGIONS:
+            seen[i, j, k] = 1
+    marked[:] = 0
+    for i in range(_REGIONS):
+        for j in range(_REGIONS):
+            for k in range(_REGIONS):
+                if seen[i, j, k]:
+                    marked[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2, max(k - 1, 0) : k + 2] = 1
+
+
+@no_type_check
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def _measure(
+    vertices: np.ndarray, faces: np.ndarray, reach: np.ndarray, origin: np.ndarray, marked: np.ndarray, threads: int,
+    records: np.ndarray, boxes: np.ndarray,
+) -> None:  # fmt: skip
+    """Write records, relative to the origin, and the first and last cell along each axis of what faces reach.
+
+    Faces that reach into no marked region are left out: their boxes are empty.
+    """
+    count, room = len(faces), np.empty((threads, _APART, 3), np.float32)
+    records[count] = np.float32(0.0)
+    records[count, 3] = np.float32(-1.0)  # every point is out of its reach, above it
+    for thread in prange(threads):
+        corners, down, up = room[thread, :3], room[thread, 3], room[thread, 4]
+        for face in range(thread * count // threads, (thread + 1) * count // threads):
+            for corner in range(3):
+                for axis in range(3):
+                    corners[corner, axis] = vertices[faces[face, corner], axis] - origin[axis]
+            record, box, below, above = records[face], boxes[face], reach[face, 0], reach[face, 1]
+            up[:] = max(below, above)  # any way that the face may look
+            _write_box(corners, up, up, box)
+            if _meets(box, marked) and _write_record(corners, record):
+                record[_REACH], record[_REACH + 1] = below, above
+                for axis in range(3):
+                    down[axis] = max(below * record[axis], -above * record[axis])
+                    up[axis] = max(above * record[axis], -below * record[axis])
+                _write_box(corners, down, up, box)
+            else:
+                box[0], box[1] = 1, 0
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _write_box(corners: np.ndarray, down: np.ndarray, up: np.ndarray, box: np.ndarray) -> None:
+    """First and last cell along each axis of a face and how far it reaches down and up each."""
+    per_cell, none, last = np.float32(1.0 / CELL_SIZE), np.float32(0.0), np.float32(CELLS - 1)
+    for axis in range(3):
+        a, b, c = corners[0, axis], corners[1, axis], corners[2, axis]
+        low = (min(a, min(b, c)) - down[axis] - np.float32(BESIDE)) * per_cell
+        high = (max(a, max(b, c)) + up[axis] + np.float32(BESIDE)) * per_cell
+        box[2 * axis] = int(min(max(low, none), last + np.float32(1.0)))
+        box[2 * axis + 1] = int(min(max(high, np.float32(-1.0)), last))
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _meets(box: np.ndarray, marked: np.ndarray) -> bool:
+    met = False
+    for i in range(box[0] // _WIDE, box[1] // _WIDE + 1):
+        for j in range(box[2] // _WIDE, box[3] // _WIDE + 1):
+            for k in range(box[4] // _WIDE, box[5] // _WIDE + 1):
+                met |= marked[i, j, k] != 0
+    return met
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _write_record(corners: np.ndarray, record: np.ndarray) -> bool:
+    """Write all columns but the reach; False for a face without area."""
+    one, tiny = np.float32(1.0), np.float32(1e-24)
+    ax, ay, az = corners[0]
+    bx, by, bz = corners[1, 0] - ax, corners[1, 1] - ay, corners[1, 2] - az
+    cx, cy, cz = corners[2, 0] - ax, corners[2, 1] - ay, corners[2, 2] - az
+    length = np.sqrt(bx * bx + by * by + bz * bz)
+    scale = one / (length + np.float32(1e-12))
+    tx, ty, tz = bx * scale, by * scale, bz * scale
+    nx, ny, nz = ty * cz - tz * cy, tz * cx - tx * cz, tx * cy - ty * cx
+    width = np.sqrt(nx * nx + ny * ny + nz * nz)
+    scale = one / (width + np.float32(1e-12))
+    nx, ny, nz = nx * scale, ny * scale, nz * scale
+    sx, sy, sz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+    u, v = cx * tx + cy * ty + cz * tz, cx * sx + cy * sy + cz * sz
+    record[0], record[1], record[2], record[3] = nx, ny, nz, ax * nx + ay * ny + az * nz
+    record[_ALONG], record[_ALONG + 1], record[_ALONG + 2] = tx, ty, tz
+    record[_ALONG + 3] = ax * tx + ay * ty + az * tz
+    record[_ACROSS], record[_ACROSS + 1], record[_ACROSS + 2] = sx, sy, sz
+    record[_ACROSS + 3] = ax * sx + ay * sy + az * sz
+    record[_LENGTH], record[_THIRD], record[_THIRD + 1] = length, u, v
+    record[_INVERSE] = one / (u * u + v * v + tiny)
+    record[_INVERSE + 1] = one / ((u - length) * (u - length) + v * v + tiny)
+    return length * width > np.float32(2 * _FLAT)
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _write_bounds(record: np.ndarray, bounds: np.ndarray) -> None:
+    """Least and greatest height along a record's directions of the centres of cells that its face reaches into."""
+    none, half, beside = np.float32(0.0), np.float32(0.5 * CELL_SIZE), np.float32(BESIDE)
+    for side in range(3):
+        direction = record[4 * side : 4 * side + 4]
+        slack = half * (abs(direction[0]) + abs(direction[1]) + abs(direction[2]))
+        bounds[side, 0], bounds[side, 1] = direction[3] - slack, direction[3] + slack
+    u, v = record[_THIRD], record[_THIRD + 1]
+    bounds[0, 0], bounds[0, 1] = bounds[0, 0] - record[_REACH], bounds[0, 1] + record[_REACH + 1]
+    bounds[1, 0] = bounds[1, 0] + min(none, u) - beside
+    bounds[1, 1] = bounds[1, 1] + max(record[_LENGTH], u) + beside
+    bounds[2, 0], bounds[2, 1] = bounds[2, 0] - beside, bounds[2, 1] + v + beside
+
+
+@no_type_check
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def _list(
+    records: np.ndarray, boxes: np.ndarray, marked: np.ndarray, threads: int,
+    first: np.ndarray, following: np.ndarray, blocks: np.ndarray,
+) -> bool:  # fmt: skip
+    """List every face in the cells of marked regions that it may reach into; False where there is no room for it."""
+    room, count, size, half = len(blocks) // threads, len(boxes), np.float32(CELL_SIZE), np.float32(0.5)
+    fits, filled = np.ones(threads, np.uint8), np.zeros(len(blocks), np.int32)
+    rooms = np.empty((threads, _APART, 2), np.float32)
+    for thread in prange(threads):  # each has the planes of cells that are its own, all of their lists and their blocks
+        used, bounds = thread * room, rooms[thread, :3]
+        for i in range(thread, CELLS, threads):
+            _clear(i, marked, first)
+        for face in range(count):
+            box, record = boxes[face], records[face]
+            if box[1] >= box[0]:
+                _write_bounds(record, bounds)
+            for i in range(box[0] + (thread - box[0]) % threads, box[1] + 1, threads):
+                x = (np.float32(i) + half) * size
+                for j in range(box[2], box[3] + 1):
+                    y = (np.float32(j) + half) * size
+                    for k in range(box[4], box[5] + 1):
+                        if not _reaches(x, y, (np.float32(k) + half) * size, record, bounds):
+                            continue
+                        cell = (i * CELLS + j) * CELLS + k
+                        block = first[cell]
+                        if block == OUT_OF_BAND:
+                            continue
+                        if block < 0 or filled[block] == IN_BLOCK:
+                            if used == (thread + 1) * room:
+                                fits[thread] = 0
+                                continue
+                            following[used], blocks[used], first[cell] = block, count, used
+                            block, used = used, used + 1
+                        blocks[block, filled[block]] = face
+                        filled[block] += 1
+    return fits.min() == 1
+
+
+@no_type_check
+@njit(cache=True)
+def _clear(i: int, marked: np.ndarray, first: np.ndarray) -> None:
+    """Empty the lists of a plane of cells."""
+    for j in range(CELLS):
+        for region in range(_REGIONS):
+            begin = (i * CELLS + j) * CELLS + region * _WIDE
+            first[begin : begin + _WIDE] = NONE if marked[i // _WIDE, j // _WIDE, region] else OUT_OF_BAND
+
+
+@no_type_check
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def _reaches(x: float, y: float, z: float, record: np.ndarray, bounds: np.ndarray) -> bool:
+    height = x * record[0] + y * record[1] + z * record[2]
+    u = x * record[_ALONG] + y * record[_ALONG + 1] + z * record[_ALONG + 2]
+    v = x * record[_ACROSS] + y * record[_ACROSS + 1] + z * record[_ACROSS + 2]
+    return (
+        (height >= bounds[0, 0])
+        & (height <= bounds[0, 1])
+        & (u >= bounds[1, 0])
+        & (u <= bounds[1, 1])
+        & (v >= bounds[2, 0])
+        & (v <= bounds[2, 1])
+    )

@@ -1,0 +1,269 @@
+"""Guide interpolation: from guides, which are draped, to the tens of thousands of strands that are drawn.
+
+The paper leaves this step to others. A strand is a mean of the three guides round its root, seen from their roots, and
+moved to its own root, which rides on its face of the body. Plain means would flatten curls that are out of step, so
+only the axes of the guides are mixed (a quartic along the strand); everything finer comes from the nearest guide
+alone. Which guides, and how much of each at most, is settled once on the groom at rest: no strand jumps between
+guides. Where guides part in a drape, round a shoulder, strands between them leave the further ones smoothly.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import no_type_check
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Int, Int32
+from numba import njit, prange
+from torch import Tensor
+
+from quaffure.body.body_model import BodyModel
+from quaffure.errors import InputError
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.groom import Groom
+from quaffure.hair.guide_triangles import APART, TOGETHER, first_told, spread_places, togetherness, triangulate
+from quaffure.hair.posing import triangle_frames
+from quaffure.hair.registration import nearest_on_scalp
+
+AXIS_DEGREE = 4
+"""Of the polynomial along a strand that is its axis; what that leaves over are curls and frizz."""
+MOST_STRANDS = 1_000_000
+# A place off the scalp (the hull of the roots can be wider) goes half the way to its nearest guide, this often.
+HALVINGS = 4
+FARTHEST_ROOT = 2e-3  # m: a drape's roots lie on its body
+
+
+@dataclass(frozen=True)
+class GuideInterpolation:
+    """Strands between guides.
+
+    Attributes:
+        guides: three guides of every strand, the nearest first.
+        weights: share of each in the strand's axis at rest; they sum to 1.
+        carriers: body vertices that carry the root.
+        root_weights: barycentric coordinates of the root among them.
+        guide_lengths: of the guides at rest [m].
+        vertex_count: of a guide and of a strand.
+    """
+
+    guides: Int32[np.ndarray, "m 3"]
+    weights: Float32[np.ndarray, "m 3"]
+    carriers: Int32[np.ndarray, "m 3"]
+    root_weights: Float32[np.ndarray, "m 3"]
+    guide_lengths: Float32[np.ndarray, " s"]
+    vertex_count: int
+
+    def __len__(self) -> int:
+        """Number of strands."""
+        return len(self.guides)
+
+    def strands(
+        self,
+        guides: Float32[np.ndarray, "s n 3"],
+        body_vertices: Float32[np.ndarray, "v 3"],
+        out: Float32[np.ndarray, "m n 3"] | None = None,
+    ) -> Float32[np.ndarray, "m n 3"]:
+        """Strands between the posed or draped guides of one frame [m, world].
+
+        Args:
+            guides: roots first [m, world].
+            body_vertices: the body that they were draped on [m, world].
+            out: where to write, when at hand.
+
+        Raises:
+            InputError: guides of another groom.
+        """
+        if guides.shape != (len(self.guide_lengths), self.vertex_count, 3):
+            raise InputError("guides", f"{len(self.guide_lengths)} of {self.vertex_count} vertices", f"{guides.shape}")
+        if out is None:
+            out = np.empty((len(self), self.vertex_count, 3), np.float32)
+        axes, finer = np.empty_like(guides), np.empty_like(guides)
+        _split(np.ascontiguousarray(guides), axis_projection(self.vertex_count), axes, finer)
+        vertices = np.ascontiguousarray(body_vertices)
+        _mix(
+            axes, finer, self.guides, self.weights, self.guide_lengths, vertices, self.carriers, self.root_weights,
+            first_told(self.vertex_count), out,
+        )  # fmt: skip
+        return out
+
+
+def interpolation_of(groom: Groom, body: BodyModel, count: int, seed: int = 0) -> GuideInterpolation:
+    """Places for `count` strands on the part of the scalp that the guides cover, and the guides of each.
+
+    Guides that go another way at rest than the nearest one (across a parting, round an ear) have no share.
+
+    Args:
+        groom: the guides.
+        body: that the groom is registered to.
+
+    Raises:
+        InputError: fewer strands than one or more than a million, or too few guides to have strands between them.
+    """
+    if not 1 <= count <= MOST_STRANDS:
+        raise InputError("strands", f"1 to {MOST_STRANDS}", f"{count}")
+    rest, uv = groom.rest_strands.numpy(), groom.root_uv.numpy()
+    triangles = triangulate(uv, rest[:, 0], groom.name)
+    triangle, shares = spread_places(triangles, rest[:, 0], count, seed)
+    guides = triangles[triangle]
+    order = np.argsort(-shares, axis=1, kind="stable")
+    guides, shares = np.take_along_axis(guides, order, 1), np.take_along_axis(shares, order, 1)
+    faces, root_weights = _roots(groom, body, guides, shares)
+    axes = axis_projection(rest.shape[1]) @ (rest - rest[:, :1])
+    pairs = _pairs(guides)
+    lengths = groom.strand_lengths.numpy()
+    shares[:, 1:] *= togetherness(axes, lengths, pairs)
+    weights = shares / shares.sum(axis=1, keepdims=True)
+    return GuideInterpolation(
+        guides=guides.astype(np.int32),
+        weights=weights.astype(np.float32),
+        carriers=body.faces[faces].numpy().astype(np.int32),
+        root_weights=root_weights.numpy(),
+        guide_lengths=lengths,
+        vertex_count=rest.shape[1],
+    )
+
+
+def _roots(
+    groom: Groom, body: BodyModel, guides: Int[np.ndarray, "m 3"], shares: Float[np.ndarray, "m 3"]
+) -> tuple[Int[Tensor, " m"], Float[Tensor, "m 3"]]:
+    """Body faces and barycentric coordinates of places between guides; those off the scalp go to their first guide."""
+    uv = (torch.from_numpy(shares)[..., None] * groom.root_uv[guides]).sum(1).float()
+    nearest = torch.from_numpy(guides[:, 0]).long()
+    faces, weights = body.scalp.locate(uv)
+    for _ in range(HALVINGS):
+        off = faces < 0
+        uv[off] = 0.5 * (uv[off] + groom.root_uv[nearest[off]])
+        faces[off], weights[off] = body.scalp.locate(uv[off])
+    off = faces < 0
+    faces[off], weights[off] = groom.root_faces[nearest[off]], groom.root_barycentric[nearest[off]]
+    return faces, weights
+
+
+def _pairs(guides: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "m 2 2"]:
+    """The nearest guide of every strand with each of the other two."""
+    return np.stack([np.repeat(guides[:, :1], 2, axis=1), guides[:, 1:]], axis=-1)
+
+
+@cache
+def axis_projection(vertices: int) -> Float32[np.ndarray, "n n"]:
+    """Matrix that takes a strand, seen from its root, to its axis: the nearest polynomial that starts in the root."""
+    basis = np.linspace(0, 1, vertices)[:, None] ** np.arange(1, min(AXIS_DEGREE, vertices - 1) + 1)
+    return (basis @ np.linalg.pinv(basis)).astype(np.float32)
+
+
+def with_strands(sequence: DrapeSequence, interpolation: GuideInterpolation) -> DrapeSequence:
+    """The drape of the strands between the guides: the same frames, many more strands."""
+    shape = (len(sequence), len(interpolation), interpolation.vertex_count, 3)
+    strands, posed = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    for frame in range(len(sequence)):
+        interpolation.strands(sequence.strands[frame], sequence.body_vertices[frame], strands[frame])
+        interpolation.strands(sequence.posed[frame], sequence.body_vertices[frame], posed[frame])
+    return replace(
+        sequence,
+        strands=strands,
+        posed=posed,
+        rest_lengths=np.linalg.norm(np.diff(posed[0], axis=1), axis=-1),
+        meta=sequence.meta | {"guides": sequence.strands.shape[1]},
+    )
+
+
+def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:
+    """The groom at rest that a drape was made of, found again from the first of its posed frames.
+
+    Raises:
+        InputError: the drape's body is not `body`, or its strands do not grow on the scalp.
+    """
+    if not np.array_equal(sequence.body_faces, body.faces.numpy()):
+        found = f"{len(sequence.body_faces)} other faces"
+        raise InputError("drape", "the body of this package", found)
+    posed, vertices = torch.from_numpy(sequence.posed[0]), torch.from_numpy(sequence.body_vertices[0])
+    faces, weights, feet = nearest_on_scalp(posed[:, 0], replace(body, rest_vertices=vertices))
+    apart = float((feet - posed[:, 0]).norm(dim=-1).max())
+    if apart > FARTHEST_ROOT:
+        raise InputError("drape", f"roots within {1e3 * FARTHEST_ROOT:g} mm of the scalp", f"{1e3 * apart:.1f} mm")
+    carriers = body.faces[faces]
+    rest_from_world = triangle_frames(body.rest_vertices[carriers]) @ triangle_frames(vertices[carriers]).mT
+    roots = (weights[..., None] * body.rest_vertices[carriers]).sum(-2)
+    rest = (posed - posed[:, :1]) @ rest_from_world.mT + roots[:, None]
+    name, licence = (str(sequence.meta.get(key, "")) for key in ("groom", "licence"))
+    return Groom(name or "drape", rest, faces, weights, body.scalp.uv_at(faces, weights), licence)
+
+
+def strands_reference(
+    interpolation: GuideInterpolation, guides: Float[np.ndarray, "s n 3"], body_vertices: Float[np.ndarray, "v 3"]
+) -> Float[np.ndarray, "m n 3"]:
+    """Slow twin of `GuideInterpolation.strands`, in the precision of its input."""
+    relative = guides - guides[:, :1]
+    axes = axis_projection(guides.shape[1]).astype(guides.dtype) @ relative
+    finer = (relative - axes)[interpolation.guides[:, 0]]
+    shares = interpolation.weights.astype(guides.dtype)
+    shares[:, 1:] *= togetherness(axes, interpolation.guide_lengths, _pairs(interpolation.guides))
+    shares /= shares.sum(1, keepdims=True)
+    mixed = (shares[..., None, None] * axes[interpolation.guides]).sum(1)
+    roots = (interpolation.root_weights[..., None] * body_vertices[interpolation.carriers]).sum(1)
+    return roots[:, None] + mixed + finer
+
+
+@no_type_check
+@njit(cache=True, parallel=True, fastmath=True)
+def _split(guides: np.ndarray, projection: np.ndarray, axes: np.ndarray, finer: np.ndarray) -> None:
+    """Axis of every guide, seen from its root, and what is finer."""
+    strands, count, _ = guides.shape
+    for strand in prange(strands):
+        for vertex in range(count):
+            for axis in range(3):
+                total = np.float32(0.0)
+                for other in range(count):
+                    total += projection[vertex, other] * (guides[strand, other, axis] - guides[strand, 0, axis])
+                axes[strand, vertex, axis] = total
+                finer[strand, vertex, axis] = guides[strand, vertex, axis] - guides[strand, 0, axis] - total
+
+
+@no_type_check
+@njit(cache=True, parallel=True, fastmath=True)
+def _mix(
+    axes: np.ndarray,
+    finer: np.ndarray,
+    guides: np.ndarray,
+    weights: np.ndarray,
+    lengths: np.ndarray,
+    body_vertices: np.ndarray,
+    carriers: np.ndarray,
+    root_weights: np.ndarray,
+    first: int,
+    strands: np.ndarray,
+) -> None:
+    count = strands.shape[1]
+    for strand in prange(len(strands)):
+        a, b, c = guides[strand]
+        share_b = weights[strand, 1] * _togetherness(axes[a], axes[b], lengths[a] + lengths[b], first)
+        share_c = weights[strand, 2] * _togetherness(axes[a], axes[c], lengths[a] + lengths[c], first)
+        total = weights[strand, 0] + share_b + share_c
+        share_b, share_c = share_b / total, share_c / total
+        for axis in range(3):
+            root = np.float32(0.0)
+            for corner in range(3):
+                root += root_weights[strand, corner] * body_vertices[carriers[strand, corner], axis]
+            for vertex in range(count):
+                nearest = axes[a, vertex, axis]
+                strands[strand, vertex, axis] = (
+                    root
+                    + nearest
+                    + share_b * (axes[b, vertex, axis] - nearest)
+                    + share_c * (axes[c, vertex, axis] - nearest)
+                    + finer[a, vertex, axis]
+                )
+
+
+@no_type_check
+@njit(cache=True, fastmath=True)
+def _togetherness(a: np.ndarray, b: np.ndarray, both_lengths: float, first: int) -> float:
+    """`togetherness` of two guides' axes."""
+    last = len(a) - 1
+    largest = np.float32(0.0)
+    for vertex in range(first, last + 1):
+        x, y, z = a[vertex, 0] - b[vertex, 0], a[vertex, 1] - b[vertex, 1], a[vertex, 2] - b[vertex, 2]
+        largest = max(largest, (x * x + y * y + z * z) / np.float32(vertex * vertex))
+    ratio = np.sqrt(largest) * np.float32(2 * last) / both_lengths
+    apart = min(max((ratio - np.float32(TOGETHER)) / np.float32(APART - TOGETHER), np.float32(0.0)), np.float32(1.0))
+    return np.float32(1.0) - apart * apart * (np.float32(3.0) - np.float32(2.0) * apart)

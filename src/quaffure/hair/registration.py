@@ -1,0 +1,231 @@
+"""Registration: a groom from its own head, units and axes to strands on our scalp."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+
+from quaffure.body.body_model import BodyModel
+from quaffure.config import VERTICES_PER_STRAND
+from quaffure.errors import InputError
+from quaffure.geometry.mesh import angle_weighted_vertex_normals
+from quaffure.geometry.signed_distance import closest_barycentric
+from quaffure.geometry.surface import Surface
+from quaffure.hair.clearance import inside_share, pushed_out, rest_surface
+from quaffure.hair.groom import Groom
+from quaffure.hair.head_alignment import Alignment, ScalpTarget, align, refine, scalp_target
+from quaffure.hair.resample import resample_by_arc_length, without_degenerate
+from quaffure.hair.strands import Strands
+from quaffure.types import Tensor
+
+FARTHEST_ROOT = 0.035
+"""A root further than this from the scalp is no hair of the head [m]."""
+FEWEST_STRANDS = 20
+LARGEST_MEDIAN_RESIDUAL = 0.012  # m
+LEAST_KEPT = 0.2  # of the strands
+MOST_INSIDE = 5e-4  # of the vertices
+# Third singular value of the roots over the first: below, they lie on a line or a plane, or in one point.
+FLATTEST = 0.03
+NEIGHBOURS = 16  # scalp triangles tried for the nearest point of a root
+TARGET_ROWS = 40
+
+
+@dataclass(frozen=True)
+class HeadMesh:
+    """The head that a groom was made on, in the groom's units and axes.
+
+    Attributes:
+        vertices: [file units].
+        faces: triangles.
+    """
+
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "k 3"]
+
+
+@dataclass(frozen=True)
+class RegistrationReport:
+    """What registration guessed, and how well it went.
+
+    Attributes:
+        source: where the strands came from.
+        unit: of the file: m, cm, mm, inch, or the size of a unit of its own.
+        up_axis: of the file, as in "+y".
+        scale: metres in a file unit.
+        rotation: from the file's axes to ours.
+        median_residual, p95_residual, max_residual: distance of the aligned roots from the scalp, kept strands [mm].
+        kept, dropped: strands; dropped are those without length or too far from the scalp.
+        inside_before, inside_after: share of vertices, roots left out, inside the body: on arrival and at the end.
+    """
+
+    source: str
+    unit: str
+    up_axis: str
+    scale: float
+    rotation: tuple[tuple[float, ...], ...]
+    median_residual: float
+    p95_residual: float
+    max_residual: float
+    kept: int
+    dropped: int
+    inside_before: float
+    inside_after: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.source}: read in {self.unit} with {self.up_axis} up (1 unit = {1e3 * self.scale:.4g} mm); "
+            f"{self.kept} strands kept, {self.dropped} dropped; roots {self.median_residual:.1f} mm from the scalp in "
+            f"the median, {self.p95_residual:.1f} mm at 95 %, {self.max_residual:.1f} mm at most; "
+            f"{100 * self.inside_before:.2f} % of the vertices inside the body on arrival, "
+            f"{100 * self.inside_after:.3f} % now."
+        )
+
+
+def register_groom(
+    strands: Strands,
+    body: BodyModel,
+    name: str,
+    head: HeadMesh | None = None,
+    licence: str = "",
+    surface: Surface | None = None,
+) -> tuple[Groom, RegistrationReport]:
+    """Carry a groom to our scalp, resampled to the common number of vertices.
+
+    Units, axes and place are guessed by fitting the roots to the scalp (and the groom's own head, if given, to our
+    head) with a similarity transform. Each root then moves to the nearest point of the scalp and takes its strand
+    along; strands are pushed out of the body with their lengths kept.
+
+    Args:
+        surface: of the body at rest, when at hand (`rest_surface`).
+
+    Raises:
+        InputError: too few strands, roots that do not cover a part of a head, or no fit good enough.
+    """
+    usable, degenerate = without_degenerate(strands)
+    polylines = resample_by_arc_length(usable, VERTICES_PER_STRAND).astype(np.float64)
+    _check_roots(polylines[:, 0], strands.source)
+    target = _target(body)
+    hang = np.median(polylines[:, -1] - polylines[:, 0], axis=0)
+    alignment = align(polylines[:, 0], hang, target)
+    if head is not None:
+        alignment = _align_heads(alignment, head, polylines[:, 0], body)
+    surface = surface or rest_surface(body)
+    aligned = alignment.transform(polylines)
+    faces, barycentric, feet = nearest_on_scalp(torch.from_numpy(aligned[:, 0]).float(), body)
+    offset = feet.double().numpy() - aligned[:, 0]
+    residual = np.linalg.norm(offset, axis=1)
+    near = residual <= FARTHEST_ROOT
+    _check_fit(strands.source, residual, near)
+    kept = torch.from_numpy(np.flatnonzero(near))
+    arrived = torch.from_numpy((aligned + offset[:, None])[near]).float()
+    arrived[:, 0] = feet[kept]
+    rest = pushed_out(arrived, surface)
+    groom = Groom(name, rest, faces[kept], barycentric[kept], body.scalp.uv_at(faces[kept], barycentric[kept]), licence)
+    dropped = degenerate + int((~near).sum())
+    report = _report(strands.source, alignment, residual[near], dropped, arrived, rest, surface)
+    if report.inside_after > MOST_INSIDE:
+        raise InputError(
+            strands.source, f"at most {100 * MOST_INSIDE} % of vertices inside", f"{100 * report.inside_after:.3f} %"
+        )
+    return groom, report
+
+
+def nearest_on_scalp(
+    points: Float[Tensor, "p 3"], body: BodyModel
+) -> tuple[Int[Tensor, " p"], Float[Tensor, "p 3"], Float[Tensor, "p 3"]]:
+    """Body face, barycentric coordinates and place of the scalp's point nearest to each of `points` [m]."""
+    triangles = body.rest_vertices[body.faces[body.scalp.faces]]
+    centroids = triangles.mean(1)
+    faces, weights, feet = [], [], []
+    for part in points.split(4096):
+        near = torch.cdist(part, centroids).topk(min(NEIGHBOURS, len(centroids)), largest=False).indices
+        candidates = triangles[near]
+        barycentric, _ = closest_barycentric(part[:, None].expand(-1, near.shape[1], -1), candidates)
+        places = (barycentric[..., None] * candidates).sum(-2)
+        best = (places - part[:, None]).square().sum(-1).argmin(1)
+        rows = torch.arange(len(part))
+        faces.append(body.scalp.faces[near[rows, best]])
+        weights.append(barycentric[rows, best])
+        feet.append(places[rows, best])
+    return torch.cat(faces), torch.cat(weights), torch.cat(feet)
+
+
+def _target(body: BodyModel) -> ScalpTarget:
+    """Points of the scalp on a grid of its chart; those with a neighbour off the scalp are the rim."""
+    centre = (torch.arange(TARGET_ROWS) + 0.5) / TARGET_ROWS
+    v, u = torch.meshgrid(centre, centre, indexing="ij")
+    faces, barycentric = body.scalp.locate(torch.stack([u, v], dim=-1).reshape(-1, 2))
+    on = (faces >= 0).reshape(TARGET_ROWS, TARGET_ROWS)
+    padded = torch.nn.functional.pad(on, (1, 1, 1, 1))
+    surrounded = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    kept = on.flatten()
+    corners = body.faces[faces[kept]]
+    points = (barycentric[kept][..., None] * body.rest_vertices[corners]).sum(-2)
+    normals = (barycentric[kept][..., None] * _vertex_normals(body)[corners]).sum(-2)
+    return scalp_target(
+        points.double().numpy(),
+        torch.nn.functional.normalize(normals, dim=-1).double().numpy(),
+        (~surrounded).flatten()[kept].long().numpy(),
+    )
+
+
+def _vertex_normals(body: BodyModel) -> Float[Tensor, "v 3"]:
+    normals = angle_weighted_vertex_normals(body.rest_vertices[None], body.faces)[0]
+    return torch.nn.functional.normalize(normals, dim=-1)
+
+
+def _align_heads(alignment: Alignment, head: HeadMesh, roots: Float[np.ndarray, "s 3"], body: BodyModel) -> Alignment:
+    """Fit the cranium of the groom's head, all that is higher than its lowest root, to ours."""
+    lowest = np.quantile(alignment.transform(roots)[:, 2], 0.02)
+    vertices = head.vertices[np.unique(head.faces)]
+    cranium = vertices[alignment.transform(vertices)[:, 2] > lowest]
+    if len(cranium) < FEWEST_STRANDS:
+        raise InputError("head", "a head that reaches above the roots of its groom", f"{len(cranium)} vertices there")
+    ours = body.rest_vertices[:, 2] > lowest - 0.03
+    target = scalp_target(
+        body.rest_vertices[ours].double().numpy(),
+        _vertex_normals(body)[ours].double().numpy(),
+        np.zeros(int(ours.sum()), dtype=np.int64),
+    )
+    return refine(alignment, cranium, target, (0.9, 1.1))
+
+
+def _check_roots(roots: Float[np.ndarray, "s 3"], source: str) -> None:
+    if len(roots) < FEWEST_STRANDS:
+        raise InputError(source, f"at least {FEWEST_STRANDS} strands", str(len(roots)))
+    values = np.linalg.svd(roots - roots.mean(0), compute_uv=False)
+    if values[0] <= 1e-6 * (1 + np.abs(roots).max()) or values[2] < FLATTEST * values[0]:
+        flat = "one point" if values[0] <= 1e-6 * (1 + np.abs(roots).max()) else "a line or a plane"
+        raise InputError(source, "roots spread over a part of a head", f"roots in {flat}")
+
+
+def _check_fit(
+    source: str,
+    residual: Float[np.ndarray, " s"],
+    near: Bool[np.ndarray, " s"],
+) -> None:
+    if near.sum() < max(FEWEST_STRANDS, LEAST_KEPT * len(near)):
+        reach = f"roots within {1e3 * FARTHEST_ROOT:.0f} mm of the scalp once aligned"
+        raise InputError(source, reach, f"{int(near.sum())} of {len(near)} there")
+    median = float(np.median(residual))
+    if median > LARGEST_MEDIAN_RESIDUAL:
+        fit = f"roots that fit a scalp to {1e3 * LARGEST_MEDIAN_RESIDUAL:.0f} mm in the median"
+        raise InputError(source, fit, f"{1e3 * median:.1f} mm in the best of all units and axes")
+
+
+def _report(
+    source: str,
+    alignment: Alignment,
+    residual: Float[np.ndarray, " s"],
+    dropped: int,
+    arrived: Float[Tensor, "s n 3"],
+    rest: Float[Tensor, "s n 3"],
+    surface: Surface,
+) -> RegistrationReport:
+    median, high, largest = (float(1e3 * np.quantile(residual, share)) for share in (0.5, 0.95, 1.0))
+    rotation = tuple(tuple(float(x) for x in row) for row in alignment.transform.rotation)
+    return RegistrationReport(
+        source, alignment.unit, alignment.up_axis, alignment.transform.scale, rotation, median, high, largest,
+        len(rest), dropped, inside_share(arrived, surface), inside_share(rest, surface),
+    )  # fmt: skip

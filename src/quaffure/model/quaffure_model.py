@@ -1,0 +1,133 @@
+"""The shipped network on its body, ready to drape."""
+
+from collections.abc import Iterable, Iterator
+from importlib.resources import files
+from itertools import islice
+from pathlib import Path
+
+import torch
+
+from quaffure.body.body_model import BodyModel, load_body
+from quaffure.errors import InputError
+from quaffure.hair.groom import Groom
+from quaffure.model.checkpoint import load_network
+from quaffure.model.compiled_drape import BATCH
+from quaffure.model.inference_network import fast_bfloat16
+from quaffure.model.neural import NeuralDraper
+from quaffure.model.quaffure_network import POSE_SIZE, SHAPE_SIZE
+from quaffure.scene import BodyBatch, Scene
+from quaffure.types import Positions, Tensor
+
+WEIGHTS = Path(str(files("quaffure") / "assets" / "quaffure.safetensors"))
+
+
+class Quaffure:
+    """A trained network and the body that it was trained on.
+
+    Attributes:
+        body: the body model.
+        draper: the network as a `Draper`.
+        notes: how the weights were made.
+    """
+
+    def __init__(self, body: BodyModel, draper: NeuralDraper, notes: dict[str, str]) -> None:
+        self.body, self.draper, self.notes = body, draper, notes
+
+    def drape(self, groom: Groom, body_pose: Tensor, body_shape: Tensor) -> Positions:
+        """Hair at rest under gravity and contact.
+
+        Args:
+            groom: registered to the body, at most one strand a texel (`quaffure.load_groom`).
+            body_pose: [batch, 81], axis-angle of every joint (theta) [rad].
+            body_shape: [batch, 10], shape coefficients (beta) [standard deviations].
+
+        Returns:
+            Draped vertices [m, world].
+
+        Raises:
+            InputError: an array of another shape, or a groom that is not laid out for the network.
+        """
+        body_pose, body_shape = self._check(groom, body_pose, body_shape)
+        bodies = BodyBatch(self.body, body_pose, body_shape)
+        return self.draper.drape(Scene(groom.to(body_pose.device), bodies))
+
+    def drape_many(self, grooms: Iterable[Groom], body_pose: Tensor, body_shape: Tensor) -> Iterator[Tensor]:
+        """Many hairstyles, one after another, each as soon as its batch is done.
+
+        Memory does not grow with them where `grooms` makes them as they are asked for: what is prepared for a groom,
+        some 650 bytes a strand, is kept as long as somebody holds the groom.
+
+        Args:
+            grooms: as for `drape`.
+            body_pose, body_shape: a row for each groom, or one that all of them share.
+
+        Returns:
+            Iterator of the draped vertices of each groom in turn, [strand, vertex, 3] [m, world].
+
+        Raises:
+            InputError: an array of another shape; while iterating, other numbers of rows than of grooms, or a groom
+                that is not laid out for the network.
+        """
+        poses, shapes = self._rows("body_pose", body_pose, POSE_SIZE), self._rows("body_shape", body_shape, SHAPE_SIZE)
+        return self._drape_many(grooms, poses, shapes)
+
+    def _drape_many(self, grooms: Iterable[Groom], poses: Tensor, shapes: Tensor) -> Iterator[Tensor]:
+        device, first, waiting = poses.device, 0, iter(grooms)
+        while batch := list(islice(waiting, BATCH)):
+            for groom in batch:
+                _check_groom(groom)
+            rows = range(first, first + len(batch))
+            bodies = BodyBatch(self.body, _taken("body_pose", poses, rows), _taken("body_shape", shapes, rows))
+            yield from self.draper.drape_grooms([groom.to(device) for groom in batch], bodies)
+            first += len(batch)
+        for name, values in (("body_pose", poses), ("body_shape", shapes)):
+            if len(values) not in (1, first):
+                raise InputError(name, f"a row for each groom, {first}, or a single one", f"{len(values)}")
+
+    def _rows(self, name: str, values: Tensor, size: int) -> Tensor:
+        if values.ndim != 2 or values.shape[1] != size:
+            raise InputError(name, f"[batch, {size}]", f"{list(values.shape)}")
+        if not values.isfinite().all():
+            raise InputError(name, "finite numbers", "NaN or infinity")
+        return values.to(self.body.rest_vertices.device)
+
+    def _check(self, groom: Groom, body_pose: Tensor, body_shape: Tensor) -> tuple[Tensor, Tensor]:
+        body_pose = self._rows("body_pose", body_pose, POSE_SIZE)
+        body_shape = self._rows("body_shape", body_shape, SHAPE_SIZE)
+        if len(body_shape) != len(body_pose):
+            raise InputError("body_shape", f"[{len(body_pose)}, {SHAPE_SIZE}]", f"{list(body_shape.shape)}")
+        _check_groom(groom)
+        return body_pose, body_shape
+
+
+def _taken(name: str, values: Tensor, rows: range) -> Tensor:
+    if len(values) == 1:
+        return values.expand(len(rows), -1)
+    if len(values) < rows.stop:
+        raise InputError(name, f"a row for each groom, {rows.stop} or more, or a single one", f"{len(values)}")
+    return values[rows.start : rows.stop]
+
+
+def _check_groom(groom: Groom) -> None:
+    if not isinstance(groom, Groom):
+        raise InputError("groom", "a Groom (`quaffure.load_groom`)", f"{groom!r}")
+    if groom.rest_strands.dtype != torch.float32:
+        raise InputError(groom.name, "vertices in torch.float32", f"{groom.rest_strands.dtype}")
+
+
+def load_model(
+    path: str | Path | None = None, device: torch.device | str = "cpu", bf16: bool | None = None
+) -> Quaffure:
+    """The shipped weights, or those of a training run.
+
+    Args:
+        bf16: run the network's layers in bfloat16, which moves vertices by some hundredths of a millimetre; None:
+            where the CPU multiplies such matrices in hardware.
+
+    Raises:
+        InputError: `path` is no checkpoint of this package.
+    """
+    network, material, notes = load_network(path or WEIGHTS)
+    if bf16 is None:
+        bf16 = torch.device(device).type == "cpu" and fast_bfloat16()
+    return Quaffure(load_body().to(device), NeuralDraper(network.to(device), material, bf16), notes)

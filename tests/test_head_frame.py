@@ -1,0 +1,37 @@
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.head_frame import head_frame_body, head_frame_body_reference
+
+
+def bodies() -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    pose, shape = 0.4 * torch.randn(5, 81, generator=generator), torch.randn(5, 10, generator=generator)
+    pose[0], shape[0] = 0, 0
+    pose[1, :3] = torch.tensor([0.3, -0.2, 2.5])  # hips turned far about the vertical
+    return pose, shape
+
+
+def test_the_compiled_view_is_the_one_of_the_posed_body(body: BodyModel) -> None:
+    compiled, expected = head_frame_body(body, *bodies()), head_frame_body_reference(body, *bodies())
+    for field in ("world_from_head", "head", "pose_code", "scalp"):
+        torch.testing.assert_close(getattr(compiled, field), getattr(expected, field), atol=2e-6, rtol=0)
+    torch.testing.assert_close(compiled.surface.points, expected.surface.points, atol=2e-6, rtol=0)
+    torch.testing.assert_close(compiled.surface.normals, expected.surface.normals, atol=2e-6, rtol=0)
+
+
+def test_a_sample_is_the_view_of_that_body_alone(body: BodyModel) -> None:
+    pose, shape = bodies()
+    sample, alone = head_frame_body(body, pose, shape).sample(3), head_frame_body(body, pose[3:4], shape[3:4])
+    assert torch.equal(sample.scalp, alone.scalp)
+    assert torch.equal(sample.surface.normals, alone.surface.normals)
+
+
+def test_heading_is_not_seen(body: BodyModel) -> None:
+    poses = torch.zeros(3, 81)
+    poses[1, 2] = 1.0  # the hips, about the vertical
+    poses[2, 3 * body.joint_names.index("Head")] = 0.4
+    view = head_frame_body(body, poses, torch.zeros(3, 10))
+    torch.testing.assert_close(view.pose_code[1], view.pose_code[0], atol=2e-6, rtol=0)
+    torch.testing.assert_close(view.scalp[1], view.scalp[0], atol=2e-6, rtol=0)
+    assert (view.pose_code[2] - view.pose_code[0]).abs().max() > 0.1

@@ -9,6 +9,8 @@ if TYPE_CHECKING:
     from quaffure.body.body_model import BodyModel
     from quaffure.geometry.surface import Surface
 
+SOLVERS = Path(__file__).parents[1] / "src" / "quaffure" / "solvers"
+
 if importlib.util.find_spec("beartype") is not None:
     from jaxtyping import install_import_hook
 
@@ -23,7 +25,7 @@ if importlib.util.find_spec("beartype") is not None:
                 "energies.elastic",
                 "energies.gravity",
                 "model",
-                "solvers",
+                *(f"solvers.{file.stem}" for file in SOLVERS.glob("[a-z]*.py")),
                 "baselines",
             )
         ],

@@ -10,9 +10,9 @@ from pathlib import Path
 import quaffure
 
 PACKAGE = Path(quaffure.__file__).parent
-ROOMS = ("geometry", "body", "hair", "energies", "model", "solvers", "baselines")
+ROOMS = ("geometry", "body", "hair", "scene", "energies", "model", "solvers", "baselines")
 """Parts of the package that decide where hair ends up; all others only bring, measure or show it."""
-_PREFIXES = tuple(f"quaffure.{room}." for room in ROOMS)
+_PREFIXES = tuple(f"quaffure.{room}" for room in ROOMS)
 
 
 @cache

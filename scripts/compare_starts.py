@@ -39,7 +39,7 @@ def main(names: list[str]) -> None:
         scene, energy = Scene(groom, bodies), HairEnergy(groom, HairMaterial())
         for start, edges in _starts(scene, energy).items():
             hair = integrate_directions(scene.posed[:, :, 0], edges, energy.rest.rest_length)
-            terms = energy.terms(hair, scene.director, scene.surface)
+            terms = energy.by_term(hair, scene)
             means = {key: float(energy.per_vertex(value).mean()) for key, value in terms.items()}
             inside = float(intersection_percent(hair, scene).mean())
             print(

@@ -17,6 +17,7 @@ import torch
 import quaffure as qf
 from quaffure.body.clips import bundled_clip
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.hair_terms import hair_terms
 from quaffure.scene import BodyBatch, Scene
 
 GROOMS = ("long_straight", "bob", "long_ringlets", "crew_cut")
@@ -55,10 +56,10 @@ def arrays() -> dict[str, np.ndarray]:
         scene = Scene(groom, on).sample(2)
         fixed = dict(states(scene, torch.from_numpy(found[f"drape/float32/{name}"][2:3])))
         for model in MODELS:
-            energy = HairEnergy(groom, elastic=model)
+            energy = HairEnergy(groom, terms=hair_terms(model))
             for state, positions in fixed.items():
                 x = positions.clone().requires_grad_()
-                total = energy.total(x, scene.director, scene.surface, energy.carried(x, scene.director))
+                total = energy.total(x, scene)
                 (gradient,) = torch.autograd.grad(total.sum(), x)
                 found[f"energy/{model}/{state}/{name}"] = total.detach().numpy()
                 found[f"gradient/{model}/{state}/{name}"] = gradient.numpy()

@@ -12,8 +12,7 @@ from tiles import FIGURES, Caption, TileRenderer, View, captioned, grid, run_fig
 
 from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
 from quaffure.body.body_model import load_body
-from quaffure.config import HairMaterial
-from quaffure.energies.elastic_model import ELASTIC_MODELS
+from quaffure.energies.hair_terms import ELASTIC_MODELS, hair_terms
 from quaffure.procedural.generator import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers.adam import AdamDraper
@@ -43,7 +42,7 @@ def _settled(scene: Scene) -> dict[str, tuple[Positions, float]]:
     settled = {}
     for name in ELASTIC_MODELS:
         start = time.process_time()
-        hair = AdamDraper(HairMaterial(), elastic=name).drape(scene)
+        hair = AdamDraper(terms=hair_terms(name)).drape(scene)
         settled[name] = hair, time.process_time() - start
     return settled
 

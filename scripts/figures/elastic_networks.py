@@ -16,7 +16,7 @@ from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
 from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body.body_model import load_body
 from quaffure.body.clips import bundled_clip
-from quaffure.energies.elastic_model import ELASTIC_MODELS
+from quaffure.energies.hair_terms import ELASTIC_MODELS
 from quaffure.model.quaffure_model import load_model
 from quaffure.procedural.generator import make_groom
 from quaffure.scene import BodyBatch, Scene

@@ -1,4 +1,4 @@
-"""One groom on a batch of posed bodies: what every draper starts from."""
+"""One groom on a batch of posed bodies: what drapers, energies and solvers read."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,7 +15,7 @@ from quaffure.types import BodyPose, BodyShape, EdgeVectors, Positions
 
 @dataclass(frozen=True, eq=False)
 class BodyBatch:
-    """A batch of poses and shapes of one body, which several grooms may share. What is asked for is made once.
+    """A batch of poses and shapes of one body, which several grooms may share. Properties are computed once, when read.
 
     Attributes:
         body_pose: theta [rad].
@@ -32,21 +32,38 @@ class BodyBatch:
 
     @cached_property
     def surface(self) -> Surface:
-        """The skins, ready for nearest-face searches."""
+        """The skins with their search structures."""
         head = self.posed.joint_positions[:, self.body.joint_names.index(HEAD)]
         return posed_surface(self.body.surface_topology, self.posed.vertices, head)
 
-    def sample(self, index: int) -> "BodyBatch":
-        """One sample as a batch of its own; its surface is cut out of the batch's and not made again."""
+
+@dataclass(frozen=True, eq=False)
+class PosedScene:
+    """A groom whose posed strands and body surface are known: all that energies and solvers read.
+
+    Attributes:
+        posed: x_posed, the groom moved with its scalp triangles [m, world].
+        surface: skins of the posed bodies.
+    """
+
+    groom: Groom
+    posed: Positions
+    surface: Surface
+
+    @cached_property
+    def director(self) -> EdgeVectors:
+        """Unit director d3 of every edge."""
+        return directors(self.posed)
+
+    def sample(self, index: int) -> "PosedScene":
+        """One sample as a scene of its own, the same to the bit."""
         one = slice(index, index + 1)
-        alone = BodyBatch(self.body, self.body_pose[one], self.body_shape[one])
-        alone.__dict__["surface"] = _surface_of(self.surface, one)
-        return alone
+        return PosedScene(self.groom, self.posed[one], _surface_samples(self.surface, one))
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A groom on a batch of bodies. What is asked for is made once."""
+    """A groom on a batch of bodies. Properties are computed once, when read, and differentiable in pose and shape."""
 
     groom: Groom
     bodies: BodyBatch
@@ -65,15 +82,15 @@ class Scene:
     def surface(self) -> Surface:
         return self.bodies.surface
 
-    def sample(self, index: int) -> "Scene":
-        """One sample as a scene of its own, the same to the bit: cut out of this one and not posed again."""
-        one = slice(index, index + 1)
-        alone = Scene(self.groom, self.bodies.sample(index))
-        alone.__dict__.update(posed=self.posed[one], director=self.director[one])
-        return alone
+    def sample(self, index: int) -> PosedScene:
+        """One sample as a scene of its own, the same to the bit: a part of this one, not posed again."""
+        return PosedScene(self.groom, self.posed, self.surface).sample(index)
 
 
-def _surface_of(surface: Surface, samples: slice) -> Surface:
+HairScene = Scene | PosedScene
+
+
+def _surface_samples(surface: Surface, samples: slice) -> Surface:
     wide, space = surface.wide, surface.map
     return replace(
         surface,

@@ -17,10 +17,11 @@ from quaffure.benchmark.metrics import metrics
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.scene import Scene
+from quaffure.scene import HairScene, PosedScene
 from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
 from quaffure.solvers.by_name import Solver, solver
 from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
+from quaffure.solvers.newton.newton import NewtonDraper
 from quaffure.solvers.stopping import energy_and_gradient, relative_gradient
 from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting, paper_setting
 from quaffure.types import Positions
@@ -39,7 +40,7 @@ class Case:
     """
 
     name: str
-    scene: Scene
+    scene: HairScene
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ def _run(case: Case, budget: Budget, energy: HairEnergy) -> Run:
     )
 
 
-def _residual(draped: Positions, scene: Scene, energy: HairEnergy) -> float:
+def _residual(draped: Positions, scene: HairScene, energy: HairEnergy) -> float:
     gradient = energy_and_gradient(energy, scene, draped)[1]
     return float(relative_gradient(energy, draped, gradient))
 
@@ -174,8 +175,8 @@ def _compile(case: Case, chosen: Sequence[Budget], material: HairMaterial) -> No
         draper = _WITH_EFFORT[name](1)(material) if name in _WITH_EFFORT else solver("posed", material)
         draper.drape(case.scene)
     if any(budget.solver == "newton" for budget in chosen):
-        few = Scene(case.scene.groom.select(torch.arange(min(8, len(case.scene.groom)))), case.scene.bodies)
-        solver("newton", material).drape(few)
+        few, scene = torch.arange(min(8, len(case.scene.groom))), case.scene
+        NewtonDraper(material).drape(PosedScene(scene.groom.select(few), scene.posed[:, few], scene.surface))
 
 
 _WITH_EFFORT: dict[str, Callable[[int], Callable[[HairMaterial], Draper]]] = {

@@ -1,6 +1,6 @@
 """Eqs. 6, 7, 9 and 10 of whole strands in one compiled pass, value and gradient.
 
-The same terms written out in torch are `HairEnergy.reference_terms`; a test holds the two together. A strand's 24
+The same terms written out in torch are `HairEnergy` on `Backend.TORCH`; a test holds the two together. A strand's 24
 vertices fit in cache, so one pass costs little more than reading them. A vertex looks up whether it is free of the body
 or at least outside, where only faces within its margin are sought; where neither is known, the search is bounded by
 the distance to the last face that its strand came across.
@@ -52,7 +52,7 @@ def strand_energy(
     """
     check_finite(positions)
     if director.requires_grad or surface.vertices.requires_grad:
-        raise ValueError("expected directors and a body without gradient: `reference_terms` differentiates those")
+        raise ValueError("expected directors and a body without gradient: `Backend.TORCH` differentiates those")
     if material.collision_margin > REACH:
         raise ValueError(f"expected a collision margin up to {REACH} m, found {material.collision_margin}")
     return _StrandEnergy.apply(positions, director, rest, material, surface)

@@ -1,11 +1,14 @@
 """Hair against hair as density of smoothed particles, Eqs. 11-13."""
 
 import math
+from dataclasses import dataclass
 
 import torch
 
+from quaffure.energies.energy_term import EnergyTerm, HairState
 from quaffure.geometry.cell_list import fixed_radius_pairs
-from quaffure.types import Energy, Float, Int, Positions, Tensor
+from quaffure.scene import HairScene
+from quaffure.types import Energy, Float, Int, Positions, Scalar, Tensor
 
 
 def smoothing_kernel(distance: Float[Tensor, "*n"], smoothing_length: float) -> Float[Tensor, "*n"]:
@@ -57,12 +60,31 @@ def densities(positions: Positions, mass: Float[Tensor, "s n"], smoothing_length
 
 
 def energy_self_collision(
-    density: Float[Tensor, "b s n"], rest_density: Float[Tensor, "s n"], k_self_collision: float
+    density: Float[Tensor, "b s n"], rest_density: Float[Tensor, "s n"], k_self_collision: Scalar
 ) -> Energy:
     """Eq. 11: k_sc times the cubed excess of the density over that of the rest groom at the same vertex [J]."""
     return k_self_collision * (density - rest_density).clamp(min=0).pow(3).sum(dim=(-2, -1))
 
 
 def density_excesses(density: Float[Tensor, "b s n"], rest_density: Float[Tensor, "s n"]) -> Float[Tensor, "b s n"]:
-    """Gauge of Eq. 11: max(rho / rho_rest - 1, 0) [%]."""
+    """Metric of Eq. 11: max(rho / rho_rest - 1, 0) [%]."""
     return (density / rest_density - 1).clamp(min=0) * 100
+
+
+@dataclass(frozen=True)
+class SelfCollision(EnergyTerm):
+    """Eqs. 11-13."""
+
+    name = "self_collision"
+    equation = "Eqs. 11-13"
+    metric_unit = "%"
+
+    def energy(self, hair: HairState, scene: HairScene) -> Energy:
+        density = self._densities(hair)
+        return energy_self_collision(density, hair.rest.rest_density, hair.material.k_self_collision)
+
+    def metric(self, hair: HairState, scene: HairScene) -> Float[Tensor, "b s n"]:
+        return density_excesses(self._densities(hair), hair.rest.rest_density)
+
+    def _densities(self, hair: HairState) -> Float[Tensor, "b s n"]:
+        return densities(hair.positions, hair.rest.mass, hair.material.smoothing_length)

@@ -39,14 +39,16 @@ from numba import get_num_threads
 
 from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
+from quaffure.energies.energy_term import EnergyTerm
 from quaffure.energies.fused_density import active_particles, density_gradient, sort_particles
 from quaffure.energies.gravity import GRAVITY
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.rest_state import RestState
 from quaffure.geometry.occupancy_grid import REACH
 from quaffure.geometry.surface import Surface
-from quaffure.scene import Scene
+from quaffure.scene import HairScene
 from quaffure.solvers.stopping import stopping_report
+from quaffure.solvers.supported_terms import refuse_other_terms
 from quaffure.solvers.xpbd_kernels import (
     FAR_AWAY,
     LANES,
@@ -109,14 +111,24 @@ class XpbdDraper:
 
     name = "xpbd"
 
-    def __init__(self, material: HairMaterial | None = None, setting: XpbdSetting | None = None) -> None:
+    def __init__(
+        self,
+        material: HairMaterial | None = None,
+        setting: XpbdSetting | None = None,
+        terms: tuple[EnergyTerm, ...] | None = None,
+    ) -> None:
+        """
+        Raises:
+            InputError: terms other than Eqs. 6, 7, 9, 10 and 11, which it cannot project.
+        """
+        refuse_other_terms(self.name, terms)
         self.material = material or HairMaterial()
         self.setting = setting or XpbdSetting()
 
-    def drape(self, scene: Scene) -> Positions:
+    def drape(self, scene: HairScene) -> Positions:
         return self.solve(scene)[0]
 
-    def solve(self, scene: Scene) -> tuple[Positions, StoppingReport]:
+    def solve(self, scene: HairScene) -> tuple[Positions, StoppingReport]:
         """Draped vertices [m] and where the solver stopped; its iterations are the sweeps of one sample.
 
         Raises:
@@ -143,7 +155,7 @@ class HairInMotion:
     Multipliers carry the factor dt^2 / m_ref, m_ref the mean mass, which makes metres of them.
     """
 
-    def __init__(self, scene: Scene, sample: int, rest: RestState, material: HairMaterial) -> None:
+    def __init__(self, scene: HairScene, sample: int, rest: RestState, material: HairMaterial) -> None:
         self.material = material
         self.edges = EdgeConstants(scene.director[sample].numpy(), rest, material)
         posed = scene.posed[sample].detach().numpy()

@@ -7,7 +7,7 @@ from typing import Literal
 
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.config import HairMaterial
-from quaffure.energies.elastic_model import elastic_model
+from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
 from quaffure.geometry.occupancy_grid import REACH
 from quaffure.model.quaffure_network import NetworkConfig
@@ -51,7 +51,7 @@ class TrainConfig:
     """Seconds between two checkpoints that the run can be resumed from."""
 
     def __post_init__(self) -> None:
-        elastic_model(self.elastic)
+        hair_terms(self.elastic)
         counts = ("steps", "runs", "frames", "grooms_per_step", "self_collision_every", "log_every", "validate_every")
         refuse_impossible({name: getattr(self, name) for name in counts}, self.learning_rate, self.seed)
         if not 0 < self.body_contact_weight < math.inf:

@@ -11,10 +11,12 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import world_from_head
-from quaffure.energies.elastic_model import ModifiedCosserat
+from quaffure.energies.energy_term import EnergyTerm
 from quaffure.energies.force_limit import clip_gradients
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.hair_terms import MODIFIED_COSSERAT, hair_terms
 from quaffure.energies.pose_regularization import energy_pose_regularization
+from quaffure.energies.self_collision import SelfCollision
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import replacing
@@ -28,7 +30,7 @@ from quaffure.training.distributed import SINGLE_PROCESS, Worker
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.run_folder import RunFolder, body_digest
 from quaffure.training.train_config import TrainConfig
-from quaffure.training.validation import Validation, carried_terms, loss_unit, validation_figures
+from quaffure.training.validation import Validation, loss_unit, validation_figures
 from quaffure.types import Tensor
 
 MEMORY = 0.998
@@ -54,10 +56,12 @@ class DecoderTraining:
         sampler: PoseSampler,
         folder: Path,
         worker: Worker = SINGLE_PROCESS,
+        terms: tuple[EnergyTerm, ...] | None = None,
     ) -> None:
         """
         Args:
             grooms: registered to `body`, at most one strand a texel.
+            terms: of the energy; those of `config.elastic` where none are given.
             folder: for checkpoints, logs and weights; made where it does not exist.
             worker: which one this is of the processes that share the run; only the first one writes.
 
@@ -72,10 +76,11 @@ class DecoderTraining:
         network.encoder.load_state_dict(load_groom_encoder().state_dict())
         self.optimizer = AveragedAdam(network, config.learning_rate, MEMORY)
         self.draper = NeuralDraper(network, config.material, config.bf16)
-        self.energies = [HairEnergy(groom, config.material, config.elastic) for groom in self.grooms]
+        terms = terms or hair_terms(config.elastic)
+        self.energies = [HairEnergy(groom, config.material, terms) for groom in self.grooms]
         self.loss_energies = self.energies
         if config.body_contact_weight != 1:
-            self.loss_energies = [HairEnergy(groom, config.loss_material, config.elastic) for groom in self.grooms]
+            self.loss_energies = [HairEnergy(groom, config.loss_material, terms) for groom in self.grooms]
         self.step = 0
         self.best = float("inf")
         self.seconds = 0.0
@@ -136,16 +141,15 @@ class DecoderTraining:
         draped = self.draper.deform(scene)
         # The gradient that arrives is that of the mean over samples and grooms.
         positions = clip_gradients(draped, energy.rest, len(draped) * grooms * unit)
-        carried = energy.carried(positions, scene.director)
-        total = energy.along_strands(positions, scene.director, scene.surface, carried)
+        total = energy.without(SelfCollision.name).total(positions, scene)
         if self.step % config.self_collision_every == 0:
-            total = total + config.self_collision_every * energy.self_collision(positions)
+            total = total + config.self_collision_every * energy.only(SelfCollision.name).total(positions, scene)
         head = world_from_head(self.body, scene.bodies.posed.joint_rotations)[:, None]
         deformation = ((positions - scene.posed) @ head).unflatten(0, (config.runs, config.frames))
         smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg).mean() / config.frames
         terms: dict[str, float] = {}
         if self.worker.is_first and self.logs(self.step + 1):
-            named = carried_terms(self.energies[index], draped.detach(), scene)
+            named = self.energies[index].by_term(draped.detach(), scene)
             terms = {name: float(term.mean()) / unit for name, term in named.items()}
             terms["pose_regularization"] = float(smoothness.detach()) / unit
         return (total.mean() + smoothness) / unit, terms
@@ -239,8 +243,10 @@ class DecoderTraining:
         """What may not change in a run: grooms, network, material, what the loss is, and seed."""
         config, names = self.config, [groom.name for groom in self.grooms]
         weight = f"body contact {config.body_contact_weight:g} times, " if config.body_contact_weight != 1 else ""
-        elastic = f"{config.elastic}, " if config.elastic != ModifiedCosserat.name else ""
-        return f"{names}, {config.network}, {config.material}, {elastic}{weight}seed {config.seed}"
+        elastic = f"{config.elastic}, " if config.elastic != MODIFIED_COSSERAT else ""
+        terms = self.energies[0].terms
+        added = f"terms {[term.name for term in terms]}, " if terms != hair_terms(config.elastic) else ""
+        return f"{names}, {config.network}, {config.material}, {elastic}{added}{weight}seed {config.seed}"
 
     def _geometry(self) -> str:
         """The body, and the sizes of the grooms, which are grown or registered anew by every process, so that their

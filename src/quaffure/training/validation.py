@@ -7,12 +7,13 @@ import torch
 
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.draper import Draper
-from quaffure.energies.elastic import length_errors, orientation_errors
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.stretch import length_errors
+from quaffure.energies.stretch_shear import orientation_errors
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.scene import Scene
 from quaffure.training.pose_sampler import PoseSampler
-from quaffure.types import BodyPose, BodyShape, Energy, Float, Positions, Tensor
+from quaffure.types import BodyPose, BodyShape, Float, Positions, Tensor
 
 # Exact distances cost twice what all energies do; as many strands, spread over the groom, tell the share to a
 # twentieth of itself.
@@ -64,13 +65,8 @@ def validation_figures(draper: Draper, scenes: Iterable[tuple[Scene, HairEnergy]
     return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
 
 
-def carried_terms(energy: HairEnergy, draped: Positions, scene: Scene) -> dict[str, Energy]:
-    """Every term [J] of drapes whose frames, where the elastic model has some, follow their edges."""
-    return energy.terms(draped, scene.director, scene.surface, energy.carried(draped, scene.director))
-
-
 def _of_groom(draped: Positions, scene: Scene, energy: HairEnergy) -> dict[str, float]:
-    terms = carried_terms(energy, draped, scene)
+    terms = energy.by_term(draped, scene)
     figures = {name: float(term.mean()) / loss_unit(energy) for name, term in terms.items()}
     figures["energy"] = sum(figures.values())
     figures["body_intersection_percent"] = float(_inside(draped, scene).mean()) * 100

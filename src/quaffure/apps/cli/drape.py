@@ -16,7 +16,7 @@ from quaffure.benchmark.metrics import PerFrame, measure
 from quaffure.body.body_model import load_body
 from quaffure.drape_motion import FRAMES_AT_ONCE, drape_motion
 from quaffure.draper import Draper
-from quaffure.energies.elastic_model import ELASTIC_MODELS, ModifiedCosserat
+from quaffure.energies.hair_terms import ELASTIC_MODELS, MODIFIED_COSSERAT
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import interpolation_of
@@ -51,7 +51,7 @@ class DrapeCommand:
     (docs/solvers.md)."""
     refine: int = 0
     """Steps of Adam from the network's answer; 0 is the network alone."""
-    elastic: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = ModifiedCosserat.name
+    elastic: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = MODIFIED_COSSERAT
     """The elastic model, for adam and lbfgs in all their forms. Figures of merit are those of the default one."""
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones; those of `quaffure train-groomgen` for groomgen."""
@@ -133,8 +133,8 @@ class DrapeCommand:
         return load_groomgen(self.weights)[0]
 
     def _check_elastic(self) -> None:
-        if self.elastic != ModifiedCosserat.name:
-            raise InputError("--elastic", f"{ModifiedCosserat.name} with a network", f"'{self.elastic}'")
+        if self.elastic != MODIFIED_COSSERAT:
+            raise InputError("--elastic", f"{MODIFIED_COSSERAT} with a network", f"'{self.elastic}'")
 
     def _report(self, sequence: DrapeSequence, draped: PerFrame, posed: PerFrame) -> None:
         named = {"posed": posed, self._row: draped}

@@ -16,13 +16,15 @@ from jaxtyping import Int
 
 from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
+from quaffure.energies.energy_term import EnergyTerm
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.cell_list import check_finite
-from quaffure.scene import Scene
+from quaffure.scene import HairScene, PosedScene
 from quaffure.solvers.lbfgs import LbfgsDraper
 from quaffure.solvers.newton.newton_descent import MOST_DAMPING, Trust, descend
 from quaffure.solvers.newton.newton_system import NewtonSystem, PerStrand, Point, Vertices
 from quaffure.solvers.stopping import stopping_report
+from quaffure.solvers.supported_terms import refuse_other_terms
 from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting
 from quaffure.types import Float, Positions, Tensor
 
@@ -60,14 +62,25 @@ class NewtonDraper:
 
     name = "newton"
 
-    def __init__(self, material: HairMaterial | None = None, tolerance: float = 1e-4, steps: int = 100) -> None:
+    def __init__(
+        self,
+        material: HairMaterial | None = None,
+        tolerance: float = 1e-4,
+        steps: int = 100,
+        terms: tuple[EnergyTerm, ...] | None = None,
+    ) -> None:
+        """
+        Raises:
+            InputError: terms other than Eqs. 6, 7, 9, 10 and 11, whose second derivatives it has.
+        """
+        refuse_other_terms(self.name, terms)
         self.material = material or HairMaterial()
         self.tolerance, self.steps = tolerance, steps
 
-    def drape(self, scene: Scene) -> Positions:
+    def drape(self, scene: HairScene) -> Positions:
         return self.solve(scene)[0]
 
-    def solve(self, scene: Scene) -> tuple[Positions, StoppingReport]:
+    def solve(self, scene: HairScene) -> tuple[Positions, StoppingReport]:
         """Draped vertices [m] and where the solver stopped. Every sample is solved by itself.
 
         The relative gradient of the report is that of `tolerance`: the whole gradient of the energy with rounded
@@ -93,7 +106,9 @@ class NewtonDraper:
         report = stopping_report(energy, scene, positions, math.ceil(evaluations / len(positions)), seconds)
         return positions, replace(report, relative_gradient=worst)
 
-    def _settled(self, energy: HairEnergy, sample: Scene, system: NewtonSystem) -> tuple[Float[Tensor, "s n 3"], float]:
+    def _settled(
+        self, energy: HairEnergy, sample: PosedScene, system: NewtonSystem
+    ) -> tuple[Float[Tensor, "s n 3"], float]:
         """Vertices of a single sample [m], and the relative norm of the gradient.
 
         Newton lowers the energy with rounded creases. Where the exact one has risen on the way, the start is kept.
@@ -101,11 +116,11 @@ class NewtonDraper:
         lbfgs = LbfgsDraper(self.material, evaluations=LBFGS_EVALUATIONS)
         drapers = (XpbdDraper(self.material), XpbdDraper(self.material, PATIENT), lbfgs)
         starts = [draper.drape(sample).detach() for draper in drapers]
-        costs = [float(energy.total(x, sample.director, sample.surface)) for x in starts]
+        costs = [float(energy.total(x, sample)) for x in starts]
         start = starts[int(np.argmin(costs))]
         settled, relative = self.minimize(system, start[0].double().numpy())
         drape = torch.from_numpy(settled).to(start.dtype)
-        if float(energy.total(drape[None], sample.director, sample.surface)) <= min(costs):
+        if float(energy.total(drape[None], sample)) <= min(costs):
             return drape, relative
         return start[0], float(np.linalg.norm(_forces(system, system.point(start[0].double().numpy()))))
 

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from quaffure.config import STANDARD_GRAVITY
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.scene import Scene
+from quaffure.scene import HairScene
 from quaffure.solvers.newton.block_tridiagonal import solve_strands
 from quaffure.solvers.newton.density_hessian import density_blocks, density_change, density_force, density_product
 from quaffure.solvers.newton.density_pairs import pressed_pairs
@@ -54,7 +54,7 @@ class NewtonSystem:
         beside: the vertices of the strands that are held, if some are.
     """
 
-    def __init__(self, energy: HairEnergy, scene: Scene, sample: int) -> None:
+    def __init__(self, energy: HairEnergy, scene: HairScene, sample: int) -> None:
         self.k_self_collision = energy.material.k_self_collision
         self.smoothing_length = energy.material.smoothing_length
         self.evaluations = 0.0

@@ -39,7 +39,7 @@ from quaffure.model.quaffure_model import load_model
 from quaffure.procedural.generator import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training.pose_sampler import PoseSampler
-from quaffure.types import Energy, Positions
+from quaffure.types import Positions
 
 VERTICES = 2000 * 24
 """Of the sample that the figures are scaled to."""
@@ -78,13 +78,10 @@ def kernel_rows(body: BodyModel, name: str, batch: int) -> list[dict[str, object
     share = batch * energy.rest.mass.numel() / VERTICES
     body_wall, body_cpu = cost(lambda: BodyBatch(body, poses, shapes).surface, batch)
 
-    def along_strands(positions: Positions) -> Energy:
-        return energy.along_strands(positions, scene.director, scene.surface)
-
     rows: list[dict[str, object]] = []
     for state, draped in states(scene, energy).items():
-        strands = cost(lambda x=draped: with_gradient(along_strands, x), share)
-        density = cost(lambda x=draped: with_gradient(energy.self_collision, x), share)
+        strands = cost(lambda x=draped: with_gradient(energy.without("self_collision"), x, scene), share)
+        density = cost(lambda x=draped: with_gradient(energy.only("self_collision"), x, scene), share)
         inside = (signed_distance(draped.flatten(1, 2), scene.surface) < 0).float().mean()
         rows.append(
             {
@@ -119,8 +116,8 @@ def states(scene: Scene, energy: HairEnergy) -> dict[str, Positions]:
         }
 
 
-def with_gradient(energy: Callable[[Positions], Energy], positions: Positions) -> None:
-    energy(positions.requires_grad_()).sum().backward()
+def with_gradient(energy: HairEnergy, positions: Positions, scene: Scene) -> None:
+    energy.total(positions.requires_grad_(), scene).sum().backward()
 
 
 def cost(work: Callable[[], object], samples: float) -> tuple[float, float]:

@@ -19,7 +19,7 @@ import torch
 
 from quaffure.body.body_model import load_body
 from quaffure.body.pose_prior import load_pose_prior
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies import hair_energy
 from quaffure.io.load_groom import load_groom
 from quaffure.model.neural import NeuralDraper
 from quaffure.scene import BodyBatch
@@ -81,8 +81,8 @@ def measure(training: DecoderTraining) -> None:
     watch = Stopwatch()
     parts = (
         (PoseSampler, "sample", "poses and shapes"),
-        (HairEnergy, "along_strands", "Eqs. 6, 7, 9, 10, value and gradient"),
-        (HairEnergy, "self_collision", "Eqs. 11-13, value and gradient"),
+        (hair_energy, "strand_energy", "Eqs. 6, 7, 9, 10, value and gradient"),
+        (hair_energy, "fused_self_collision", "Eqs. 11-13, value and gradient"),
         (NeuralDraper, "deform", "posing and network, forward"),
         (torch.Tensor, "backward", "backward"),
         (AveragedAdam, "update", "update of weights and their average"),

@@ -14,6 +14,7 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from PIL import Image
 
+from benchmarks.rods.elastic_potentials import cosserat, mass_spring, modified_cosserat
 from benchmarks.rods.heavy_rod import REAL_HAIR_WEIGHT, HeavyRod
 from benchmarks.rods.rod_newton import Settled
 from benchmarks.rods.rod_validation import (
@@ -37,7 +38,6 @@ from benchmarks.rods.rod_validation import (
 )
 from quaffure.config import HairMaterial
 from quaffure.energies.cosserat import RodStiffness
-from quaffure.energies.elastic_model import Cosserat, MassSpring, ModifiedCosserat
 from quaffure.io.atomic import replacing
 
 mpl.use("Agg")
@@ -240,8 +240,8 @@ def models(_: Path) -> str:
         truth, strand = case.true_shape(N), case.strand(N)
         settled = (
             settle_rod(strand, RodStiffness()),
-            settle_under_weight(ModifiedCosserat(MATERIAL), strand),
-            settle_under_weight(MassSpring(), strand, reach=3),
+            settle_under_weight(modified_cosserat(MATERIAL), strand),
+            settle_under_weight(mass_spring(), strand, reach=3),
         )
         cells = [f"{point(s.positions.numpy())}, {rms_mm(s.positions, truth):.1f}" for s in settled]
         rows.append([name, point(truth), *cells])
@@ -289,8 +289,8 @@ def deflection(figures: Path) -> str:
     hanging, ball = Case(0.25, -90.0), Sphere((-0.01, 0.0, -0.10), 0.03)
     strand = hanging.strand(N)
     settled: dict[str, Settled] = {
-        model.name: settle_in_contact(model, strand, ball, MATERIAL)
-        for model in (Cosserat(), ModifiedCosserat(MATERIAL))
+        name: settle_in_contact(model, strand, ball, MATERIAL)
+        for name, model in (("cosserat", cosserat()), ("modified_cosserat", modified_cosserat(MATERIAL)))
     }
     figure, axes = plt.subplots(figsize=(3.2, 4), dpi=80)
     axes.add_patch(plt.Circle((100 * ball.centre[0], 100 * ball.centre[2]), 100 * ball.radius, color="lightgrey"))

@@ -9,6 +9,11 @@ if TYPE_CHECKING:
     from quaffure.body.body_model import BodyModel
     from quaffure.geometry.surface import Surface
 
+ENERGIES = (
+    *("closed_form", "cosserat", "energy_term", "force_limit", "gravity", "hair_energy", "hair_terms", "mass_spring"),
+    *("pose_regularization", "rest_state"),
+)
+"""Modules of the package without compiled functions, which cannot be checked."""
 SOLVERS = Path(__file__).parents[1] / "src" / "quaffure" / "solvers"
 
 if importlib.util.find_spec("beartype") is not None:
@@ -22,8 +27,8 @@ if importlib.util.find_spec("beartype") is not None:
                 "hair",
                 "procedural",
                 "body",
-                "energies.elastic",
-                "energies.gravity",
+                "scene",
+                *(f"energies.{name}" for name in ENERGIES),
                 "model",
                 *(f"solvers.{file.stem}" for file in SOLVERS.glob("[a-z]*.py")),
                 "baselines",

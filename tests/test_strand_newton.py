@@ -7,16 +7,15 @@ import torch
 from quaffure.config import HairMaterial
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.surface import Surface, posed_surface, surface_topology
-from quaffure.scene import Scene
+from quaffure.scene import PosedScene
 from quaffure.solvers.newton.block_tridiagonal import factor_strand, solve_strand
 from quaffure.solvers.newton.rounded_contact import CREASE_WIDTH, body_arrays, rounded_distance
 from quaffure.solvers.newton.strand_hessian import hair_arrays, strand_hessian
 from quaffure.solvers.newton.strand_newton import turn_edges
-from tests.scenes import bent_inwards, sphere_groom
-from tests.test_xpbd import scene_of
+from tests.scenes import bent_inwards, posed_scene, sphere_groom
 
 
-def near_the_sphere(scene: Scene) -> np.ndarray:
+def near_the_sphere(scene: PosedScene) -> np.ndarray:
     """Vertices within and beyond the margin of a sphere of radius 0.1 m, away from every rest length."""
     generator = torch.Generator().manual_seed(5)
     outward = torch.nn.functional.normalize(bent_inwards(scene.groom, 1)[0][0], dim=-1)
@@ -35,7 +34,7 @@ def dense(diagonal: np.ndarray, coupling: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("surface", ["sphere", "crease"])
 def test_strand_hessian_matches_differences_of_the_gradient(surface: str) -> None:
-    scene = scene_of(sphere_groom(strands=12), surface=crease() if surface == "crease" else None)
+    scene = posed_scene(sphere_groom(strands=12), surface=crease() if surface == "crease" else None)
     hair = hair_arrays(HairEnergy(scene.groom, HairMaterial()), scene.director[0])
     body = body_arrays(scene.surface, 0)
     positions = near_the_sphere(scene) if surface == "sphere" else near_the_crease(scene)
@@ -77,7 +76,7 @@ def outward(vertices: torch.Tensor, faces: torch.Tensor) -> Surface:
     return posed_surface(surface_topology(vertices, faces if volume > 0 else faces.flip(1)), vertices[None])
 
 
-def near_the_crease(scene: Scene) -> np.ndarray:
+def near_the_crease(scene: PosedScene) -> np.ndarray:
     """Vertices 2.5 mm off both faces of the hollow, within a few widths of where both are equally near."""
     generator = np.random.default_rng(7)
     strands, vertices = scene.groom.rest_strands.shape[:2]

@@ -17,7 +17,7 @@ from quaffure.benchmark.metrics import metrics
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.scene import HairScene, PosedScene
+from quaffure.scene import PosedScene, Scene
 from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
 from quaffure.solvers.by_name import Solver, solver
 from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
@@ -40,7 +40,7 @@ class Case:
     """
 
     name: str
-    scene: HairScene
+    scene: Scene
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def _run(case: Case, budget: Budget, energy: HairEnergy) -> Run:
     )
 
 
-def _residual(draped: Positions, scene: HairScene, energy: HairEnergy) -> float:
+def _residual(draped: Positions, scene: Scene, energy: HairEnergy) -> float:
     gradient = energy_and_gradient(energy, scene, draped)[1]
     return float(relative_gradient(energy, draped, gradient))
 

@@ -67,7 +67,9 @@ def transported_frames(director: EdgeVectors) -> Quaternions:
     """
     first, later = director[..., :1, :], director[..., 1:, :]
     e3 = director.new_tensor([0.0, 0.0, 1.0])
-    rotations = quaternion_from_matrix(shortest_arc(torch.cat([e3.expand_as(first), director[..., :-1, :]], -2), director))
+    rotations = quaternion_from_matrix(
+        shortest_arc(torch.cat([e3.expand_as(first), director[..., :-1, :]], -2), director)
+    )
     frames = [rotations[..., 0, :]]
     for edge in range(1, later.shape[-2] + 1):
         frames.append(quaternion_multiply(rotations[..., edge, :], frames[-1]))

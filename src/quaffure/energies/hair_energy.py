@@ -97,7 +97,7 @@ class HairEnergy:
         """Mean metric of every term that has one, by name, in the term's `metric_unit`."""
         hair = self._state(positions, variables)
         found = {term.name: term.metric(hair, scene) for term in self.terms}
-        return {name: value.flatten(1).mean(dim=1) for name, value in found.items() if value is not None}
+        return {name: value.reshape(len(value), -1).mean(dim=1) for name, value in found.items() if value is not None}
 
     def initial_variables(self, scene: HairScene) -> dict[str, Tensor]:
         """What the terms minimize over in addition to the positions, by their names, at a solver's start."""

@@ -1,7 +1,5 @@
 """Contact with the body, Eq. 10."""
 
-from dataclasses import dataclass
-
 from quaffure.energies.energy_term import EnergyTerm, HairState
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.scene import HairScene
@@ -29,7 +27,6 @@ def distances_to_body(positions: Positions, scene: HairScene) -> Float[Tensor, "
     return signed_distance(positions.flatten(1, 2), scene.surface).reshape(positions.shape[:3])
 
 
-@dataclass(frozen=True)
 class BodyCollision(EnergyTerm):
     """Eq. 10."""
 

@@ -15,11 +15,11 @@ is a rod's stiffness times the length that it stands for, and a finer strand of 
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import torch
 
 from quaffure.energies.energy_term import EnergyTerm, HairState
+from quaffure.energies.rest_state import RestState
 from quaffure.geometry.polyline import directors, edges
 from quaffure.geometry.rotation import quaternion_from_matrix, quaternion_multiply, shortest_arc
 from quaffure.scene import HairScene
@@ -205,31 +205,26 @@ class Cosserat(EnergyTerm):
     equation = "Eqs. 2-5"
     metric_unit = "deg"
     stiffness: RodStiffness = field(default_factory=RodStiffness)
-    _rods: "WeakKeyDictionary[HairScene, CosseratRod]" = field(
-        default_factory=WeakKeyDictionary, init=False, repr=False, compare=False
-    )
+
+    def prepare(self, rest: RestState, scene: HairScene) -> CosseratRod:
+        posed = rest.posed_from_root(scene.director)
+        return CosseratRod(self.stiffness, posed, rest.rest_length.to(posed))
 
     def energy(self, hair: HairState, scene: HairScene) -> Energy:
         # Relative to the roots: elasticity is local, and float32 has more digits there.
-        return self._rod(hair, scene).energy(hair.positions - hair.positions[:, :, :1], self.frames(hair, scene))
+        rod: CosseratRod = hair.prepared[self.name]
+        return rod.energy(hair.positions - hair.positions[:, :, :1], self.frames(hair))
 
     def metric(self, hair: HairState, scene: HairScene) -> Float[Tensor, "b s p"]:
-        rod = self._rod(hair, scene)
-        return strain_angles(rod.relative(self.frames(hair, scene)), rod.rest_relative)
+        rod: CosseratRod = hair.prepared[self.name]
+        return strain_angles(rod.relative(self.frames(hair)), rod.rest_relative)
 
     def initial_variables(self, scene: HairScene) -> Quaternions:
         identity = scene.director.new_tensor([1.0, 0.0, 0.0, 0.0])
         return identity.expand(*scene.director.shape[:3], 4)
 
-    def frames(self, hair: HairState, scene: HairScene) -> Quaternions:
+    def frames(self, hair: HairState) -> Quaternions:
         """Quaternions of the edges: aligned with them, then rotated by the term's variables."""
-        rod = self._rod(hair, scene)
+        rod: CosseratRod = hair.prepared[self.name]
         aligned = edge_aligned_frames(rod.frames, rod.director, hair.positions)
         return quaternion_multiply(hair.variables[self.name], aligned) if self.name in hair.variables else aligned
-
-    def _rod(self, hair: HairState, scene: HairScene) -> CosseratRod:
-        """Kept as long as the scene."""
-        if scene not in self._rods:
-            posed = hair.rest.posed_from_root(scene.director)
-            self._rods[scene] = CosseratRod(self.stiffness, posed, hair.rest.rest_length.to(posed))
-        return self._rods[scene]

@@ -1,7 +1,5 @@
 """Gravitational potential, Eq. 9."""
 
-from dataclasses import dataclass
-
 from quaffure.config import STANDARD_GRAVITY
 from quaffure.energies.energy_term import EnergyTerm, HairState
 from quaffure.scene import HairScene
@@ -25,7 +23,6 @@ def energy_gravity_above_root(positions: Positions, mass: Float[Tensor, "s n"]) 
     return energy_gravity(positions - positions[..., :1, :].detach(), mass)
 
 
-@dataclass(frozen=True)
 class Gravity(EnergyTerm):
     """Eq. 9, above the roots."""
 

@@ -3,13 +3,15 @@
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import replace
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import torch
 
 from quaffure.backend import Backend, choose_backend
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.body_collision import BodyCollision
-from quaffure.energies.energy_term import EnergyTerm, HairState
+from quaffure.energies.energy_term import HairState, Terms
 from quaffure.energies.fused_density import fused_self_collision
 from quaffure.energies.fused_strand import TERMS, strand_energy
 from quaffure.energies.gravity import Gravity
@@ -43,7 +45,7 @@ class HairEnergy:
         self,
         groom: Groom,
         material: HairMaterial | None = None,
-        terms: tuple[EnergyTerm, ...] | None = None,
+        terms: Terms | None = None,
         backend: Backend | None = None,
     ) -> None:
         """
@@ -74,7 +76,7 @@ class HairEnergy:
             energies.append(self._strand_kernel(positions, scene)[0])
         if self._on_density:
             energies.append(fused_self_collision(positions, self.rest, self.material))
-        hair = self._state(positions, variables)
+        hair = self._state(positions, scene, variables)
         energies += [term.energy(hair, scene) for term in self._in_torch]
         return torch.stack(energies).sum(dim=0) if energies else positions.new_zeros(len(positions))
 
@@ -86,7 +88,7 @@ class HairEnergy:
             found |= zip(TERMS, self._strand_kernel(positions, scene)[1].unbind(1))
         if self._on_density:
             found[SelfCollision.name] = fused_self_collision(positions, self.rest, self.material)
-        hair = self._state(positions, variables)
+        hair = self._state(positions, scene, variables)
         found |= {term.name: term.energy(hair, scene) for term in self._in_torch}
         return {term.name: found[term.name] for term in self.terms}
 
@@ -95,7 +97,7 @@ class HairEnergy:
         self, positions: Positions, scene: HairScene, variables: Variables | None = None
     ) -> dict[str, Float[Tensor, " b"]]:
         """Mean metric of every term that has one, by name, in the term's `metric_unit`."""
-        hair = self._state(positions, variables)
+        hair = self._state(positions, scene, variables)
         found = {term.name: term.metric(hair, scene) for term in self.terms}
         return {name: value.reshape(len(value), -1).mean(dim=1) for name, value in found.items() if value is not None}
 
@@ -119,7 +121,7 @@ class HairEnergy:
         """Energy [J] in units of `scale`, per vertex: dimensionless, comparable between grooms."""
         return energy / self.per_vertex_unit
 
-    def _use(self, terms: tuple[EnergyTerm, ...]) -> "HairEnergy":
+    def _use(self, terms: Terms) -> "HairEnergy":
         names = [term.name for term in terms]
         if len(set(names)) < len(names):
             raise InputError("energy terms", "names that differ", ", ".join(names))
@@ -132,10 +134,13 @@ class HairEnergy:
         stiffness = {"k_cosserat": StretchShear, "k_stretch": Stretch, "k_body_collision": BodyCollision}
         absent = {name: 0.0 for name, kind in stiffness.items() if kind not in self._on_strands}
         self._strand_material = replace(self.material, **absent)
+        self._prepared: WeakKeyDictionary[HairScene, dict[str, Any]] = WeakKeyDictionary()
         return self
 
     def _strand_kernel(self, positions: Positions, scene: HairScene) -> tuple[Energy, Float[Tensor, "b 4"]]:
         return strand_energy(positions, scene.director, self.rest, self._strand_material, scene.surface)
 
-    def _state(self, positions: Positions, variables: Variables | None) -> HairState:
-        return HairState(positions, self.rest, self.material, variables or {})
+    def _state(self, positions: Positions, scene: HairScene, variables: Variables | None) -> HairState:
+        if scene not in self._prepared:
+            self._prepared[scene] = {term.name: term.prepare(self.rest, scene) for term in self._in_torch}
+        return HairState(positions, self.rest, self.material, variables or {}, self._prepared[scene])

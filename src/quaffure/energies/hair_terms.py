@@ -2,7 +2,7 @@
 
 from quaffure.energies.body_collision import BodyCollision
 from quaffure.energies.cosserat import Cosserat
-from quaffure.energies.energy_term import EnergyTerm
+from quaffure.energies.energy_term import Terms
 from quaffure.energies.gravity import Gravity
 from quaffure.energies.mass_spring import MassSpring
 from quaffure.energies.self_collision import SelfCollision
@@ -13,7 +13,7 @@ from quaffure.errors import InputError
 MODIFIED_COSSERAT = "modified_cosserat"
 """Eqs. 6-8, the default; the others serve validation and the ablation of Fig. 10."""
 
-ELASTIC_MODELS: dict[str, tuple[EnergyTerm, ...]] = {
+ELASTIC_MODELS: dict[str, Terms] = {
     MODIFIED_COSSERAT: (StretchShear(), Stretch()),
     "cosserat": (Cosserat(),),
     "mass_spring": (MassSpring(),),
@@ -21,7 +21,7 @@ ELASTIC_MODELS: dict[str, tuple[EnergyTerm, ...]] = {
 """What resists gravity and contact in a strand, with default stiffness."""
 
 
-def hair_terms(elastic: str = MODIFIED_COSSERAT) -> tuple[EnergyTerm, ...]:
+def hair_terms(elastic: str = MODIFIED_COSSERAT) -> Terms:
     """An elastic model and Eqs. 9, 10 and 11.
 
     Raises:

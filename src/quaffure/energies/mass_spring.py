@@ -9,11 +9,11 @@ of the angle only. Those are the known weaknesses of springs along a hair, and w
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import torch
 
 from quaffure.energies.energy_term import EnergyTerm, HairState
+from quaffure.energies.rest_state import RestState
 from quaffure.scene import HairScene
 from quaffure.types import Energy, Float, Positions, Tensor
 
@@ -73,7 +73,8 @@ class Springs:
 
     def lengths(self, positions: Positions) -> dict[int, Float[Tensor, "b s k"]]:
         """Lengths of all springs [m] by their reach."""
-        clamped = with_ghosts(positions, self.posed)
+        # Relative to the roots: elasticity is local, and float32 has more digits there.
+        clamped = with_ghosts(positions - positions[:, :, :1] + self.posed[:, :, :1], self.posed)
         return {reach: spring_lengths(clamped, reach) for reach in (EDGE, BEND, TORSION)}
 
     def energy(self, positions: Positions) -> Energy:
@@ -91,22 +92,15 @@ class MassSpring(EnergyTerm):
     equation = "Selle et al. 2008"
     metric_unit = "%"
     stiffness: SpringStiffness = field(default_factory=SpringStiffness)
-    _springs: "WeakKeyDictionary[HairScene, Springs]" = field(
-        default_factory=WeakKeyDictionary, init=False, repr=False, compare=False
-    )
+
+    def prepare(self, rest: RestState, scene: HairScene) -> Springs:
+        return Springs(self.stiffness, rest.posed_from_root(scene.director))
 
     def energy(self, hair: HairState, scene: HairScene) -> Energy:
-        # Relative to the roots: elasticity is local, and float32 has more digits there.
-        return self._on(hair, scene).energy(hair.positions - hair.positions[:, :, :1])
+        springs: Springs = hair.prepared[self.name]
+        return springs.energy(hair.positions)
 
     def metric(self, hair: HairState, scene: HairScene) -> Float[Tensor, "b s k"]:
         """Relative change of length of every edge's spring [%]."""
-        springs = self._on(hair, scene)
-        length, rest_length = springs.lengths(hair.positions - hair.positions[:, :, :1])[EDGE], springs.rest_lengths
-        return 100 * (length / rest_length[EDGE] - 1).abs()
-
-    def _on(self, hair: HairState, scene: HairScene) -> Springs:
-        """Kept as long as the scene."""
-        if scene not in self._springs:
-            self._springs[scene] = Springs(self.stiffness, hair.rest.posed_from_root(scene.director))
-        return self._springs[scene]
+        springs: Springs = hair.prepared[self.name]
+        return 100 * (springs.lengths(hair.positions)[EDGE] / springs.rest_lengths[EDGE] - 1).abs()

@@ -1,7 +1,6 @@
 """Hair against hair as density of smoothed particles, Eqs. 11-13."""
 
 import math
-from dataclasses import dataclass
 
 import torch
 
@@ -71,7 +70,6 @@ def density_excesses(density: Float[Tensor, "b s n"], rest_density: Float[Tensor
     return (density / rest_density - 1).clamp(min=0) * 100
 
 
-@dataclass(frozen=True)
 class SelfCollision(EnergyTerm):
     """Eqs. 11-13."""
 

@@ -1,7 +1,5 @@
 """Resistance of every edge to a change of its length, Eq. 7."""
 
-from dataclasses import dataclass
-
 from quaffure.energies.energy_term import EnergyTerm, HairState
 from quaffure.geometry.polyline import edges
 from quaffure.scene import HairScene
@@ -19,7 +17,6 @@ def length_errors(positions: Positions, rest_length: RestLengths) -> Float[Tenso
     return (edges(positions).norm(dim=-1) - rest_length).abs() / rest_length
 
 
-@dataclass(frozen=True)
 class Stretch(EnergyTerm):
     """Eq. 7."""
 

@@ -3,8 +3,6 @@
 `director` is the unit tangent d3 of the same edge of the rigidly posed groom.
 """
 
-from dataclasses import dataclass
-
 import torch
 
 from quaffure.energies.energy_term import EnergyTerm, HairState
@@ -33,7 +31,6 @@ def orientation_errors(positions: Positions, director: EdgeVectors) -> Float[Ten
     return torch.rad2deg(torch.atan2(sine, (edge * director).sum(-1)))
 
 
-@dataclass(frozen=True)
 class StretchShear(EnergyTerm):
     """Eq. 6. Edges do not depend on each other."""
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import torch
 
 from quaffure.config import HairMaterial
-from quaffure.energies.energy_term import EnergyTerm
+from quaffure.energies.energy_term import Terms
 from quaffure.solvers.descent import Descent, DescentDraper, Directions, Offsets
 
 TERM_VARIABLES_RATE = 0.03
@@ -30,14 +30,14 @@ class AdamDraper(DescentDraper):
     """
 
     name = "adam"
-    clips_gradients = True
+    clips = True
 
     def __init__(
         self,
         material: HairMaterial | None = None,
         steps: int = 300,
         learning_rate: float = 0.3,
-        terms: tuple[EnergyTerm, ...] | None = None,
+        terms: Terms | None = None,
     ) -> None:
         super().__init__(material, terms)
         self.steps, self.learning_rate = steps, learning_rate
@@ -60,14 +60,14 @@ class AdamPositionsDraper(DescentDraper):
 
     name = "adam_positions"
     variables = Offsets
-    clips_gradients = True
+    clips = True
 
     def __init__(
         self,
         material: HairMaterial | None = None,
         steps: int = 2000,
         learning_rate: float = 1e-3,
-        terms: tuple[EnergyTerm, ...] | None = None,
+        terms: Terms | None = None,
     ) -> None:
         super().__init__(material, terms)
         self.steps, self.learning_rate = steps, learning_rate

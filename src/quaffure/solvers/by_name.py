@@ -6,7 +6,6 @@ from typing import Protocol, runtime_checkable
 from quaffure.baselines.posed import PosedDraper
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper, StoppingReport
-from quaffure.energies.energy_term import EnergyTerm
 from quaffure.energies.hair_terms import MODIFIED_COSSERAT, hair_terms
 from quaffure.errors import InputError
 from quaffure.scene import Scene
@@ -26,12 +25,8 @@ class Solver(Draper, Protocol):
         ...
 
 
-DESCENTS: dict[str, Callable[[HairMaterial, tuple[EnergyTerm, ...]], Solver]] = {
-    "adam": lambda material, terms: AdamDraper(material, terms=terms),
-    "adam_positions": lambda material, terms: AdamPositionsDraper(material, terms=terms),
-    "lbfgs": lambda material, terms: LbfgsDraper(material, terms=terms),
-    "lbfgs_positions": lambda material, terms: LbfgsPositionsDraper(material, terms=terms),
-}
+_CLASSES = (AdamDraper, AdamPositionsDraper, LbfgsDraper, LbfgsPositionsDraper)
+DESCENTS = {draper.name: draper for draper in _CLASSES}
 """Solvers that use gradients alone and so accept every energy term."""
 
 MODIFIED_ONLY: dict[str, Callable[[HairMaterial], Draper]] = {
@@ -57,7 +52,7 @@ def solver(name: str, material: HairMaterial | None = None, elastic: str = MODIF
     material = material or HairMaterial()
     terms = hair_terms(elastic)
     if name in DESCENTS:
-        return DESCENTS[name](material, terms)
+        return DESCENTS[name](material, terms=terms)
     if name not in MODIFIED_ONLY:
         raise InputError("draper", f"one of {', '.join(SOLVERS)}", repr(name))
     if elastic != MODIFIED_COSSERAT:

@@ -7,14 +7,13 @@ the full Cosserat rod, are minimized over together with those of the hair.
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
 
 import torch
 
 from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
 from quaffure.energies.closed_form import equilibrium_vectors
-from quaffure.energies.energy_term import EnergyTerm
+from quaffure.energies.energy_term import Terms
 from quaffure.energies.force_limit import clip_gradients
 from quaffure.energies.gravity import Gravity
 from quaffure.energies.hair_energy import HairEnergy
@@ -26,26 +25,13 @@ from quaffure.solvers.stopping import stopping_report
 from quaffure.types import EdgeVectors, Positions, Tensor
 
 
-@runtime_checkable
-class HairVariables(Protocol):
-    """What determines the vertices.
-
-    Attributes:
-        values: leaf of the optimizer.
-    """
-
-    @property
-    def values(self) -> Tensor: ...
-
-    def positions(self) -> Positions:
-        """Vertices [m], differentiable in `values`; roots stay on the scalp."""
-        ...
-
-
 class Directions:
     """Directions of the edges, of any length but zero; edges keep their rest lengths.
 
     They start as the closed-form gravity equilibrium without contact; without Eqs. 6 and 9, as posed.
+
+    Attributes:
+        values: leaf of the optimizer.
     """
 
     def __init__(self, energy: HairEnergy, scene: HairScene) -> None:
@@ -69,7 +55,11 @@ class Directions:
 
 
 class Offsets:
-    """Offsets [m] of all vertices but the roots from the posed groom."""
+    """Offsets [m] of all vertices but the roots from the posed groom.
+
+    Attributes:
+        values: leaf of the optimizer.
+    """
 
     def __init__(self, energy: HairEnergy, scene: HairScene) -> None:
         self._posed = scene.posed
@@ -79,6 +69,10 @@ class Offsets:
         return torch.cat([self._posed[:, :, :1], self._posed[:, :, 1:] + self.values], dim=2)
 
 
+HairVariables = Directions | Offsets
+"""What determines the vertices; roots stay on the scalp."""
+
+
 class Descent:
     """The loss of a scene as a function of its variables.
 
@@ -86,12 +80,11 @@ class Descent:
         variables: the hair's.
         term_variables: those of energy terms, by the terms' names.
         evaluations: of the loss and its gradient so far.
+        clips: limit the force on each vertex (`quaffure.energies.force_limit`).
     """
 
-    def __init__(
-        self, energy: HairEnergy, scene: HairScene, variables: HairVariables, clips_gradients: bool = False
-    ) -> None:
-        self.energy, self.scene, self.variables, self._clips = energy, scene, variables, clips_gradients
+    def __init__(self, energy: HairEnergy, scene: HairScene, variables: HairVariables, clips: bool = False) -> None:
+        self.energy, self.scene, self.variables, self.clips = energy, scene, variables, clips
         initial = energy.initial_variables(scene)
         self.term_variables = {name: value.clone().requires_grad_() for name, value in initial.items()}
         self.evaluations = 0
@@ -106,7 +99,7 @@ class Descent:
         for leaf in self.leaves:
             leaf.grad = None
         positions = self.variables.positions()
-        if self._clips:
+        if self.clips:
             positions = clip_gradients(positions, self.energy.rest, self.energy.per_vertex_unit)
         energy = self.energy.total(positions, self.scene, self.term_variables)
         loss = energy.sum() / self.energy.per_vertex_unit
@@ -118,9 +111,7 @@ class Descent:
         """Vertices [m] of the current variables, and the report."""
         positions = self.variables.positions().detach()
         seconds = time.perf_counter() - self._began
-        report = stopping_report(
-            self.energy, self.scene, positions, self.evaluations, seconds, variables=self.term_variables
-        )
+        report = stopping_report(self.energy, self.scene, positions, self.evaluations, seconds, self.term_variables)
         return positions, report
 
 
@@ -130,13 +121,13 @@ class DescentDraper(ABC):
     Attributes:
         terms: of the energy.
         variables: what determines the vertices.
-        clips_gradients: limit the force on each vertex (`quaffure.energies.force_limit`).
+        clips: limit the force on each vertex (`quaffure.energies.force_limit`).
     """
 
     variables: Callable[[HairEnergy, HairScene], HairVariables] = Directions
-    clips_gradients = False
+    clips = False
 
-    def __init__(self, material: HairMaterial | None = None, terms: tuple[EnergyTerm, ...] | None = None) -> None:
+    def __init__(self, material: HairMaterial | None = None, terms: Terms | None = None) -> None:
         self.material = material or HairMaterial()
         self.terms = hair_terms() if terms is None else terms
 
@@ -147,7 +138,7 @@ class DescentDraper(ABC):
     def solve(self, scene: HairScene) -> tuple[Positions, StoppingReport]:
         """Draped vertices [m] and where the solver stopped."""
         energy = HairEnergy(scene.groom, self.material, self.terms)
-        descent = Descent(energy, scene, self.variables(energy, scene), self.clips_gradients)
+        descent = Descent(energy, scene, self.variables(energy, scene), self.clips)
         self.minimize(descent)
         return descent.finish()
 

@@ -8,7 +8,7 @@ import math
 import torch
 
 from quaffure.config import HairMaterial
-from quaffure.energies.energy_term import EnergyTerm
+from quaffure.energies.energy_term import Terms
 from quaffure.solvers.descent import Descent, DescentDraper, Offsets
 
 HISTORY_SIZE = 20
@@ -26,10 +26,7 @@ class LbfgsDraper(DescentDraper):
     name = "lbfgs"
 
     def __init__(
-        self,
-        material: HairMaterial | None = None,
-        evaluations: int = 300,
-        terms: tuple[EnergyTerm, ...] | None = None,
+        self, material: HairMaterial | None = None, evaluations: int = 300, terms: Terms | None = None
     ) -> None:
         super().__init__(material, terms)
         self.evaluations = evaluations
@@ -59,9 +56,6 @@ class LbfgsPositionsDraper(LbfgsDraper):
     variables = Offsets
 
     def __init__(
-        self,
-        material: HairMaterial | None = None,
-        evaluations: int = 2000,
-        terms: tuple[EnergyTerm, ...] | None = None,
+        self, material: HairMaterial | None = None, evaluations: int = 2000, terms: Terms | None = None
     ) -> None:
         super().__init__(material, evaluations, terms)

@@ -27,5 +27,5 @@ class RefinedDraper:
         energy = HairEnergy(scene.groom, self.material)
         directions = Directions(energy, scene)
         directions.set_directions(self.start.drape(scene).diff(dim=2))
-        descend_directions(Descent(energy, scene, directions, clips_gradients=True), self.steps, self.learning_rate)
+        descend_directions(Descent(energy, scene, directions, clips=True), self.steps, self.learning_rate)
         return directions.positions().detach()

@@ -55,27 +55,18 @@ def without_tensions(positions: Positions, gradient: Positions) -> Positions:
     """The gradient [N], zero at the roots, less the part that tensions along the edges balance best.
 
     Tensions T give the vertices J^T T with (J g)_e = t_e (g_{e+1} - g_e), t the unit edges and the root fixed. The
-    least squares problem J J^T T = J g is tridiagonal: 2 on its diagonal (1 at the root), -t_e t_{e+1} off it.
+    least squares problem J J^T T = J g is tridiagonal: 2 on its diagonal (1 at the root), -t_e t_{e+1} off it. It is
+    positive definite for any strand, folded ones too.
     """
     tangent = torch.nn.functional.normalize(positions.diff(dim=2), dim=-1).double()
     free = gradient.double().clone()
     free[:, :, 0] = 0
-    tension = _chain_solve((tangent * free.diff(dim=2)).sum(-1), -(tangent[:, :, 1:] * tangent[:, :, :-1]).sum(-1))
+    off_diagonal = -(tangent[:, :, 1:] * tangent[:, :, :-1]).sum(-1)
+    matrix = torch.diag_embed(off_diagonal, 1) + torch.diag_embed(off_diagonal, -1)
+    matrix.diagonal(dim1=-2, dim2=-1).fill_(2)
+    matrix[..., 0, 0] = 1
+    tension = torch.linalg.solve(matrix, (tangent * free.diff(dim=2)).sum(-1))
     pull = tension[..., None] * tangent
     free[:, :, 1:] -= pull
     free[:, :, 1:-1] += pull[:, :, 1:]
     return free.to(gradient.dtype)
-
-
-def _chain_solve(right: Float[Tensor, "b s e"], off_diagonal: Float[Tensor, "b s m"]) -> Float[Tensor, "b s e"]:
-    """Solve the symmetric tridiagonal systems with 1, 2, 2, ... on the diagonal (Thomas' algorithm)."""
-    pivots, values = [torch.ones_like(right[..., 0])], [right[..., 0]]
-    for edge in range(1, right.shape[-1]):
-        share = off_diagonal[..., edge - 1] / pivots[-1]
-        # Straight strands leave a last pivot of 1 or more; the floor keeps a folded one finite.
-        pivots.append((2 - share * off_diagonal[..., edge - 1]).clamp(min=1e-12))
-        values.append(right[..., edge] - share * values[-1])
-    solved = [values[-1] / pivots[-1]]
-    for edge in range(right.shape[-1] - 2, -1, -1):
-        solved.append((values[edge] - off_diagonal[..., edge] * solved[-1]) / pivots[edge])
-    return torch.stack(solved[::-1], dim=-1)

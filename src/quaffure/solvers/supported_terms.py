@@ -1,11 +1,11 @@
 """Which energy terms a solver with its own projections or derivatives can minimize."""
 
-from quaffure.energies.energy_term import EnergyTerm
+from quaffure.energies.energy_term import Terms
 from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
 
 
-def refuse_other_terms(solver: str, terms: tuple[EnergyTerm, ...] | None) -> None:
+def refuse_other_terms(solver: str, terms: Terms | None) -> None:
     """Check that the terms are Eqs. 6, 7, 9, 10 and 11, which is all that XPBD and Newton's method implement.
 
     Raises:

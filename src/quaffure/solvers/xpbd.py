@@ -39,7 +39,7 @@ from numba import get_num_threads
 
 from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
-from quaffure.energies.energy_term import EnergyTerm
+from quaffure.energies.energy_term import Terms
 from quaffure.energies.fused_density import active_particles, density_gradient, sort_particles
 from quaffure.energies.gravity import GRAVITY
 from quaffure.energies.hair_energy import HairEnergy
@@ -112,10 +112,7 @@ class XpbdDraper:
     name = "xpbd"
 
     def __init__(
-        self,
-        material: HairMaterial | None = None,
-        setting: XpbdSetting | None = None,
-        terms: tuple[EnergyTerm, ...] | None = None,
+        self, material: HairMaterial | None = None, setting: XpbdSetting | None = None, terms: Terms | None = None
     ) -> None:
         """
         Raises:

@@ -11,7 +11,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import world_from_head
-from quaffure.energies.energy_term import EnergyTerm
+from quaffure.energies.energy_term import Terms
 from quaffure.energies.force_limit import clip_gradients
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.hair_terms import MODIFIED_COSSERAT, hair_terms
@@ -56,7 +56,7 @@ class DecoderTraining:
         sampler: PoseSampler,
         folder: Path,
         worker: Worker = SINGLE_PROCESS,
-        terms: tuple[EnergyTerm, ...] | None = None,
+        terms: Terms | None = None,
     ) -> None:
         """
         Args:

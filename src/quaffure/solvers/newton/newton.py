@@ -16,7 +16,7 @@ from jaxtyping import Int
 
 from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
-from quaffure.energies.energy_term import EnergyTerm
+from quaffure.energies.energy_term import Terms
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.cell_list import check_finite
 from quaffure.scene import HairScene, PosedScene
@@ -67,7 +67,7 @@ class NewtonDraper:
         material: HairMaterial | None = None,
         tolerance: float = 1e-4,
         steps: int = 100,
-        terms: tuple[EnergyTerm, ...] | None = None,
+        terms: Terms | None = None,
     ) -> None:
         """
         Raises:

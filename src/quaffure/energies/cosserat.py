@@ -32,7 +32,7 @@ PairStrains = Float[Tensor, "b s p 3"]
 
 @dataclass(frozen=True)
 class RodStiffness:
-    """Stiffness of a rod, whatever its discretization.
+    """Stiffness of a rod, independent of its discretization.
 
     The defaults are those of a real hair in bending and twisting; in stretch they are those that Eq. 7 gives a strand
     by default, a thousandth of a real hair's 20 N: enough to stretch by less than 0.2 %.

@@ -2,8 +2,8 @@
 
 After Selle, Lentine and Fedkiw 2008, "A mass spring model for hair simulation": edge springs join neighbours, bending
 springs every second vertex, torsion springs every third; all linear, as stiff as their material (force = k times the
-relative change of length). Of their model this leaves out the altitude springs and the extra particles that they put
-beside straight hair; so four vertices can mirror into each other, and a straight strand resists bending with the cube
+relative change of length). Of their model this leaves out the altitude springs and the extra particles that they add
+to straight hair; so four vertices can mirror into each other, and a straight strand resists bending with the cube
 of the angle only. Those are the known weaknesses of springs along a hair, and what the ablation shows.
 """
 

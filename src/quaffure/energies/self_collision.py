@@ -35,7 +35,7 @@ def density(
         smoothing_length: h [m].
     """
     first, second = pairs
-    # sqrt has no gradient at 0: two vertices in one place push each other in no direction.
+    # sqrt has no gradient at 0: two vertices at the same position push each other in no direction.
     squared = (positions[first] - positions[second]).square().sum(-1)
     weight = smoothing_kernel(squared.clamp(min=1e-16).sqrt(), smoothing_length)
     own = mass * 4

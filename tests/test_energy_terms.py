@@ -139,6 +139,23 @@ def test_a_subclass_of_a_compiled_term_runs_with_its_own_formula() -> None:
     torch.testing.assert_close(moon, earth / 6)
 
 
+def test_the_torch_backend_is_differentiable_in_pose_shape_and_material(body: BodyModel) -> None:
+    groom, stiffness = tiny_groom(body).select(torch.arange(4)), torch.tensor(2e-7, requires_grad=True)
+    pose, shape = torch.zeros(1, 81, requires_grad=True), torch.zeros(1, 10, requires_grad=True)
+    scene = Scene(groom, BodyBatch(body, pose, shape))
+    material = replace(HairMaterial(), k_cosserat=stiffness)
+    draped = scene.posed.detach() + 0.01 * torch.linspace(0, 1, 24)[:, None]
+    total = HairEnergy(groom, material, backend=Backend.TORCH).without("self_collision").total(draped, scene)
+    for gradient in torch.autograd.grad(total.sum(), (pose, shape), retain_graph=True):
+        assert gradient.abs().max() > 0
+        assert gradient.isfinite().all()
+    bending = HairEnergy(groom, backend=Backend.TORCH).by_term(draped, scene)["stretch_shear"]
+    (slope,) = torch.autograd.grad(total.sum(), stiffness)
+    torch.testing.assert_close(slope, bending.sum() / 2e-7, rtol=1e-4, atol=0)
+    with pytest.raises(ValueError, match=r"Backend\.TORCH"):
+        HairEnergy(groom).total(draped, scene)
+
+
 def test_parts_of_an_energy_add_up_and_names_are_unique() -> None:
     groom = sphere_groom(strands=5)
     scene, (positions, _) = posed_scene(groom), bent_inwards(groom, batch=1)

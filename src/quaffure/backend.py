@@ -1,4 +1,4 @@
-"""The choice between compiled kernels and torch: the one module that reads a device or a number type."""
+"""Which implementation computes: the one place that reads a device or a number type."""
 
 from enum import Enum
 

@@ -1,4 +1,4 @@
-"""Drape all frames of a motion, a few at a time."""
+"""A draper carried over a motion, a few frames at a time; the drapes of all frames are kept."""
 
 import time
 from collections.abc import Callable
@@ -28,14 +28,14 @@ def drape_motion(
     body_shape: Float[Tensor, "10"],
     on_frames: Callable[[int], None] = lambda frames: None,
 ) -> DrapeSequence:
-    """Drape every frame by itself: quasi-static, without the frames before it.
+    """Drape every frame by itself: quasi-static, no frame knows another.
 
     Args:
-        on_frames: called with the number of frames draped since its last call.
+        on_frames: told how many frames were done, each time some are.
 
     Returns:
-        The drapes. `meta` holds their sources and settings, and `milliseconds`: the median wall time of one drape, from
-        pose to strands, in batches of `FRAMES_AT_ONCE`, without the first batch where there are others.
+        The drapes. `meta` says what made them, and `milliseconds`, the median wall time of one drape, from pose in to
+        strands out, in batches of `FRAMES_AT_ONCE`, the first batch left out where there are others.
     """
     strands, posed, vertices, times = [], [], [], []
     for body_pose in motion.body_pose.split(FRAMES_AT_ONCE):
@@ -68,7 +68,7 @@ def drape_motion(
 
 
 def material_of(sequence: DrapeSequence) -> HairMaterial:
-    """The material that a drape was made with; the default one where its file has none."""
+    """The material that a drape was made with; the default one where its file does not say."""
     return HairMaterial(**sequence.meta.get("material", {}))
 
 

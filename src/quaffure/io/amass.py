@@ -26,7 +26,7 @@ from quaffure.body.retargeting import (
 )
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
-from quaffure.io.npz_strands import read_npz
+from quaffure.npz import read_numbers
 
 # SMPL's body joints, in the order of `poses`, and each one's parent.
 SMPL_JOINTS = (
@@ -76,7 +76,7 @@ def read_amass(path: Path, body: BodyModel) -> Motion:
     Raises:
         InputError: not an `.npz`, no `poses` [F >= 1, >= 66] or frame rate in it, or a number that is not finite.
     """
-    arrays = read_npz(path, ("poses", *FRAME_RATE_KEYS))
+    arrays = read_numbers(path, ("poses", *FRAME_RATE_KEYS))
     if "poses" not in arrays:
         raise InputError(path, "an array poses [frames, 66 or more], as in AMASS", "none")
     poses = arrays["poses"]

@@ -12,7 +12,7 @@ from quaffure.body.retargeting import retarget_bvh
 from quaffure.errors import InputError
 from quaffure.io.amass import read_amass
 from quaffure.io.bvh import read_bvh
-from quaffure.io.npz_strands import read_npz
+from quaffure.npz import read_numbers
 
 
 def read_motion(path: Path, body: BodyModel) -> Motion:
@@ -39,7 +39,7 @@ def _read_bvh_motion(path: Path, body: BodyModel) -> Motion:
 
 
 def _read_npz_motion(path: Path, body: BodyModel) -> Motion:
-    arrays = read_npz(path, ("body_pose", "fps"))
+    arrays = read_numbers(path, ("body_pose", "fps"))
     if "body_pose" not in arrays:
         return read_amass(path, body)
     if "fps" not in arrays or arrays["fps"].size != 1:

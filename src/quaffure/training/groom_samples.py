@@ -19,13 +19,15 @@ from quaffure.errors import InputError
 from quaffure.geometry.surface import Surface
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import replacing
-from quaffure.io.npz_strands import read_npz
 from quaffure.model import groom_texture
 from quaffure.model.groom_texture import TEXTURE_CHANNELS, GroomSample, sample_of
+from quaffure.npz import INTEGER, Spec, read_arrays
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import STYLES, HairStyle
 from quaffure.procedural.style_family import sample_style
 from quaffure.training.run_folder import body_digest
+
+SPEC: Spec = {"features": (("S", TEXTURE_CHANNELS), (np.float16,)), "texels": (("S",), INTEGER)}
 
 
 @dataclass(frozen=True)
@@ -94,9 +96,8 @@ def _write(path: Path, sample: GroomSample) -> None:
 
 
 def _read(path: Path, style: str) -> GroomSample:
-    arrays = read_npz(path, ("features", "texels"))
-    features, texels = arrays.get("features", np.empty(0)), arrays.get("texels", np.empty(0))
-    whole = features.dtype == np.float16 and features.shape == (len(texels), TEXTURE_CHANNELS)
-    if not whole or not np.isfinite(features).all() or ((texels < 0) | (texels >= TEXTURE_SIZE**2)).any():
-        raise InputError(path, "a groom that this command wrote", "other arrays (delete it to have it grown anew)")
-    return GroomSample(style, torch.from_numpy(features), torch.from_numpy(texels.astype(np.int64)))
+    what = "a groom that this command wrote (delete the file to have it made again)"
+    arrays, _ = read_arrays(path, SPEC, what)
+    if ((arrays["texels"] < 0) | (arrays["texels"] >= TEXTURE_SIZE**2)).any():
+        raise InputError(path, what, "texels outside of the texture")
+    return GroomSample(style, torch.from_numpy(arrays["features"]), torch.from_numpy(arrays["texels"].astype(np.int64)))

@@ -27,7 +27,7 @@ from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import made_folder, replacing
 from quaffure.io.groom_file import read_groom, write_groom
-from quaffure.io.npz_strands import read_npz
+from quaffure.npz import Spec, read_arrays
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training.run_folder import body_digest, code_version
 from quaffure.types import BodyPose, Float, Tensor
@@ -125,13 +125,11 @@ class DrapeFolder:
         return DrapedPoses(torch.stack(turns), torch.stack(displacements))
 
     def _read_pose(self, path: Path) -> tuple[Float[Tensor, "3"], Float[Tensor, "s n 3"]]:
-        arrays = read_npz(path, ("strands", "body_pose"))
-        shapes = {"strands": tuple(self.groom.rest_strands.shape), "body_pose": (81,)}
-        for name, shape in shapes.items():
-            array = arrays.get(name, np.empty(0))
-            if array.shape != shape or array.dtype != np.float32 or not np.isfinite(array).all():
-                expected = f"finite {name} {shape} (delete the file to have it draped anew)"
-                raise InputError(path, expected, f"{array.dtype} {array.shape}")
+        spec: Spec = {
+            "strands": (tuple(self.groom.rest_strands.shape), (np.float32,)),
+            "body_pose": ((81,), (np.float32,)),
+        }
+        arrays, _ = read_arrays(path, spec, "a draped pose (delete the file to have it draped again)")
         body_pose: BodyPose = torch.from_numpy(arrays["body_pose"])[None]
         scene = Scene(self.groom, BodyBatch(self.body, body_pose, torch.zeros(1, 10)))
         rotations = scene.bodies.posed.joint_rotations

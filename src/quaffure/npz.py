@@ -50,7 +50,9 @@ def read_numbers(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         headers = {name: _header(archive, name, path) for name in present}
         for name, header in headers.items():
             if not _is_any(header.dtype, NUMBER):
-                raise InputError(path, f"plain numbers in its array {name}", f"{header.dtype} (pickled objects are never loaded)")
+                raise InputError(
+                    path, f"plain numbers in its array {name}", f"{header.dtype} (pickled objects are never loaded)"
+                )
         return {name: _array(archive, name) for name in present}
 
 

@@ -195,7 +195,7 @@ def groom_digest(groom: Groom) -> str:
     return held.hexdigest()[:16]
 
 
-def hair_of(manifest: Manifest) -> HairMaterial:
+def material_of_manifest(manifest: Manifest) -> HairMaterial:
     """The material that was simulated."""
     return HairMaterial(**manifest.material)
 
@@ -211,7 +211,7 @@ def _read_manifest(path: Path) -> Manifest:
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         manifest = Manifest(**content)
-        hair_of(manifest)
+        material_of_manifest(manifest)
     except FileNotFoundError as error:
         raise InputError(path, expected, "no such file") from error
     except (OSError, ValueError, TypeError) as error:

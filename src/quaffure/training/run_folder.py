@@ -47,15 +47,18 @@ class RunFolder:
             path.write_text(json.dumps({"version": self.version, **description}, indent=1) + "\n")
 
     def save(self, state: Mapping[str, Any]) -> None:
-        """Replace the checkpoint. `state` holds tensors, numbers and texts, and under `identity` what `load` asks for.
+        """Replace the checkpoint. `state` holds tensors, numbers and texts, `identity` among them.
 
         Nothing is unpickled but these when it is read back.
         """
         with replacing(self.path / CHECKPOINT) as path:
             torch.save(dict(state), path)
 
-    def load(self, identity: str) -> dict[str, Any] | None:
+    def load(self, identity: Mapping[str, str]) -> dict[str, Any] | None:
         """The state that `save` kept, on the CPU; None where there is none.
+
+        Args:
+            identity: entries of the state, and what they have to be.
 
         Raises:
             InputError: it is of another run, or damaged.
@@ -68,9 +71,11 @@ class RunFolder:
             return None
         with self.reading():
             state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-            found = state["identity"]
-        if found != identity:
-            raise InputError(self.path, f"a run of {identity}", f"{found}")
+            _ = state["identity"]
+        for name, expected in identity.items():
+            # Checkpoints made before an entry was kept lack it.
+            if state.get(name, expected) != expected:
+                raise InputError(self.path, f"a run of {expected}", f"{state[name]}")
         return state
 
     @contextmanager

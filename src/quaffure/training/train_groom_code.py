@@ -2,10 +2,7 @@
 
 import hashlib
 import math
-import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import torch
 
@@ -15,9 +12,9 @@ from quaffure.model.groom_autoencoder import GroomAutoencoder, Widths, relative_
 from quaffure.model.groom_code import save_autoencoder, save_encoder
 from quaffure.model.groom_texture import SHAPE_CHANNELS, GroomSample
 from quaffure.model.weights_file import MAX_WIDTH
-from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
+from quaffure.training.distributed import SINGLE_PROCESS
 from quaffure.training.groom_batches import GroomBatch, batch_of, mean_strands, mirrored, part_of, patch_of, scaled
-from quaffure.training.run_folder import RunFolder
+from quaffure.training.loop import Training
 from quaffure.training.train_config import refuse_impossible
 from quaffure.types import Float, Tensor
 
@@ -72,33 +69,33 @@ PATCHES = 0.15
 LEAST_PATCH = 50
 # Grooms are made longer or shorter by up to this factor [natural logarithm].
 LENGTHENING = 0.2
-MEMORY = 0.99
-"""Of the exponential average of the weights, which is what is kept."""
+EMA_DECAY = 0.99
+"""Of the weights' exponential average, which is what is kept."""
 
 
-class GroomCodeTraining:
-    """State of a run: network, optimizer, random numbers and step, which `save` and `resume` keep."""
+class GroomCodeRecipe:
+    """The groom autoencoder's training for the shared loop (`quaffure.training.loop`)."""
+
+    ema_decay, worker = EMA_DECAY, SINGLE_PROCESS
 
     def __init__(
         self,
         config: GroomCodeConfig,
         library: list[GroomSample],
         family: list[GroomSample],
-        folder: Path,
         begun: GroomAutoencoder | None = None,
     ) -> None:
         """
         Args:
             library: grooms; two of one style are growings of it, of which one is encoded and the other asked for.
             family: grooms of one growing each; may be empty.
-            folder: for checkpoints and weights; made where it does not exist.
             begun: an autoencoder that is finished but for its decoder, which is trained on: codes stay what they are.
 
         Raises:
             InputError: `begun` is not of the configuration's widths.
         """
         torch.manual_seed(config.seed)
-        self.config, self.library, self.family, self.folder = config, library, family, RunFolder(folder)
+        self.config, self.library, self.family = config, library, family
         self.styles: dict[str, list[GroomSample]] = {}
         for groom in library:
             self.styles.setdefault(groom.style, []).append(groom)
@@ -111,12 +108,17 @@ class GroomCodeTraining:
             self.network.load_state_dict(begun.state_dict())
             self.network.encoder.requires_grad_(False)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.optimizer = AveragedAdam(self.network, config.learning_rate, MEMORY)
         self.generator = torch.Generator().manual_seed(config.seed)
-        self.step = 0
 
-    def train_step(self) -> float:
-        """One step of Adam; the loss [strand lengths]."""
+    @property
+    def samples_per_step(self) -> int:
+        return self.config.batch
+
+    def logs(self, step: int) -> bool:
+        return False
+
+    def backward(self, step: int) -> dict[str, float]:
+        """The loss [strand lengths]."""
         config = self.config
         batch = self._draw()
         with torch.autocast("cpu", torch.bfloat16, enabled=config.bf16):
@@ -125,9 +127,7 @@ class GroomCodeTraining:
             decoded = self.network.decoder(code + config.code_noise * noise, batch.samples, batch.texels)
         loss = _loss(decoded, batch)
         (loss + config.code_penalty * code.float().square().mean()).backward()
-        self.optimizer.update(warm_cosine(self.step, config.warmup, config.steps))
-        self.step += 1
-        return loss.item()
+        return {"loss": loss.item()}
 
     def _draw(self) -> GroomBatch:
         """Pairs of grooms of one style, mirrored and lengthened alike; some strands of the first are shown."""
@@ -162,66 +162,35 @@ class GroomCodeTraining:
     def _index(self, count: int) -> int:
         return int(torch.randint(count, (), generator=self.generator))
 
-    def finish(self) -> GroomAutoencoder:
-        """The averaged network, its codes standardised over the grooms; written to the folder."""
-        network = self.optimizer.averaged.eval()
-        if not self.keeps_encoder:
-            with torch.no_grad():
-                codes = [network.encoder(batch_of([groom], [groom]).textures) for groom in self.library + self.family]
-            network.standardise(torch.cat(codes))
-        notes = {"step": str(self.step), "grooms": f"{', '.join(self.styles)}; {len(self.family)} of the family"}
-        with replacing(self.folder.path / "groom_autoencoder.safetensors") as path:
-            save_autoencoder(path, network, notes)
-        with replacing(self.folder.path / "groom_code.safetensors") as path:
-            save_encoder(path, network, notes)
-        return network
+    def description(self) -> dict[str, object]:
+        return {"config": asdict(self.config)}
 
-    def save(self) -> None:
-        """Write everything that `resume` needs."""
-        state = {"generator": self.generator.get_state(), "step": self.step, "identity": self._identity()}
-        self.folder.save(self.optimizer.state() | state)
-
-    def resume(self) -> bool:
-        """Carry on from the folder's checkpoint; False where there is none.
-
-        Raises:
-            InputError: it is of another run, or damaged.
-        """
-        state = self.folder.load(self._identity())
-        if state is None:
-            return False
-        with self.folder.reading():
-            self.optimizer.restore(state)
-            self.generator.set_state(state["generator"])
-            self.step = int(state["step"])
-        return True
-
-    def _identity(self) -> str:
-        """What may not change in a run: grooms, network, seed."""
+    def identity(self) -> dict[str, str]:
+        """Grooms, network and seed."""
         held = hashlib.sha256()
         for groom in self.library + self.family:
             held.update(groom.style.encode() + groom.texels.numpy().tobytes() + groom.features[:, 3].numpy().tobytes())
         count = len(self.library) + len(self.family)
         what = "decoder alone" if self.keeps_encoder else "decoder"
-        return f"{count} grooms {held.hexdigest()[:8]}, {what} {self.config.widths}, seed {self.config.seed}"
+        identity = f"{count} grooms {held.hexdigest()[:8]}, {what} {self.config.widths}, seed {self.config.seed}"
+        return {"identity": identity}
 
 
-def train(training: GroomCodeTraining, report: Callable[[int, float], None]) -> GroomAutoencoder:
-    """Carry a run on to its end, saving on the way; the finished network.
-
-    Args:
-        report: called after every step with the step and its loss [strand lengths].
-    """
-    training.folder.describe({"config": asdict(training.config)})
-    saved = time.perf_counter()
-    while training.step < training.config.steps:
-        loss = training.train_step()
-        report(training.step, loss)
-        if time.perf_counter() - saved > training.config.save_every_seconds:
-            training.save()
-            saved = time.perf_counter()
-    training.save()
-    return training.finish()
+def finish(training: Training[GroomCodeRecipe]) -> GroomAutoencoder:
+    """The averaged network, its codes standardised over the grooms; written to the run's folder."""
+    recipe, folder = training.recipe, training.folder.path
+    network: GroomAutoencoder = training.optimizer.averaged.eval()
+    if not recipe.keeps_encoder:
+        with torch.no_grad():
+            codes = [network.encoder(batch_of([groom], [groom]).textures) for groom in recipe.library + recipe.family]
+        network.standardise(torch.cat(codes))
+    styles = ", ".join(recipe.styles)
+    notes = {"step": str(training.step), "grooms": f"{styles}; {len(recipe.family)} of the family"}
+    with replacing(folder / "groom_autoencoder.safetensors") as path:
+        save_autoencoder(path, network, notes)
+    with replacing(folder / "groom_code.safetensors") as path:
+        save_encoder(path, network, notes)
+    return network
 
 
 def _loss(decoded: Float[Tensor, "s decoded"], batch: GroomBatch) -> Tensor:

@@ -18,7 +18,7 @@ from quaffure.benchmark.evaluation_set import (
     GroomSource,
 )
 from quaffure.benchmark.methods import methods
-from quaffure.benchmark.report import FIGURES, PAGE, PICTURE, RATIOS, page, shown
+from quaffure.benchmark.report import METRICS, PAGE, PICTURE, RATIOS, page, shown
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
@@ -105,7 +105,7 @@ def check_page(text: str, results: dict) -> None:
         table = rows_of(text, title)
         assert list(table) == list(everything)
         for row, figures in everything.items():
-            for key in FIGURES:
+            for key in METRICS:
                 known = figures.get(key, {}).get(time_kind if key == "milliseconds" else kind)
                 assert table[row][key] == ("" if known is None else f"{known:.4g}"), (row, key)
     solvers = everything.keys() & {"adam", "lbfgs", "xpbd", "groomgen"}

@@ -1,4 +1,4 @@
-"""Drapes on disk, so that an evaluation goes on where it was stopped and never drapes the same frame twice."""
+"""Drapes on disk, so that a stopped evaluation carries on and never drapes the same frame twice."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -7,15 +7,17 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from quaffure.benchmark.fingerprint import fingerprint
+from quaffure.digest import array_digest
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import made_folder, replacing
-from quaffure.io.npz_strands import read_npz
+from quaffure.npz import REAL, Spec, read_arrays
 from quaffure.types import Float, Tensor
 
 SAME_GROOM = 1e-5
 """Grooms are the same where no vertex [m] and no root [in the scalp's chart] differs by more."""
+DRAPE: Spec = {"strands": (("S", "N", 3), (np.float32,))}
+GROOM: Spec = {"rest_strands": (("S", "N", 3), REAL), "root_uv": (("S", 2), REAL)}
 
 
 @dataclass(frozen=True)
@@ -24,8 +26,8 @@ class TimedDrape:
 
     Attributes:
         strands: draped vertices [m, world].
-        milliseconds: wall time of this drape, from pose in to strands out; None where nobody took it.
-        machine: what took that time.
+        milliseconds: wall time of this drape, from pose in to strands out; None where it is unknown.
+        machine: on which it was measured.
     """
 
     strands: Float[Tensor, "s n 3"]
@@ -35,7 +37,7 @@ class TimedDrape:
 
 @dataclass(frozen=True)
 class DrapeNote:
-    """What the .json file beside a drape says of it.
+    """Contents of the .json file of a drape.
 
     Attributes:
         frame: of the clip.
@@ -50,9 +52,9 @@ class DrapeNote:
 
 
 class DrapeCache:
-    """A folder of drapes by fingerprint: `<key>.npz`, and `<key>.json` that says what it is; grooms in `grooms`.
+    """A folder of drapes by key (`drape_key`): `<key>.npz`, and `<key>.json` that describes it; grooms in `grooms`.
 
-    A drape counts once its note is there, which is written last: a process that dies in between leaves nothing
+    A drape is valid once its note exists, which is written last: a process that dies in between leaves nothing
     half-written. Processes may share a folder, as none of its files belongs to more than one drape.
 
     Raises:
@@ -63,12 +65,12 @@ class DrapeCache:
         self.folder = made_folder(folder, "a folder for drapes")
 
     def get(self, key: str) -> TimedDrape | None:
-        """The drape of a fingerprint; None where there is none, or where one of its files is lost or damaged."""
+        """The drape of a key; None where there is none, or where one of its files is lost or damaged."""
         note = _read_note(self._path(key, ".json"))
         if note is None:
             return None
-        strands = _read_arrays(self._path(key, ".npz"), ("strands",)).get("strands")
-        if strands is None or strands.dtype != np.float32:
+        strands = _read_arrays(self._path(key, ".npz"), DRAPE).get("strands")
+        if strands is None:
             return None
         return TimedDrape(torch.from_numpy(strands), note.milliseconds, note.machine)
 
@@ -80,18 +82,18 @@ class DrapeCache:
             temporary.write_text(json.dumps(asdict(note), indent=1) + "\n", encoding="utf-8")
 
     def groom_key(self, groom: Groom) -> str:
-        """Fingerprint of the groom in this folder that is the same within `SAME_GROOM`; where there is none, of this
-        one, which the folder keeps.
+        """Digest of the groom in this folder that is the same within `SAME_GROOM`; where there is none, of this one,
+        which the folder keeps.
 
         No groom is the same to the last bit on another processor, with another number of threads or freshly compiled.
         """
         strands, root_uv = groom.rest_strands.numpy(), groom.root_uv.numpy()
         folder = made_folder(self.folder / "grooms", "a folder for grooms")
         for path in sorted(folder.glob("*.npz")):
-            kept = _read_arrays(path, ("rest_strands", "root_uv"))
+            kept = _read_arrays(path, GROOM)
             if _same(kept.get("rest_strands"), strands) and _same(kept.get("root_uv"), root_uv):
                 return path.stem
-        key = fingerprint(strands, root_uv)
+        key = array_digest(strands, root_uv)
         with replacing(folder / f"{key}.npz") as temporary, temporary.open("wb") as file:
             np.savez(file, rest_strands=strands, root_uv=root_uv)
         return key
@@ -100,10 +102,10 @@ class DrapeCache:
         return self.folder / f"{key}{suffix}"
 
 
-def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+def _read_arrays(path: Path, spec: Spec) -> dict[str, np.ndarray]:
     """Nothing of a file that is lost or damaged."""
     try:
-        return read_npz(path, names)
+        return read_arrays(path, spec, "a file of the cache")[0]
     except InputError:
         return {}
 

@@ -1,4 +1,4 @@
-"""The evaluation set: clips, shapes and grooms that no training ever sees, in one versioned file of the package."""
+"""The evaluation set: clips, shapes and grooms that no training uses, in one versioned file of the package."""
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
@@ -60,11 +60,11 @@ class EvaluationSet:
     """The whole file.
 
     Attributes:
-        version: changes whenever a case does: figures of two versions cannot be compared.
+        version: changes whenever a case does: metrics of two versions cannot be compared.
         fps: rate at which frames count.
         motions: stems of the motion files; other clips are bundled ones.
         shapes: ten coefficients of each shape [standard deviations].
-        quick: names of the cases of a quick look.
+        quick: names of the cases of a quick evaluation.
     """
 
     version: int
@@ -96,7 +96,7 @@ class EvaluationCase:
 
     @property
     def is_run(self) -> bool:
-        """Whether the frames follow each other, so that hair can tremble between them."""
+        """Whether the frames follow each other, so that hair can jitter between them."""
         steps = [after - before for before, after in zip(self.frames, self.frames[1:])]
         return len(self.frames) >= LEAST_RUN and all(step == 1 for step in steps)
 
@@ -128,7 +128,7 @@ def evaluation_motions() -> frozenset[str]:
 
 
 def refuse_evaluation_data(grooms: Iterable[str | Path] = (), motions: Iterable[str | Path] = ()) -> None:
-    """Keep out of a training what it is judged by: every clip of the set, and its grooms of the group `unseen`.
+    """Keep out of a training what it is evaluated on: every clip of the set, and its grooms of the group `unseen`.
 
     Args:
         grooms, motions: bundled names or files. Names and stems of files count, in any case: a copy of a held-out
@@ -151,7 +151,7 @@ def refuse_evaluation_data(grooms: Iterable[str | Path] = (), motions: Iterable[
 
 @dataclass(frozen=True)
 class DataFolders:
-    """Where the files of the set lie that the package does not ship. Either folder may be missing.
+    """Folders of the files of the set that the package does not ship. Either folder may be missing.
 
     Attributes:
         motions: holds `<clip>.bvh`.

@@ -44,7 +44,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Budget:
-    """A solver that may work so hard.
+    """A solver with a limit on its work.
 
     Attributes:
         effort: steps or evaluations, in the solver's own unit.
@@ -86,7 +86,7 @@ class Run:
 
 
 def budgets(quick: bool = False) -> list[Budget]:
-    """The solvers of the benchmark with their budgets; `quick` runs say that everything works and little else."""
+    """The solvers of the benchmark with their budgets; `quick` runs show that everything works and little else."""
     efforts = _QUICK if quick else _WHOLE
     every = [Budget("posed", 0, PosedDraper)]
     every += [Budget(name, effort, _WITH_EFFORT[name](effort)) for name, many in efforts.items() for effort in many]
@@ -107,7 +107,7 @@ def run_benchmark(
     """Every budget on every case.
 
     Args:
-        on_run: told what is about to run.
+        on_run: called with what is about to run.
     """
     material = material or HairMaterial()
     _compile(cases[0], chosen, material)
@@ -140,19 +140,19 @@ def _run(case: Case, budget: Budget, energy: HairEnergy) -> Run:
     draped, stopped = draper.solve(case.scene) if isinstance(draper, Solver) else (draper.drape(case.scene), None)
     seconds, cpu_seconds = time.perf_counter() - wall, time.process_time() - processor
     draped = draped.detach()
-    figures = {name: float(figure) for name, figure in metrics(draped, case.scene, energy).items()}
+    values = {name: float(value) for name, value in metrics(draped, case.scene, energy).items()}
     return Run(
         case=case.name,
         solver=budget.solver,
         effort=budget.effort,
-        energy=figures["energy"],
+        energy=values["energy"],
         excess_energy=0.0,
         relative_gradient=_residual(draped, case.scene, energy),
         reported_gradient=None if stopped is None else stopped.relative_gradient,
         iterations=None if stopped is None else stopped.iterations,
-        body_intersection_percent=figures["body_intersection_percent"],
-        length_error_percent=figures["length_error_percent"],
-        density_excess_percent=figures["density_excess_percent"],
+        body_intersection_percent=values["body_intersection_percent"],
+        length_error_percent=values["length_error_percent"],
+        density_excess_percent=values["density_excess_percent"],
         seconds=seconds / budget.share,
         cpu_seconds=cpu_seconds / budget.share,
         share=budget.share,
@@ -165,9 +165,9 @@ def _residual(draped: Positions, scene: Scene, energy: HairEnergy) -> float:
 
 
 def _compile(case: Case, chosen: Sequence[Budget], material: HairMaterial) -> None:
-    """Run every solver once, as briefly as it can, so that no clock sees the compiler.
+    """Run every solver once, as briefly as it can, so that no time includes the compiler.
 
-    On the whole groom: a few strands press on none and leave the kernels of hair against hair out. `newton` compiles
+    On the whole groom: a few strands touch no others, and the kernels of hair against hair would not be compiled. `newton` compiles
     those that only it has on a few; its starts have the others.
     """
     for name in {budget.solver for budget in chosen}:

@@ -1,4 +1,4 @@
-"""Cases as files for a method from elsewhere, and its answers read back. Both are drape files (docs/evaluation.md)."""
+"""Cases as files for a method from elsewhere, and its drapes read back. Both are drape files (docs/evaluation.md)."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -17,7 +17,7 @@ from quaffure.io.drape_file import read_drape, write_drape
 from quaffure.scene import Scene
 
 ROOT_SLACK = 1e-3
-"""A root may be so far from its place on the scalp [m]."""
+"""Largest distance of a root from its position on the scalp [m]."""
 
 
 def write_case(folder: Path, case: EvaluationCase, set_version: int, body: BodyModel, material: HairMaterial) -> Path:
@@ -60,16 +60,16 @@ def write_case(folder: Path, case: EvaluationCase, set_version: int, body: BodyM
     return path
 
 
-def read_answer(path: Path, of: EvaluationSet, material: HairMaterial) -> tuple[CaseEntry, DrapeSequence]:
-    """The case that a drape file answers, and the drape.
+def read_submission(path: Path, of: EvaluationSet, material: HairMaterial) -> tuple[CaseEntry, DrapeSequence]:
+    """The case that a submitted drape file is of, and the drape.
 
     Raises:
         InputError: no drape file, NaN in it, no case of this version of the set, or hair of another material.
     """
     sequence = read_drape(path)
-    said, found = sequence.meta.get("evaluation_set"), sequence.meta.get("case")
-    if said != of.version:
-        raise InputError(path, f"meta with evaluation_set {of.version}, as --write-cases writes it", f"{said}")
+    version, found = sequence.meta.get("evaluation_set"), sequence.meta.get("case")
+    if version != of.version:
+        raise InputError(path, f"meta with evaluation_set {of.version}, as --write-cases writes it", f"{version}")
     entry = next((entry for entry in of.cases if entry.name == found), None)
     if entry is None:
         raise InputError(path, "meta with the name of a case of the evaluation set", f"'{found}'")
@@ -78,8 +78,8 @@ def read_answer(path: Path, of: EvaluationSet, material: HairMaterial) -> tuple[
     return entry, sequence
 
 
-def answered_frames(path: Path, sequence: DrapeSequence, case: EvaluationCase, body: BodyModel) -> list[TimedDrape]:
-    """The frames of an answer, once they prove to be those of the case.
+def submitted_frames(path: Path, sequence: DrapeSequence, case: EvaluationCase, body: BodyModel) -> list[TimedDrape]:
+    """The frames of a submission, checked to be those of the case.
 
     Raises:
         InputError: other shapes, bodies or strands than the case's, or roots that left the scalp.

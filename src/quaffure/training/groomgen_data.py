@@ -7,7 +7,6 @@
 A pose is drawn by its number and the seed alone, so a folder can be filled by several processes, and further later on.
 """
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Iterable
@@ -22,6 +21,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.neck import head_turn, turned_head
 from quaffure.body.pose_features import world_from_head
 from quaffure.config import HairMaterial
+from quaffure.digest import array_digest
 from quaffure.draper import Draper
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
@@ -189,10 +189,7 @@ def drawn_turn(seed: int, pose: int) -> Float[Tensor, "3"]:
 
 def groom_digest(groom: Groom) -> str:
     """Tells one groom from another, bit for bit."""
-    held = hashlib.sha256()
-    for array in (groom.rest_strands, groom.root_faces, groom.root_barycentric, groom.root_uv):
-        held.update(array.cpu().numpy().tobytes())
-    return held.hexdigest()[:16]
+    return array_digest(groom.rest_strands, groom.root_faces, groom.root_barycentric, groom.root_uv)[:16]
 
 
 def material_of_manifest(manifest: Manifest) -> HairMaterial:

@@ -1,7 +1,6 @@
 """The folder of a training run: what it was asked for, its logs, and the checkpoint that it carries on from."""
 
 import csv
-import hashlib
 import json
 import subprocess
 from collections.abc import Iterator, Mapping
@@ -14,6 +13,7 @@ import torch
 
 import quaffure
 from quaffure.body.body_model import BodyModel
+from quaffure.digest import array_digest
 from quaffure.errors import InputError
 from quaffure.io.atomic import made_folder, replacing
 
@@ -118,7 +118,7 @@ class RunFolder:
 
 def body_digest(body: BodyModel) -> str:
     """Tells one body from another, in any process: its file is the same everywhere."""
-    return hashlib.sha256(body.rest_vertices.cpu().numpy().tobytes()).hexdigest()[:8]
+    return array_digest(body.rest_vertices)[:8]
 
 
 def code_version() -> str:

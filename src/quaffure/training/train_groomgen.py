@@ -1,6 +1,5 @@
 """Training of the supervised baseline: mean squared distance to what a solver draped, nothing of physics."""
 
-import hashlib
 import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -9,6 +8,7 @@ import torch
 
 from quaffure.baselines.groomgen import head_strands, texel_cells
 from quaffure.baselines.groomgen_network import DISPLACEMENT_UNIT, GroomGenLayers, GroomGenNetwork, save_groomgen
+from quaffure.digest import array_digest
 from quaffure.errors import InputError
 from quaffure.training.distributed import SINGLE_PROCESS
 from quaffure.training.groomgen_data import DrapedPoses, DrapeFolder, material_of_manifest
@@ -139,7 +139,9 @@ class GroomGenRecipe:
     def identity(self) -> dict[str, str]:
         """Drapes, network and seed."""
         manifest = self.drapes.manifest
-        drapes = f"{len(self.data)} drapes {_digest(self.data.turn)} of {manifest.groom} {manifest.groom_digest}"
+        drapes = (
+            f"{len(self.data)} drapes {array_digest(self.data.turn)[:8]} of {manifest.groom} {manifest.groom_digest}"
+        )
         return {"identity": f"{drapes} by {manifest.solver}, {self.config.network}, seed {self.config.seed}"}
 
 
@@ -149,7 +151,3 @@ def _mean(data: DrapedPoses, poses: Int[Tensor, " b"]) -> Float[Tensor, "s n 3"]
     for pose in poses:
         total += data.displacement[pose]
     return total / len(poses)
-
-
-def _digest(turn: Float[Tensor, "p 3"]) -> str:
-    return hashlib.sha256(turn.numpy().tobytes()).hexdigest()[:8]

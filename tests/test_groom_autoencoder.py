@@ -208,6 +208,19 @@ def test_a_stopped_run_ends_like_an_unbroken_one(samples: list[GroomSample], tmp
         assert torch.allclose(value, resumed.state_dict()[name], atol=1e-6), name
 
 
+def test_a_checkpoint_of_an_older_version_is_resumed(samples: list[GroomSample], tmp_path: Path) -> None:
+    """Then the step was a number of its own, and nothing else was counted."""
+    run = Training(GroomCodeRecipe(TINY, samples, []), tmp_path)
+    next(run.steps())
+    run.save()
+    state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    del state["counters"]
+    torch.save(state | {"step": 1}, tmp_path / "checkpoint.pt")
+    again = Training(GroomCodeRecipe(TINY, samples, []), tmp_path)
+    assert again.resume()
+    assert (again.step, again.best) == (1, float("inf"))
+
+
 def test_a_run_leaves_the_encoder_with_and_without_its_decoder(samples: list[GroomSample], tmp_path: Path) -> None:
     network = finish(Training(GroomCodeRecipe(TINY, samples, []), tmp_path))
     codes = codes_of(network.encoder, samples)

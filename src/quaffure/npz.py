@@ -137,8 +137,8 @@ def _check_headers(headers: Mapping[str, Header], spec: Spec, source: Path, what
             allowed = " or ".join(kind.__name__.rstrip("_") for kind in types)
             raise InputError(source, f"{what} with {name} of type {allowed}", f"{dtype}")
         if len(shape) == len(axes):
-            sizes = {axis: size for axis, size in zip(axes, shape) if isinstance(axis, str)} | sizes
-        expected = tuple(sizes.get(axis, axis) for axis in axes)
+            sizes = dict(zip(axes, shape)) | sizes
+        expected = tuple(sizes.get(axis, axis) if isinstance(axis, str) else axis for axis in axes)
         if shape != expected:
             raise InputError(source, f"{what} with {name} of shape {expected}", f"{shape}")
     return {axis: size for axis, size in sizes.items() if isinstance(axis, str)}

@@ -167,8 +167,8 @@ def _residual(draped: Positions, scene: Scene, energy: HairEnergy) -> float:
 def _compile(case: Case, chosen: Sequence[Budget], material: HairMaterial) -> None:
     """Run every solver once, as briefly as it can, so that no time includes the compiler.
 
-    On the whole groom: a few strands touch no others, and the kernels of hair against hair would not be compiled. `newton` compiles
-    those that only it has on a few; its starts have the others.
+    On the whole groom: a few strands touch no others, and the kernels of hair against hair would not be compiled.
+    `newton` compiles its own on a few strands; its starts have the others.
     """
     for name in {budget.solver for budget in chosen}:
         draper = _WITH_EFFORT[name](1)(material) if name in _WITH_EFFORT else solver("posed", material)

@@ -8,9 +8,10 @@ stopped run carries on. A run that was killed and resumed ends with the same bit
 
 import math
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, TypeVar
 
 import torch
 from torch import nn
@@ -18,83 +19,53 @@ from torch import nn
 from quaffure.errors import InputError
 from quaffure.io.atomic import replacing
 from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
-from quaffure.training.distributed import Worker
+from quaffure.training.distributed import SINGLE_PROCESS, Worker
 from quaffure.training.run_folder import RunFolder
 
 Metrics = dict[str, float]
 BEST = "best.safetensors"
 
 
-class RunConfig(Protocol):
-    """Settings that the loop reads."""
-
-    @property
-    def steps(self) -> int: ...
-    @property
-    def learning_rate(self) -> float: ...
-    @property
-    def warmup(self) -> int: ...
-    @property
-    def save_every_seconds(self) -> float: ...
-
-
-class Recipe(Protocol):
+class Recipe(ABC):
     """What a training consists of.
 
     Attributes:
+        config: has `steps`, `learning_rate`, `warmup` and `save_every_seconds`.
         network: what is trained.
         ema_decay: share of the weights' exponential average that is kept in a step.
+        samples_per_step: of all processes.
         worker: this process among those that share the run.
         generator: of the random numbers of steps; None where they follow from the step's number.
+        log_every: steps between two rows of `training.csv`; None without that table.
+        validate_every: steps between two validations, of which the last step has one too; None without any.
+        score: the metric of a validation of which the lowest value is the best.
     """
 
+    config: Any
     network: Any
     ema_decay: float
-    worker: Worker
-    generator: torch.Generator | None
+    samples_per_step: int
+    worker: Worker = SINGLE_PROCESS
+    generator: torch.Generator | None = None
+    log_every: int | None = None
+    validate_every: int | None = None
+    score: str = "loss"
 
-    @property
-    def config(self) -> RunConfig: ...
-
-    @property
-    def samples_per_step(self) -> int:
-        """Of all processes."""
-        ...
-
+    @abstractmethod
     def backward(self, step: int) -> Metrics:
         """Add the gradients of a step's loss to the network's; the metrics of the step."""
-        ...
 
-    def logs(self, step: int) -> bool:
-        """Whether `training.csv` has a row after so many steps."""
-        ...
-
+    @abstractmethod
     def description(self) -> dict[str, object]:
         """What `config.json` holds besides the version."""
-        ...
 
+    @abstractmethod
     def identity(self) -> dict[str, str]:
         """What may not change in a run: names of the checkpoint's entries, and what they have to be."""
-        ...
-
-
-@runtime_checkable
-class ValidatedRecipe(Recipe, Protocol):
-    """A recipe whose averaged network is measured on the way, and kept where it is the best so far.
-
-    Attributes:
-        score: the metric of which the lowest value is the best.
-        validate_every: steps between two validations; the last step has one too.
-    """
-
-    score: str
-
-    @property
-    def validate_every(self) -> int: ...
 
     def validate(self, averaged: Any) -> Metrics:
-        """Metrics on data that no step trains on."""
-        ...
+        """Metrics of the averaged network on data that no step trains on."""
+        raise NotImplementedError
 
     def save_best(self, path: Path, averaged: Any, metrics: Metrics, notes: dict[str, str]) -> None:
         """Write the weights, ready to drape with.
@@ -102,7 +73,7 @@ class ValidatedRecipe(Recipe, Protocol):
         Args:
             notes: step and version of the code; more may be added.
         """
-        ...
+        raise NotImplementedError
 
 
 R = TypeVar("R", bound=Recipe)
@@ -166,16 +137,8 @@ class Training(Generic[R]):
         """Append a row to `training.csv`."""
         self.folder.log("training", self._row(metrics))
 
-    def validates(self) -> bool:
-        """Whether a validation is due after the last step."""
-        recipe = self.recipe
-        if not isinstance(recipe, ValidatedRecipe):
-            return False
-        return self.step % recipe.validate_every == 0 or self.step == recipe.config.steps
-
     def validate(self) -> Metrics:
         """Measure the averaged network, log the metrics, and keep the weights where they are the best so far."""
-        assert isinstance(self.recipe, ValidatedRecipe)
         metrics = self.recipe.validate(self.optimizer.averaged)
         if metrics[self.recipe.score] < self.best:
             self.best = metrics[self.recipe.score]
@@ -225,21 +188,24 @@ def train(training: Training[Any], report: Callable[[int, Metrics], None]) -> No
         report: called after every step of the first process with the step and its metrics (`Training.steps`), after
             validations also theirs.
     """
-    if not training.recipe.worker.is_first:
+    recipe: Recipe = training.recipe
+    if not recipe.worker.is_first:
         for _ in training.steps():
             pass
         return
-    training.folder.describe(training.recipe.description())
+    training.folder.describe(recipe.description())
     saved = time.perf_counter()
     for metrics in training.steps():
-        if training.recipe.logs(training.step):
+        if recipe.log_every is not None and training.step % recipe.log_every == 0:
             training.log(metrics)
-        validated = training.validates()
+        validated = recipe.validate_every is not None and (
+            training.step % recipe.validate_every == 0 or training.step == recipe.config.steps
+        )
         if validated:
             metrics |= training.validate()
         report(training.step, metrics)
         # Also after a validation: a resumed run must know its best weights.
-        if validated or time.perf_counter() - saved > training.recipe.config.save_every_seconds:
+        if validated or time.perf_counter() - saved > recipe.config.save_every_seconds:
             training.save()
             saved = time.perf_counter()
     training.save()

@@ -19,6 +19,7 @@ from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_network import QuaffureNetwork, build_network
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training.distributed import SINGLE_PROCESS, Worker
+from quaffure.training.loop import Recipe
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.run_folder import body_digest
 from quaffure.training.train_config import TrainConfig
@@ -31,7 +32,7 @@ VALIDATED_GROOMS = 16
 """Of many grooms about as many, evenly spread over their list, stand for all in a validation."""
 
 
-class DecoderRecipe:
+class DecoderRecipe(Recipe):
     """The decoder's training for the shared loop (`quaffure.training.loop`).
 
     Random numbers of a step follow from seed, rank and step alone.
@@ -41,7 +42,7 @@ class DecoderRecipe:
         loss_energies: the same with contact as strong as the loss has it.
     """
 
-    ema_decay, score, generator = EMA_DECAY, "loss", None
+    ema_decay = EMA_DECAY
 
     def __init__(
         self,
@@ -64,21 +65,12 @@ class DecoderRecipe:
         self.network.encoder.load_state_dict(load_groom_encoder().state_dict())
         self.draper = NeuralDraper(self.network, config.material, config.bf16)
         self.energies = [HairEnergy(groom, config.material, config.elastic) for groom in self.grooms]
+        self.log_every, self.validate_every = config.log_every, config.validate_every
+        drapes = config.runs * config.frames * min(config.grooms_per_step, len(grooms))
+        self.samples_per_step = drapes * worker.world_size
         self.loss_energies = self.energies
         if config.body_contact_weight != 1:
             self.loss_energies = [HairEnergy(groom, config.loss_material, config.elastic) for groom in self.grooms]
-
-    @property
-    def validate_every(self) -> int:
-        return self.config.validate_every
-
-    @property
-    def samples_per_step(self) -> int:
-        of_each = self.config.runs * self.config.frames * min(self.config.grooms_per_step, len(self.grooms))
-        return of_each * self.worker.world_size
-
-    def logs(self, step: int) -> bool:
-        return step % self.config.log_every == 0
 
     def backward(self, step: int) -> dict[str, float]:
         """The loss [`loss_unit`]; every `log_every` steps also every term of it."""
@@ -118,7 +110,7 @@ class DecoderRecipe:
         deformation = ((positions - scene.posed) @ head).unflatten(0, (config.runs, config.frames))
         smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg).mean() / config.frames
         terms: dict[str, float] = {}
-        if self.worker.is_first and self.logs(step + 1):
+        if self.worker.is_first and (step + 1) % config.log_every == 0:
             named = transported_terms(self.energies[index], draped.detach(), scene)
             terms = {name: float(term.mean()) / unit for name, term in named.items()}
             terms["pose_regularization"] = float(smoothness.detach()) / unit

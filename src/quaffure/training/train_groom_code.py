@@ -12,9 +12,8 @@ from quaffure.model.groom_autoencoder import GroomAutoencoder, Widths, relative_
 from quaffure.model.groom_code import save_autoencoder, save_encoder
 from quaffure.model.groom_texture import SHAPE_CHANNELS, GroomSample
 from quaffure.model.weights_file import MAX_WIDTH
-from quaffure.training.distributed import SINGLE_PROCESS
 from quaffure.training.groom_batches import GroomBatch, batch_of, mean_strands, mirrored, part_of, patch_of, scaled
-from quaffure.training.loop import Training
+from quaffure.training.loop import Recipe, Training
 from quaffure.training.train_config import refuse_impossible
 from quaffure.types import Float, Tensor
 
@@ -73,10 +72,11 @@ EMA_DECAY = 0.99
 """Of the weights' exponential average, which is what is kept."""
 
 
-class GroomCodeRecipe:
+class GroomCodeRecipe(Recipe):
     """The groom autoencoder's training for the shared loop (`quaffure.training.loop`)."""
 
-    ema_decay, worker = EMA_DECAY, SINGLE_PROCESS
+    ema_decay = EMA_DECAY
+    generator: torch.Generator
 
     def __init__(
         self,
@@ -108,14 +108,8 @@ class GroomCodeRecipe:
             self.network.load_state_dict(begun.state_dict())
             self.network.encoder.requires_grad_(False)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.samples_per_step = config.batch
         self.generator = torch.Generator().manual_seed(config.seed)
-
-    @property
-    def samples_per_step(self) -> int:
-        return self.config.batch
-
-    def logs(self, step: int) -> bool:
-        return False
 
     def backward(self, step: int) -> dict[str, float]:
         """The loss [strand lengths]."""

@@ -10,8 +10,8 @@ from quaffure.baselines.groomgen import head_strands, texel_cells
 from quaffure.baselines.groomgen_network import DISPLACEMENT_UNIT, GroomGenLayers, GroomGenNetwork, save_groomgen
 from quaffure.digest import array_digest
 from quaffure.errors import InputError
-from quaffure.training.distributed import SINGLE_PROCESS
 from quaffure.training.groomgen_data import DrapedPoses, DrapeFolder, material_of_manifest
+from quaffure.training.loop import Recipe
 from quaffure.training.train_config import refuse_impossible
 from quaffure.types import Float, Int, Positions, Tensor
 
@@ -48,14 +48,14 @@ class GroomGenConfig:
         refuse_impossible(counts, self.learning_rate, self.seed)
 
 
-class GroomGenRecipe:
+class GroomGenRecipe(Recipe):
     """The baseline's training for the shared loop (`quaffure.training.loop`).
 
     Attributes:
         validated, trained: numbers of the poses that are left for validation, and of all others.
     """
 
-    ema_decay, score, worker = EMA_DECAY, "distance_mm", SINGLE_PROCESS
+    ema_decay, score = EMA_DECAY, "distance_mm"
 
     def __init__(self, config: GroomGenConfig, drapes: DrapeFolder, data: DrapedPoses) -> None:
         """
@@ -79,18 +79,8 @@ class GroomGenRecipe:
         kept = max(1, round(VALIDATED * len(data)))
         self.validated, self.trained = order[:kept], order[kept:]
         self.network.mean_displacement = _mean(data, self.trained)
+        self.samples_per_step, self.validate_every = config.batch, config.validate_every
         self._train_rms_mm = math.nan
-
-    @property
-    def validate_every(self) -> int:
-        return self.config.validate_every
-
-    @property
-    def samples_per_step(self) -> int:
-        return self.config.batch
-
-    def logs(self, step: int) -> bool:
-        return False
 
     def backward(self, step: int) -> dict[str, float]:
         """The root mean square distance of the batch's vertices from the solver's [mm]."""

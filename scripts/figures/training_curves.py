@@ -1,4 +1,4 @@
-"""Figures of validation against time: `python scripts/figures/training_curves.py RUN ... --out PICTURE`.
+"""Validation metrics against time: `python scripts/figures/training_curves.py RUN ... --out PICTURE`.
 
 Each run is a folder of `quaffure train`, and named like it. Needs matplotlib, which the extra `docs` brings.
 """

@@ -63,9 +63,9 @@ class DrapeCache:
     def put(self, key: str, drape: TimedDrape, case: str, frame: int, draper: str) -> None:
         """Keep a drape; case, frame of the clip and draper are written for whoever looks into the file."""
         taken = -1.0 if drape.milliseconds is None else drape.milliseconds
-        texts = {"machine": drape.machine, "made": f"{case}, frame {frame}, {draper}"}
+        made = f"{case}, frame {frame}, {draper}"
         with replacing(self.folder / f"{key}.npz") as temporary:
-            np.savez(temporary, strands=drape.strands.numpy(), milliseconds=taken, **texts)
+            np.savez(temporary, strands=drape.strands.numpy(), milliseconds=taken, machine=drape.machine, made=made)
 
     def groom_key(self, groom: Groom) -> str:
         """Digest of the groom in this folder that is the same within `SAME_GROOM`; where there is none, of this one,

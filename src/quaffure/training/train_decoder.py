@@ -43,6 +43,7 @@ class DecoderRecipe(Recipe):
     """
 
     ema_decay = EMA_DECAY
+    config: TrainConfig
 
     def __init__(
         self,

@@ -76,6 +76,8 @@ class GroomCodeRecipe(Recipe):
     """The groom autoencoder's training for the shared loop (`quaffure.training.loop`)."""
 
     ema_decay = EMA_DECAY
+    config: GroomCodeConfig
+    network: GroomAutoencoder
     generator: torch.Generator
 
     def __init__(

@@ -56,6 +56,8 @@ class GroomGenRecipe(Recipe):
     """
 
     ema_decay, score = EMA_DECAY, "distance_mm"
+    config: GroomGenConfig
+    network: GroomGenNetwork
 
     def __init__(self, config: GroomGenConfig, drapes: DrapeFolder, data: DrapedPoses) -> None:
         """

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 from quaffure.apps.cli.console import print_json, print_rows
-from quaffure.benchmark.evaluation_set import evaluation_motions
+from quaffure.benchmark.evaluation_set import load_evaluation_set
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import resample
 from quaffure.body.pose_prior import load_pose_prior
@@ -150,7 +150,7 @@ def contact_rows(body: BodyModel, clips: list[Path]) -> list[dict[str, object]]:
         distance = signed_distance(points, scene.surface).double().numpy()
         found = [compared(points[k], distance[k], scene.surface, k) for k in range(len(points))]
         rows.append(
-            {"clip": clip.stem, "held_out": clip.stem in evaluation_motions(), "bodies": len(found)}
+            {"clip": clip.stem, "held_out": clip.stem in load_evaluation_set().motions, "bodies": len(found)}
             | {"points": sum(int(each["points"]) for each in found)}
             | {"largest_error_mm": max(each["largest_error_mm"] for each in found)}
             | {name: sum(int(each[name]) for each in found) for name in ("other_sign", "wrong_map")}

@@ -245,7 +245,7 @@ def test_grooms_with_nan(refusal: Refusal, inputs: Path) -> None:
         arrays = dict(file)
     arrays["rest_strands"][0, 5] = np.nan
     path = refusal.saved("nan.npz", npz_bytes(**arrays))
-    assert f"{path}: expected finite rest_strands, found NaN" in refusal(*posed(path))
+    assert f"{path}: expected a groom file (.npz) with finite rest_strands, found NaN" in refusal(*posed(path))
 
 
 EMPTY = {
@@ -362,7 +362,7 @@ def test_bad_shape_vectors(refusal: Refusal, shape: str, expected: str) -> None:
     ("name", "content", "expected"),
     [
         ("missing.txt", None, "No such file"),
-        ("missing.npz", None, "No such file"),
+        ("missing.npz", None, "no such file"),
         ("three.txt", b"1 2 3\n", "expected 10 coefficients, found 3"),
         ("words.csv", b"a,b,c", "expected numbers separated by commas, found 'a'"),
         ("binary.txt", b"\xff\xfe\x00", "expected a text file"),

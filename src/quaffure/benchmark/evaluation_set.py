@@ -122,11 +122,6 @@ def load_evaluation_set() -> EvaluationSet:
     )
 
 
-def evaluation_motions() -> frozenset[str]:
-    """Stems of the motion files of the set, which training refuses."""
-    return frozenset(load_evaluation_set().motions)
-
-
 def refuse_evaluation_data(grooms: Iterable[str | Path] = (), motions: Iterable[str | Path] = ()) -> None:
     """Keep out of a training what it is evaluated on: every clip of the set, and its grooms of the group `unseen`.
 

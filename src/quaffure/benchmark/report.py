@@ -45,7 +45,7 @@ def write_report(folder: Path, results: Results) -> list[Path]:
         raise InputError(folder, "a folder for the report", error.strerror or str(error)) from error
     drawn = []
     if importlib.util.find_spec("matplotlib") is not None:
-        from quaffure.benchmark.report_plot import plot_results
+        from quaffure.benchmark.plots import plot_results
 
         plot_results(picture, results)
         drawn = [picture]

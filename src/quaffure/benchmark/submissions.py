@@ -1,16 +1,17 @@
 """Cases as files for a method from elsewhere, and its drapes read back. Both are drape files (docs/evaluation.md)."""
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from quaffure.baselines.posed import PosedDraper
 from quaffure.benchmark.drape_cache import TimedDrape
 from quaffure.benchmark.evaluation_set import CaseEntry, EvaluationCase, EvaluationSet
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
+from quaffure.drape_motion import drape_motion
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.io.drape_file import read_drape, write_drape
@@ -26,28 +27,9 @@ def write_case(folder: Path, case: EvaluationCase, set_version: int, body: BodyM
     Raises:
         InputError: the folder is missing or not writable.
     """
-    scene = Scene(case.groom, case.bodies(body))
-    posed = scene.posed.numpy()
-    meta = {
-        "case": case.name,
-        "evaluation_set": set_version,
-        "groom": case.groom.name,
-        "licence": case.groom.licence,
-        "motion": case.motion.name,
-        "frames": case.frames,
-        "material": asdict(material),
-    }
-    posed_groom = DrapeSequence(
-        strands=posed,
-        posed=posed,
-        rest_lengths=case.groom.rest_lengths.numpy(),
-        body_vertices=scene.bodies.posed.vertices.numpy(),
-        body_faces=body.faces.numpy().astype(np.int32),
-        body_pose=case.motion.body_pose.numpy(),
-        body_shape=case.body_shape.numpy(),
-        fps=case.motion.fps,
-        meta=meta,
-    )
+    posed = drape_motion(PosedDraper(material), case.groom, body, case.motion, case.body_shape)
+    meta = {name: posed.meta[name] for name in ("groom", "licence", "motion", "material")}
+    meta |= {"case": case.name, "evaluation_set": set_version, "frames": case.frames}
     at_rest = {
         "rest_strands": case.groom.rest_strands.numpy(),
         "root_faces": case.groom.root_faces.numpy(),
@@ -56,7 +38,7 @@ def write_case(folder: Path, case: EvaluationCase, set_version: int, body: BodyM
         "rest_body_vertices": body.rest_vertices.numpy(),
     }
     path = folder / f"{case.name}.npz"
-    write_drape(path, posed_groom, at_rest)
+    write_drape(path, replace(posed, meta=meta), at_rest)
     return path
 
 
@@ -85,7 +67,7 @@ def submitted_frames(path: Path, sequence: DrapeSequence, case: EvaluationCase, 
         InputError: other shapes, bodies or strands than the case's, or roots that left the scalp.
     """
     scene = Scene(case.groom, case.bodies(body))
-    expected: Mapping[str, np.ndarray] = {
+    expected = {
         "body_pose": case.motion.body_pose.numpy(),
         "body_shape": case.body_shape.numpy(),
         "rest_lengths": case.groom.rest_lengths.numpy(),

@@ -8,15 +8,15 @@ import torch
 
 from quaffure.apps.cli import train_code
 from quaffure.apps.cli.main import main
-from quaffure.benchmark.groom_code_figures import (
+from quaffure.benchmark.groom_code_metrics import (
     betweenness,
-    code_figures,
+    code_metrics,
     codes_of,
-    growing_scatter,
     half_of,
-    half_way_figures,
+    interpolation_metrics,
     reconstruction,
     scatter_of_styles,
+    style_scatter,
 )
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
@@ -297,8 +297,8 @@ def test_scatter_is_what_growings_differ_by(
     samples: list[GroomSample], anew: dict[str, Groom], body: BodyModel
 ) -> None:
     straight, again = samples[0], sample_of(anew["long_straight"], body, "long_straight")
-    assert 1 < growing_scatter(straight, [again]) < 5
-    longer = growing_scatter(straight, [scaled(again, 1.5)])
+    assert 1 < style_scatter(straight, [again]) < 5
+    longer = style_scatter(straight, [scaled(again, 1.5)])
     # Half a length too long: in the mean over the vertices a quarter of a length off.
     assert 18 < longer < 30
     assert list(scatter_of_styles([straight, again, samples[1]])) == ["long_straight"]
@@ -367,7 +367,7 @@ def test_half_way_between_codes_of_a_linear_decoder(samples: list[GroomSample]) 
     row = betweenness(network, samples[0], samples[2])
     assert row["share"] == pytest.approx(0.5, abs=1e-3)
     assert row["detour"] == pytest.approx(0, abs=1e-3)
-    figures = half_way_figures(network, samples[:3])
+    figures = interpolation_metrics(network, samples[:3])
     assert figures["share"]["pairs"] == 3
 
 
@@ -391,7 +391,7 @@ def test_codes_tell_styles_apart_grown_anew_and_thinned(
     body: BodyModel, samples: list[GroomSample], anew: dict[str, Groom]
 ) -> None:
     encoder = load_groom_encoder()
-    figures = code_figures(encoder, samples, [sample_of(groom, body, name) for name, groom in anew.items()])
+    figures = code_metrics(encoder, samples, [sample_of(groom, body, name) for name, groom in anew.items()])
     # One of the four is a style that no training has seen.
     for row in figures.values():
         assert row["style_accuracy_percent"] == 100

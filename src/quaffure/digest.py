@@ -1,4 +1,4 @@
-"""Digests that tell arrays apart."""
+"""Digests of arrays."""
 
 import hashlib
 

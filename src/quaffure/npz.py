@@ -1,4 +1,4 @@
-"""Arrays of an `.npz` file, each held to its header before memory is taken for it. Nothing is ever unpickled."""
+"""Arrays of an `.npz` file, each checked by its header before memory is taken for it. Nothing is ever unpickled."""
 
 import math
 from collections.abc import Iterator, Mapping

@@ -1,4 +1,4 @@
-"""Drapes on disk, so that a stopped evaluation carries on and never drapes the same frame twice."""
+"""Drapes on disk, so that a stopped evaluation continues and never drapes the same frame twice."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,7 +61,7 @@ class DrapeCache:
         return TimedDrape(torch.from_numpy(arrays["strands"]), taken, str(arrays["machine"]))
 
     def put(self, key: str, drape: TimedDrape, case: str, frame: int, draper: str) -> None:
-        """Keep a drape; case, frame of the clip and draper are written for whoever looks into the file."""
+        """Keep a drape; case, frame of the clip and draper are written for readers of the file."""
         taken = -1.0 if drape.milliseconds is None else drape.milliseconds
         made = f"{case}, frame {frame}, {draper}"
         with replacing(self.folder / f"{key}.npz") as temporary:

@@ -51,9 +51,9 @@ class CaseDraper:
         """
         if not method.drapes(case.groom, self.body):
             return None
-        known = self.known(method, case, frame)
-        if known is not None:
-            return known
+        cached = self.known(method, case, frame)
+        if cached is not None:
+            return cached
         if method.name not in self._warm:
             few = case.groom.select(torch.arange(min(WARM_UP_STRANDS, len(case.groom))))
             method.draper.drape(Scene(few, case.bodies(self.body, frame)))

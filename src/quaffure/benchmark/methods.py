@@ -39,14 +39,14 @@ class Method:
     notes: dict[str, str] = field(default_factory=dict)
 
     def drapes(self, groom: Groom, body: BodyModel) -> bool:
-        """Whether it can drape this groom: GroomGen drapes its own alone."""
+        """Whether it can drape this groom: GroomGen drapes only its own."""
         return not isinstance(self.draper, GroomGenDraper) or self.draper.knows(groom, body)
 
 
 def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:
-    """The rows asked for, in that order and each once.
+    """The chosen rows, in that order and each once.
 
-    All rows drape the hair of the row `neural`: the shipped weights, or those that take their place.
+    All rows drape the hair of the row `neural`: the shipped weights, or those that replace them.
 
     Args:
         names: of `ROWS` or of `weights`.
@@ -74,7 +74,7 @@ def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:
         rows[name] = Method(name, draper, notes=notes)
     for name in names:
         if name == GROOMGEN and name not in rows:
-            raise InputError(f"draper {name}", f"--weights {name}=FILE beside it: none are shipped", "none")
+            raise InputError(f"draper {name}", f"--weights {name}=FILE with it: none are shipped", "none")
         if name not in rows:
             raise InputError("draper", f"one of {', '.join(rows)}", f"'{name}'")
     return [rows[name] for name in dict.fromkeys(names)]

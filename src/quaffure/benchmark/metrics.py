@@ -24,7 +24,7 @@ PerFrame = dict[str, Float[Tensor, " b"]]
 
 
 class DrapeMetrics:
-    """Metrics of a drape, and of the groom as it was merely posed, added up batch by batch of its frames."""
+    """Metrics of a drape, and of the groom as it was posed, added up batch by batch of its frames."""
 
     def __init__(self, groom: Groom, material: HairMaterial, reference: DrapeSequence | None = None) -> None:
         """
@@ -76,7 +76,7 @@ class DrapeMetrics:
 def measure(
     sequence: DrapeSequence, groom: Groom, body: BodyModel, reference: DrapeSequence | None = None
 ) -> tuple[PerFrame, PerFrame]:
-    """Metrics of every frame of a drape that exists already, and of the groom as it was merely posed.
+    """Metrics of every frame of a drape that exists already, and of the groom as it was posed.
 
     Raises:
         InputError: the reference holds other frames, bodies or strands, or hair of another material.

@@ -99,8 +99,8 @@ def setting_rows(results: Results) -> list[dict[str, object]]:
     ]
 
 
-def shown(cell: object) -> str:
-    """A cell as every table shows it."""
+def cell_text(cell: object) -> str:
+    """A cell as all tables have it."""
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
@@ -109,7 +109,7 @@ def _cells(values: dict[str, dict[str, float]], kinds: dict[str, str]) -> dict[s
 
 
 def _table(rows: list[dict[str, object]]) -> str:
-    lines = [list(rows[0]), ["---"] * len(rows[0]), *([shown(cell) for cell in row.values()] for row in rows)]
+    lines = [list(rows[0]), ["---"] * len(rows[0]), *([cell_text(cell) for cell in row.values()] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -138,6 +138,6 @@ def _skipped(skipped: dict[str, str]) -> str:
 def _in_words(values: dict[str, Any]) -> str:
     parts = []
     for name, value in values.items():
-        said = f"({_in_words(value)})" if isinstance(value, dict) else shown(value)
-        parts.append(said if name == "class" else f"{name} {said}")
+        text = f"({_in_words(value)})" if isinstance(value, dict) else cell_text(value)
+        parts.append(text if name == "class" else f"{name} {text}")
     return ", ".join(parts)

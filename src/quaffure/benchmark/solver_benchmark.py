@@ -64,7 +64,7 @@ class Run:
     Attributes:
         excess_energy: above the least energy that any run reached on the case.
         relative_gradient: `quaffure.solvers.stopping`, the same measure for all.
-        reported_gradient: of the solver's `StoppingReport`; another measure for `newton` alone. None without a report.
+        reported_gradient: of the solver's `StoppingReport`; another measure for `newton` only. None without a report.
         iterations: of that report, over `share` of the run.
         seconds, cpu_seconds: wall and processor time of the whole setting, measured over `share` of it.
     """

@@ -18,7 +18,7 @@ NUMBERS: Spec = {
     "root_uv": (("S", 2), REAL),
 }
 TEXTS = ("name", "licence")
-ROOT_SLACK = 2e-3  # m: between a strand's first vertex and its place on the scalp
+ROOT_SLACK = 2e-3  # m: between a strand's first vertex and its root on the scalp
 LONGEST_STRAND = 3.0  # m
 BARYCENTRIC_SLACK = 1e-3
 
@@ -35,7 +35,7 @@ def write_groom(path: Path, groom: Groom) -> None:
 
 
 def is_groom_file(path: Path) -> bool:
-    """Whether an `.npz` holds a registered groom rather than strands of unknown place."""
+    """Whether an `.npz` holds a registered groom rather than strands without a body."""
     return {*NUMBERS} <= array_names(path)
 
 

@@ -91,7 +91,7 @@ class AveragedAdam(Generic[Network]):
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Carry on from what `state` gave.
+        """Continue from what `state` gave.
 
         Raises:
             KeyError, RuntimeError, ValueError: it is of another network.

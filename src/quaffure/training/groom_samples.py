@@ -38,7 +38,7 @@ class ProceduralGroom:
     seed: int
 
     def groom(self, body: BodyModel, surface: Surface) -> Groom:
-        """It on a body, whose surface at rest is given."""
+        """The groom on a body, whose surface at rest is given."""
         return replace(make_groom(self.controls, body, self.seed, surface), name=self.name)
 
     def file_name(self, body: str) -> str:
@@ -84,8 +84,8 @@ def cached_samples(
 
 
 def _write(path: Path, sample: GroomSample) -> None:
-    with replacing(path) as beside:
-        np.savez(beside, features=sample.features.numpy(), texels=sample.texels.numpy().astype(np.int16))
+    with replacing(path) as temporary:
+        np.savez(temporary, features=sample.features.numpy(), texels=sample.texels.numpy().astype(np.int16))
 
 
 def _read(path: Path, style: str) -> GroomSample:

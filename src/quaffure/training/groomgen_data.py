@@ -1,4 +1,4 @@
-"""What GroomGen is supervised by: one groom draped by a solver at random rotations of the neck, a file a pose.
+"""Supervision of GroomGen: one groom draped by a solver at random rotations of the neck, a file a pose.
 
     groom.npz        the groom, as `quaffure.io.groom_file` writes it
     manifest.json    what all its drapes have in common
@@ -35,7 +35,7 @@ from quaffure.types import BodyPose, Float, Tensor
 LARGEST_TURN = math.radians(30)
 """Of the head about each axis (Sec. 4.2) [rad]."""
 SAME_GROOM = 1e-4
-"""Grooms are grown anew by every process; their vertices may differ by this much [m]."""
+"""Every process makes the groom again; its vertices may differ by this much [m]."""
 
 
 @dataclass(frozen=True)
@@ -95,20 +95,20 @@ class DrapeFolder:
         """Drape one pose and keep it.
 
         Raises:
-            InputError: the draper answers with NaN or infinity.
+            InputError: the draper returns NaN or infinity.
         """
         body_pose = turned_head(self.body, drawn_turn(self.manifest.seed, pose)[None])
         strands = draper.drape(Scene(self.groom, BodyBatch(self.body, body_pose, torch.zeros(1, 10))))[0].detach()
         if not bool(torch.isfinite(strands).all()):
             raise InputError(draper.name, f"finite vertices in pose {pose}", "NaN or infinity")
-        with replacing(self.pose_file(pose)) as beside, beside.open("wb") as file:
-            np.savez(file, strands=strands.numpy(), body_pose=body_pose[0].numpy())
+        with replacing(self.pose_file(pose)) as temporary:
+            np.savez(temporary, strands=strands.numpy(), body_pose=body_pose[0].numpy())
 
     def read(self, on_pose: Callable[[int], None] = lambda pose: None) -> "DrapedPoses":
         """All drapes that are there, in the order of their numbers.
 
         Args:
-            on_pose: told how many were read, after each of them.
+            on_pose: called with the number of poses read so far.
 
         Raises:
             InputError: there is none, or a file is damaged.
@@ -139,7 +139,7 @@ class DrapeFolder:
 
 @dataclass(frozen=True)
 class DrapedPoses:
-    """What is learnt: from a turn of the head to displacements.
+    """The supervision: from a turn of the head to displacements.
 
     Attributes:
         turn: rotation vector of the head relative to the trunk [rad].
@@ -164,18 +164,18 @@ def started_folder(path: Path, groom: Groom, body: BodyModel, solver: str, drape
         InputError: it holds other drapes, or cannot be made.
     """
     made_folder(path, "a folder for drapes")
-    asked = Manifest(
+    wanted = Manifest(
         groom.name, groom_digest(groom), body_digest(body), solver, asdict(draper.material), seed, code_version()
     )
     if not (path / "manifest.json").is_file():
         write_groom(path / "groom.npz", groom)
-        with replacing(path / "manifest.json") as beside:
-            beside.write_text(json.dumps(asdict(asked), indent=1) + "\n", encoding="utf-8")
+        with replacing(path / "manifest.json") as temporary:
+            temporary.write_text(json.dumps(asdict(wanted), indent=1) + "\n", encoding="utf-8")
     folder = DrapeFolder(path, body)
     for name in ("groom", "solver", "material", "seed"):
-        held, wanted = getattr(folder.manifest, name), getattr(asked, name)
-        if held != wanted:
-            raise InputError(path, f"drapes of {name} {wanted}", f"of {name} {held}")
+        found, expected = getattr(folder.manifest, name), getattr(wanted, name)
+        if found != expected:
+            raise InputError(path, f"drapes of {name} {expected}", f"of {name} {found}")
     if not _same_groom(folder.groom, groom):
         raise InputError(path, f"drapes of this groom {groom.name}", "of another of that name")
     return folder

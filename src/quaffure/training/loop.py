@@ -3,7 +3,7 @@
     forward and backward  ->  mean gradients of all processes  ->  Adam  ->  average of the weights
 
 with rows in `training.csv` and `validation.csv`, the best weights in `best.safetensors`, and a checkpoint from which a
-stopped run carries on. A run that was killed and resumed ends with the same bits as one that was not.
+stopped run continues. A run that was killed and resumed ends with the same bits as one that was not.
 """
 
 import math
@@ -156,7 +156,7 @@ class Training(Generic[R]):
         self.folder.save(self.optimizer.state() | {"counters": counters} | random | self.recipe.identity())
 
     def resume(self) -> bool:
-        """Carry on from the folder's checkpoint, which the first process reads for all; False where there is none.
+        """Continue from the folder's checkpoint, which the first process reads for all; False where there is none.
 
         Rows of the logs that are later than it are dropped, all of them where a run was killed before its first one.
         The number of processes may be another than before.
@@ -182,7 +182,7 @@ class Training(Generic[R]):
 
 
 def train(training: Training[Any], report: Callable[[int, Metrics], None]) -> None:
-    """Carry a run on to its end, logging, validating and saving on the way.
+    """Continue a run to its end, logging, validating and saving on the way.
 
     Args:
         report: called after every step of the first process with the step and its metrics (`Training.steps`), after
@@ -204,7 +204,7 @@ def train(training: Training[Any], report: Callable[[int, Metrics], None]) -> No
         if validated:
             metrics |= training.validate()
         report(training.step, metrics)
-        # Also after a validation: a resumed run must know its best weights.
+        # Also after a validation: a resumed run needs the score of its best weights.
         if validated or time.perf_counter() - saved > recipe.config.save_every_seconds:
             training.save()
             saved = time.perf_counter()

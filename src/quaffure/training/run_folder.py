@@ -1,4 +1,4 @@
-"""The folder of a training run: what it was asked for, its logs, and the checkpoint that it carries on from."""
+"""The folder of a training run: its settings, its logs, and the checkpoint to resume from."""
 
 import csv
 import json
@@ -42,7 +42,7 @@ class RunFolder:
         self.version = code_version()
 
     def describe(self, description: Mapping[str, object]) -> None:
-        """Write `config.json`: the version of the code, and what the run was asked for."""
+        """Write `config.json`: the version of the code, and the settings of the run."""
         with replacing(self.path / "config.json") as path:
             path.write_text(json.dumps({"version": self.version, **description}, indent=1) + "\n")
 
@@ -117,7 +117,7 @@ class RunFolder:
 
 
 def body_digest(body: BodyModel) -> str:
-    """Tells one body from another, in any process: its file is the same everywhere."""
+    """Digest of a body's rest shape, the same in every process."""
     return array_digest(body.rest_vertices)[:8]
 
 
@@ -145,7 +145,7 @@ def _read_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
 
 
 def _write_table(path: Path, columns: list[str], rows: list[dict[str, str]]) -> None:
-    with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns, restval="")
         writer.writeheader()
         writer.writerows(rows)

@@ -29,13 +29,13 @@ from quaffure.types import Tensor
 EMA_DECAY = 0.998
 """Of the weights' exponential average: over the last thousand steps or so."""
 VALIDATED_GROOMS = 16
-"""Of many grooms about as many, evenly spread over their list, stand for all in a validation."""
+"""Of many grooms about as many, evenly spread over their list, represent all in a validation."""
 
 
 class DecoderRecipe(Recipe):
     """The decoder's training for the shared loop (`quaffure.training.loop`).
 
-    Random numbers of a step follow from seed, rank and step alone.
+    Random numbers of a step follow from seed, rank and step only.
 
     Attributes:
         energies: of each groom, in the material that hair has.

@@ -1,4 +1,4 @@
-"""Training of the groom autoencoder, Sec. 3.2: strands left out of what is shown, all of them asked for."""
+"""Training of the groom autoencoder, Sec. 3.2: grooms encoded from a part of their strands, and decoded."""
 
 import hashlib
 import math
@@ -31,7 +31,7 @@ class GroomCodeConfig:
     warmup: int = 50
     """Steps over which the learning rate rises from zero."""
     library_seeds: int = 6
-    """Growings of every named style that is not held out."""
+    """Seeds of every named style that is not held out."""
     family: int = 1500
     """Draws from the continuous family."""
     library_share: float = 0.4
@@ -41,7 +41,7 @@ class GroomCodeConfig:
     code_noise: float = 0.03
     """Added to the codes, so that grooms nearby in code are alike [-]."""
     code_penalty: float = 1e-3
-    """Weight of the mean square of the codes, which keeps them from growing away from that noise."""
+    """Weight of the mean square of the codes, which keeps them from outgrowing that noise."""
     bf16: bool = False
     """Run the network's layers in bfloat16."""
     seed: int = 0
@@ -59,11 +59,11 @@ class GroomCodeConfig:
             raise InputError("--library-share", "0 to 1", f"{self.library_share}")
 
 
-# What the encoder sees of a groom, at least [share of its strands].
-LEAST_SHOWN = 0.3
-# Of the strands of a groom that its code is asked for in one step; all of them teach little more and cost twice.
-ASKED = 0.5
-# How often only a patch of the scalp is shown and asked for: real grooms may be a crest, or one part of a hairdo.
+# Least part of a groom that is encoded [share of its strands].
+LEAST_ENCODED = 0.3
+# Share of a groom's strands that are decoded in one step; all of them improve little and cost twice.
+DECODED = 0.5
+# Share of pairs of which only a patch of the scalp is used: real grooms may be a crest, or one part of a hairdo.
 PATCHES = 0.15
 LEAST_PATCH = 50
 # Grooms are made longer or shorter by up to this factor [natural logarithm].
@@ -89,8 +89,8 @@ class GroomCodeRecipe(Recipe):
     ) -> None:
         """
         Args:
-            library: grooms; two of one style are growings of it, of which one is encoded and the other asked for.
-            family: grooms of one growing each; may be empty.
+            library: grooms; two of one style differ by their seed: one is encoded, the other is the target.
+            family: grooms of one seed each; may be empty.
             begun: an autoencoder that is finished but for its decoder, which is trained on: codes stay what they are.
 
         Raises:
@@ -126,24 +126,24 @@ class GroomCodeRecipe(Recipe):
         return {"loss": loss.item()}
 
     def _draw(self) -> GroomBatch:
-        """Pairs of grooms of one style, mirrored and lengthened alike; some strands of the first are shown."""
-        shown, asked = [], []
+        """Pairs of grooms of one style, mirrored and lengthened alike; the first of a pair loses strands."""
+        inputs, targets = [], []
         for pair in (self._pair() for _ in range(self.config.batch)):
             flip, stretch, share = torch.rand(3, generator=self.generator).tolist()
             factor = math.exp(LENGTHENING * (2 * stretch - 1))
-            # What an encoder does not learn any more only blurs what its decoder is asked for.
-            least = 1.0 if self.keeps_encoder else LEAST_SHOWN
-            parts = zip(pair, (least + (1 - least) * share, ASKED))
+            # A fixed encoder gains nothing from missing strands, and its decoder's targets would be blurred.
+            least = 1.0 if self.keeps_encoder else LEAST_ENCODED
+            parts = zip(pair, (least + (1 - least) * share, DECODED))
             first, second = (scaled(part_of(groom, kept, self.generator), factor) for groom, kept in parts)
-            shown.append(mirrored(first) if flip < 0.5 else first)
-            asked.append(mirrored(second) if flip < 0.5 else second)
-        return batch_of(shown, asked)
+            inputs.append(mirrored(first) if flip < 0.5 else first)
+            targets.append(mirrored(second) if flip < 0.5 else second)
+        return batch_of(inputs, targets)
 
     def _pair(self) -> tuple[GroomSample, GroomSample]:
         of_library = float(torch.rand((), generator=self.generator)) < self.config.library_share
         if of_library or not self.family:
-            growings = list(self.styles.values())[self._index(len(self.styles))]
-            first, second = (growings[self._index(len(growings))] for _ in range(2))
+            of_style = list(self.styles.values())[self._index(len(self.styles))]
+            first, second = (of_style[self._index(len(of_style))] for _ in range(2))
         else:
             first = second = self.family[self._index(len(self.family))]
         if float(torch.rand((), generator=self.generator)) < PATCHES:
@@ -190,9 +190,9 @@ def finish(training: Training[GroomCodeRecipe]) -> GroomAutoencoder:
 
 
 def _loss(decoded: Float[Tensor, "s decoded"], batch: GroomBatch) -> Tensor:
-    """Mean distance in strand lengths: half of it every strand alike, half every strand by its length.
+    """Mean distance in strand lengths: half of it with equal weights, half weighted by length.
 
-    Every strand alike is fair to a groom of short hair, but in a groom of long and clipped hair it is the stubble's.
+    Equal weights are fair to a groom of short hair, but in a groom of long and clipped hair it favours the clipped.
     """
     lengths = batch.features[:, SHAPE_CHANNELS].exp()
     counts = batch.samples.bincount().clamp(min=1)

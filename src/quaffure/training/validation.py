@@ -29,7 +29,7 @@ class Validation:
 
 
 def prior_validation() -> Validation:
-    """Poses and shapes drawn once, by a generator of their own, from the shipped prior alone: frames of clips are poses
+    """Poses and shapes drawn once, by a generator of their own, from the shipped prior only: frames of clips are poses
     that the network may have been trained on.
     """
     generator = torch.Generator().manual_seed(_SEED)

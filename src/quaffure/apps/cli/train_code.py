@@ -15,9 +15,9 @@ from rich.progress import Progress, TaskID, TimeRemainingColumn
 
 from quaffure.apps.cli.console import print_json, print_rows, progress_columns
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
-from quaffure.benchmark.groom_code_figures import (
-    code_figures,
-    half_way_figures,
+from quaffure.benchmark.groom_code_metrics import (
+    code_metrics,
+    interpolation_metrics,
     reconstruction,
     scatter_of_styles,
     summary,
@@ -146,9 +146,9 @@ def _figures(
     return {
         "reconstruction": {name: summary(of_group) for name, of_group in rows.items()},
         "grooms": {name: [asdict(row) for row in of_group] for name, of_group in rows.items()},
-        "codes": code_figures(network.encoder, known, anew),
+        "codes": code_metrics(network.encoder, known, anew),
         "scatter": scatter_of_styles(known + anew),
-        "half_way": half_way_figures(network, seen["library"]),
+        "half_way": interpolation_metrics(network, seen["library"]),
     }
 
 

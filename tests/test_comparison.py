@@ -11,7 +11,7 @@ import torch
 
 from quaffure.baselines.posed import PosedDraper
 from quaffure.benchmark import drape_key, draping
-from quaffure.benchmark.comparison import compare, summarize
+from quaffure.benchmark.comparison import compare, measure_case, summarize
 from quaffure.benchmark.drape_cache import DrapeCache, TimedDrape
 from quaffure.benchmark.drape_key import draper_key
 from quaffure.benchmark.draping import CaseDraper
@@ -316,6 +316,18 @@ def test_the_reference_is_the_lowest_solver_of_each_frame(case: EvaluationCase, 
     assert {key: figures["network"][key][0] for key in expected} == pytest.approx(
         {key: float(value) for key, value in expected.items()}, rel=1e-5, abs=1e-6
     )
+
+
+def test_each_frame_of_a_case_is_posed_once_for_all_rows(case: EvaluationCase, body: BodyModel) -> None:
+    drapes = {
+        name: [lifted(body, dict.fromkeys(range(3), 0.0))(case, frame) for frame in range(3)]
+        for name in ("a", "b", "c")
+    }
+    with mock.patch.object(
+        BodyModel, "_forward_kinematics", autospec=True, side_effect=BodyModel._forward_kinematics
+    ) as kinematics:
+        measure_case(case, drapes, ["a", "b"], body, HairMaterial())
+    assert kinematics.call_count == len(case.frames)
 
 
 def test_without_solvers_there_is_no_reference_and_isolated_frames_do_not_tremble(

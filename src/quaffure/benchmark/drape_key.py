@@ -9,6 +9,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,8 +69,8 @@ def _by_value(value: Any) -> object:
         return [_by_value(item) for item in value]
     if isinstance(value, Mapping):
         return {str(name): _by_value(item) for name, item in value.items()}
-    if isinstance(value, Enum):
-        return value.name
+    if isinstance(value, Enum | Path | torch.dtype | torch.device):
+        return str(value)
     if isinstance(value, torch.nn.Module):
         return {"config": _by_value(getattr(value, "config", None)), "weights": _by_value(value.state_dict())}
     if is_dataclass(value):

@@ -175,21 +175,17 @@ def load_cases(
     Raises:
         InputError: a file of the set is missing or broken, or its clip ends before a frame of the set.
     """
-    grooms: dict[str, Groom] = {}
-    clips: dict[str, Motion] = {}
+    groom_of = cache(lambda name: _groom(name, of.grooms[name], folders, body))
+    clip_of = cache(lambda name: _clip(name, of.fps, folders, body))
     for entry in entries:
-        if entry.groom not in grooms:
-            grooms[entry.groom] = _groom(entry.groom, of.grooms[entry.groom], folders, body)
-        if entry.clip not in clips:
-            clips[entry.clip] = _clip(entry.clip, of.fps, folders, body)
-        clip = clips[entry.clip]
+        groom, clip = groom_of(entry.groom), clip_of(entry.clip)
         if max(entry.frames) >= len(clip):
             raise InputError(folders.motion(entry.clip), f"more than {max(entry.frames)} frames", f"{len(clip)}")
         yield EvaluationCase(
             name=entry.name,
             group=of.grooms[entry.groom].group,
             shape=entry.shape,
-            groom=grooms[entry.groom],
+            groom=groom,
             motion=replace(clip, body_pose=clip.body_pose[list(entry.frames)]),
             frames=entry.frames,
             body_shape=torch.tensor(of.shapes[entry.shape]),

@@ -42,9 +42,9 @@ class Stopwatch:
     def around(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*args: Any, **kwargs: Any) -> Any:
             start = time.perf_counter()
-            answer = function(*args, **kwargs)
+            result = function(*args, **kwargs)
             self.seconds[part] += time.perf_counter() - start
-            return answer
+            return result
 
         return timed
 
@@ -90,7 +90,7 @@ def measure(training: Training[DecoderRecipe]) -> None:
         (AveragedAdam, "update", "update of weights and their average"),
     )
     patches = [mock.patch.object(owner, name, watch.around(part, getattr(owner, name))) for owner, name, part in parts]
-    for cached, part in (("posed", "body"), ("surface", "contact look-up")):
+    for cached, part in (("posed", "body"), ("surface", "contact search")):
         function = getattr(BodyBatch, cached).func
         patches.append(mock.patch.object(getattr(BodyBatch, cached), "func", watch.around(part, function)))
     for patch in patches:
@@ -100,7 +100,7 @@ def measure(training: Training[DecoderRecipe]) -> None:
         next(steps)
     total = time.perf_counter() - start
     mock.patch.stopall()
-    # The body is posed inside the first groom's draping, its look-up inside the energy's arguments.
+    # The body is posed inside the first groom's draping, its search structure inside the energy's arguments.
     watch.seconds["posing and network, forward"] -= watch.seconds["body"]
     watch.seconds["everything else"] = total - sum(watch.seconds.values())
     for part, seconds in sorted(watch.seconds.items(), key=lambda item: -item[1]):

@@ -2,7 +2,7 @@
 
 Energies are in the unit of the loss.
 
-Trains what `runs_folder` does not hold yet, all with the same samples, and carries on where it was stopped; then plots.
+Trains what `runs_folder` does not hold yet, all with the same samples, and continues stopped runs; then plots.
 """
 
 from pathlib import Path

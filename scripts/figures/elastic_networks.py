@@ -1,6 +1,6 @@
 """Fig. 10 by networks: one trained with each elastic model on curly hair, and how fast the three trainings converge.
 
-Trains what `runs_folder` does not hold yet, all with the same samples, and carries on where it was stopped; then draws.
+Trains what `runs_folder` does not hold yet, all with the same samples, and continues stopped runs; then draws.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """Fig. 8: one groom by the supervised baseline, by the network and by the solver that the baseline was fitted to.
 
-At turns of the head that the baseline was not trained on. The small pictures show the strands alone that have a vertex
+At turns of the head that the baseline was not trained on. The small pictures show only the strands that have a vertex
 inside the body, on the bare body. Needs weights of `quaffure train-groomgen` (docs/groomgen.md).
 """
 

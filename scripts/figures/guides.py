@@ -1,4 +1,4 @@
-"""Hair between draped guides (docs/guides.md): above the guides alone, below all strands made of them."""
+"""Hair between draped guides (docs/guides.md): above only the guides, below all strands made of them."""
 
 from pathlib import Path
 

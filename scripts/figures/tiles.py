@@ -175,8 +175,8 @@ def save_picture(path: Path, picture: Picture, most_bytes: int = MOST_BYTES) -> 
         buffer = io.BytesIO()
         Image.fromarray(picture).save(buffer, "JPEG", quality=quality, optimize=True)
         if buffer.tell() <= most_bytes:
-            with replacing(path) as beside:
-                beside.write_bytes(buffer.getvalue())
+            with replacing(path) as temporary:
+                temporary.write_bytes(buffer.getvalue())
             return
     raise InputError(path, f"a picture of at most {most_bytes} bytes", f"{buffer.tell()} at quality {LEAST_QUALITY}")
 

@@ -4,9 +4,10 @@
     python benchmarks/loss_kernels.py --contact CLIP [CLIP ...] [--json]
 
 The first prints milliseconds a sample, median of five, of the strand kernel (Eqs. 6, 7, 9, 10), of hair against hair
-(Eqs. 11-13) and of a posed body with its contact look-up, for hair as posed, bent at random, as an untrained network
-leaves it (the closed-form sag, much of it inside the body) and as the shipped network drapes it. Beside the wall time
-stands the time of all processors over the number of threads: the same on an idle machine, and of use on a busy one.
+(Eqs. 11-13) and of a posed body with its contact search, for hair as posed, bent at random, as an untrained network
+leaves it (the closed-form gravity equilibrium, much of it inside the body) and as the shipped network drapes it. With
+the wall time stands the time of all processors over the number of threads: the same on an idle machine, and of use on
+a busy one.
 
 The second compares distance and sign with libigl's exact query, over frames of motion clips on three bodies.
 """
@@ -23,7 +24,7 @@ import numpy as np
 import torch
 
 from quaffure.apps.cli.console import print_json, print_rows
-from quaffure.benchmark.evaluation_set import evaluation_motions
+from quaffure.benchmark.evaluation_set import load_evaluation_set
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import resample
 from quaffure.body.pose_prior import load_pose_prior
@@ -103,7 +104,7 @@ def kernel_rows(body: BodyModel, name: str, batch: int) -> list[dict[str, object
 def states(scene: Scene, energy: HairEnergy) -> dict[str, Positions]:
     """Hair at four stages of a training run."""
     rest, roots = energy.rest, scene.posed[:, :, 0]
-    sag = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
+    gravity = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
     generator = torch.Generator().manual_seed(1)
     bend = torch.randn(*scene.director.shape[:2], 1, 3, generator=generator)
     bend = scene.director + bend * torch.linspace(0, 1, scene.director.shape[2])[:, None]
@@ -111,7 +112,7 @@ def states(scene: Scene, energy: HairEnergy) -> dict[str, Positions]:
         return {
             "posed": scene.posed.contiguous(),
             "bent": integrate_directions(roots, bend, rest.rest_length),
-            "sagged": integrate_directions(roots, sag, rest.rest_length),
+            "gravity equilibrium": integrate_directions(roots, gravity, rest.rest_length),
             "network": load_model().draper.drape(scene),
         }
 
@@ -147,7 +148,7 @@ def contact_rows(body: BodyModel, clips: list[Path]) -> list[dict[str, object]]:
         distance = signed_distance(points, scene.surface).double().numpy()
         found = [compared(points[k], distance[k], scene.surface, k) for k in range(len(points))]
         rows.append(
-            {"clip": clip.stem, "held_out": clip.stem in evaluation_motions(), "bodies": len(found)}
+            {"clip": clip.stem, "held_out": clip.stem in load_evaluation_set().motions, "bodies": len(found)}
             | {"points": sum(int(each["points"]) for each in found)}
             | {"largest_error_mm": max(each["largest_error_mm"] for each in found)}
             | {name: sum(int(each[name]) for each in found) for name in ("other_sign", "wrong_map")}
@@ -162,8 +163,8 @@ def queries(scene: Scene) -> torch.Tensor:
     vertices = scene.bodies.posed.vertices
     shell = vertices[:, torch.randint(vertices.shape[1], (6000,), generator=generator)]
     shell = shell + 0.02 * (2 * torch.rand(shell.shape, generator=generator) - 1)
-    sag = states(scene, HairEnergy(scene.groom))["sagged"]
-    return torch.cat([scene.posed.flatten(1, 2), sag.flatten(1, 2), shell], dim=1)
+    settled = states(scene, HairEnergy(scene.groom))["gravity equilibrium"]
+    return torch.cat([scene.posed.flatten(1, 2), settled.flatten(1, 2), shell], dim=1)
 
 
 def compared(points: torch.Tensor, found: np.ndarray, surface: Surface, sample: int) -> dict[str, float]:

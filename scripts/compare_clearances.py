@@ -16,7 +16,7 @@ from quaffure.model.neural import NeuralDraper
 from quaffure.model.projection import projected
 from quaffure.model.quaffure_model import load_model
 from quaffure.scene import BodyBatch, Scene
-from quaffure.training.validation import prior_validation, validation_figures
+from quaffure.training.validation import prior_validation, validation_metrics
 from quaffure.types import Positions
 
 SHARES = (None, 0.0, 0.25, 0.5, 1.0)
@@ -47,7 +47,7 @@ def main(names: list[str]) -> None:
     print("| out to | elastic | body contact | hair contact | sum | inside the body [%] |")
     print("|---|---|---|---|---|---|")
     for share in SHARES:
-        means = validation_figures(ClearedDraper(network, share), pairs)
+        means = validation_metrics(ClearedDraper(network, share), pairs)
         print(
             f"| {'as the network has it' if share is None else f'{share:g} of the margin'} |"
             f" {means['stretch_shear'] + means['stretch']:.3f} | {means['body_collision']:.3f} |"

@@ -50,22 +50,24 @@ def main(names: list[str]) -> None:
 
 def _starts(scene: Scene, energy: HairEnergy) -> dict[str, torch.Tensor]:
     rest, body, root = energy.rest, scene.bodies.body, scene.posed[:, :, 0]
-    sag = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
+    gravity = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
     surface = mls_body(body, scene.bodies.posed)
     layered = initial_clearance(scene.groom, rest, energy.material, body)
-    margins = {"slid": rest.collision_margin, "slid in layers": layered}
-    slid = {
-        name: resolve_contact_reference(root, sag, rest.rest_length, margin, surface)[0]
+    margins = {"contact resolved": rest.collision_margin, "contact resolved in layers": layered}
+    once = {
+        name: resolve_contact_reference(root, gravity, rest.rest_length, margin, surface)[0]
         for name, margin in margins.items()
     }
-    alone, leader = torch.arange(len(scene.groom)), cluster_representatives(scene.groom)
+    each, clusters = torch.arange(len(scene.groom)), cluster_representatives(scene.groom)
 
-    def twice(leader: torch.Tensor, share: float) -> torch.Tensor:
-        return resolve_contact_twice(root, sag, rest.rest_length, layered, surface, leader, share)[0]
+    def twice(representatives: torch.Tensor, share: float) -> torch.Tensor:
+        return resolve_contact_twice(root, gravity, rest.rest_length, layered, surface, representatives, share)[0]
 
-    handed = {f"slid twice, {share:g} handed back": twice(leader, share) for share in SHARES}
-    handed[f"the same with {PROPAGATED_SHARE:g}, each feeling for itself"] = twice(alone, PROPAGATED_SHARE)
-    return {"posed": scene.director, "sag": sag, **slid, **handed}
+    resolved = {
+        f"contact resolved twice, {share:g} of the force propagated": twice(clusters, share) for share in SHARES
+    }
+    resolved[f"the same with {PROPAGATED_SHARE:g}, each strand for itself"] = twice(each, PROPAGATED_SHARE)
+    return {"posed": scene.director, "gravity equilibrium": gravity, **once, **resolved}
 
 
 if __name__ == "__main__":

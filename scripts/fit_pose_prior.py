@@ -27,7 +27,7 @@ EVALUATION_SET = PRIOR_FILE.with_name("evaluation_set.json")
 LARGEST_SCORE = 2.6
 EXPLAINED_VARIANCE = 0.99
 BACKWARD_ELBOW_SINE = 0.3  # 17 degrees: elbows overextend by 10 at most
-# People in the clips look ahead; hair needs heads that turn. Range of the head relative to the chest [degrees], about
+# People in the clips face ahead; hair needs heads that turn. Range of the head relative to the chest [degrees], about
 # x (bend), y (lean), z (turn), evenly filled: just inside what healthy necks do (about 45-60, 45 and 60-80).
 HEAD_RANGE_DEGREES = (45.0, 30.0, 70.0)
 NECK_SHARES = {"Neck": 0.28, "Neck1": 0.34, "Head": 0.38}

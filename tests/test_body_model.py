@@ -162,7 +162,7 @@ def _rewritten(tmp_path: Path, **changes: np.ndarray | None) -> Path:
         ({"faces": None}, "no array faces"),
         ({"rest_joints": np.zeros((26, 3), np.float32)}, "rest_joints of shape"),
         ({"skin_weights": np.zeros((5, 7), np.float32)}, "skin_weights of shape"),
-        ({"rest_joints": np.full((27, 3), np.nan, np.float32)}, "finite numbers in rest_joints"),
+        ({"rest_joints": np.full((27, 3), np.nan, np.float32)}, "finite rest_joints"),
         ({"faces": np.full((4, 3), 10**6, np.int32)}, "below 12408 in faces"),
         ({"joint_parents": np.arange(27, dtype=np.int32)}, "parents"),
     ],

@@ -95,6 +95,35 @@ def posed(groom: Path | str, *more: str) -> tuple[str, ...]:
 # --- what is written -------------------------------------------------------------------------------------------------
 
 
+def test_each_frame_is_posed_once_measuring_and_writing_included(
+    tmp_path: Path, inputs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames: list[int] = []
+    kinematics = BodyModel._forward_kinematics
+
+    def counted(self: BodyModel, pose: torch.Tensor, joints: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        frames.append(len(pose))
+        return kinematics(self, pose, joints)
+
+    outputs = [part for name in ("d.npz", "d.usda") for part in ("--out", str(tmp_path / name))]
+    reference = ("--reference", str(tmp_path / "d.npz"))
+    main([*posed(inputs / "tiny.npz"), "--motion", "nod", "--frames", "0:12", *outputs])
+    monkeypatch.setattr(BodyModel, "_forward_kinematics", counted)
+    main(
+        [
+            *posed(inputs / "tiny.npz"),
+            "--motion",
+            "nod",
+            "--frames",
+            "0:12",
+            *reference,
+            "--out",
+            str(tmp_path / "e.npz"),
+        ]
+    )
+    assert sum(frames) == 12
+
+
 def test_drape_writes_every_format_and_prints_figures(
     tmp_path: Path, inputs: Path, groom: Groom, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -245,7 +274,7 @@ def test_grooms_with_nan(refusal: Refusal, inputs: Path) -> None:
         arrays = dict(file)
     arrays["rest_strands"][0, 5] = np.nan
     path = refusal.saved("nan.npz", npz_bytes(**arrays))
-    assert f"{path}: expected finite rest_strands, found NaN" in refusal(*posed(path))
+    assert f"{path}: expected a groom file (.npz) with finite rest_strands, found NaN" in refusal(*posed(path))
 
 
 EMPTY = {
@@ -362,7 +391,7 @@ def test_bad_shape_vectors(refusal: Refusal, shape: str, expected: str) -> None:
     ("name", "content", "expected"),
     [
         ("missing.txt", None, "No such file"),
-        ("missing.npz", None, "No such file"),
+        ("missing.npz", None, "no such file"),
         ("three.txt", b"1 2 3\n", "expected 10 coefficients, found 3"),
         ("words.csv", b"a,b,c", "expected numbers separated by commas, found 'a'"),
         ("binary.txt", b"\xff\xfe\x00", "expected a text file"),

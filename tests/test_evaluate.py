@@ -18,7 +18,7 @@ from quaffure.benchmark.evaluation_set import (
     GroomSource,
 )
 from quaffure.benchmark.methods import methods
-from quaffure.benchmark.report import FIGURES, PAGE, PICTURE, RATIOS, page, shown
+from quaffure.benchmark.report import METRICS, PAGE, PICTURE, RATIOS, cell_text, page
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
@@ -105,7 +105,7 @@ def check_page(text: str, results: dict) -> None:
         table = rows_of(text, title)
         assert list(table) == list(everything)
         for row, figures in everything.items():
-            for key in FIGURES:
+            for key in METRICS:
                 known = figures.get(key, {}).get(time_kind if key == "milliseconds" else kind)
                 assert table[row][key] == ("" if known is None else f"{known:.4g}"), (row, key)
     solvers = everything.keys() & {"adam", "lbfgs", "xpbd", "groomgen"}
@@ -154,7 +154,7 @@ def test_evaluate_writes_the_same_on_file_page_and_screen(
     assert only["figures"]["xpbd"]["jitter"] == [1]
     assert min(only["figures"]["posed"]["excess_energy"]) > 0
     for key, figure in results["summary"]["all"]["mine"].items():
-        assert re.search(rf"{key} .*{re.escape(shown(figure['worst']))}", screen), key
+        assert re.search(rf"{key} .*{re.escape(cell_text(figure['worst']))}", screen), key
     run("evaluate", "--out", out, "--json", *chosen, *weights)
     again = json.loads(capfd.readouterr().out)
     assert again == json.loads(out.read_text())

@@ -36,7 +36,7 @@ class Timing:
     Attributes:
         strands: of all grooms together.
         seconds, cpu_seconds: median wall and mean processor time of all of them.
-        peak_megabytes: memory of the whole process at its highest so far; None where the system does not tell.
+        peak_megabytes: memory of the whole process at its highest so far; None where the system has no such counter.
     """
 
     grooms: int
@@ -72,10 +72,10 @@ def time_grooms(
     counts: Sequence[int],
     on_count: Callable[[int], None] = lambda count: None,
 ) -> list[Timing]:
-    """Drape so many grooms, taken in turn from `grooms` and known from before, in poses spread over a clip.
+    """Drape so many grooms, taken in turn from `grooms` and prepared before, in poses spread over a clip.
 
     Args:
-        on_count: told what is about to run.
+        on_count: called with what is about to run.
     """
     _warm_up(model, grooms)
     timings = []

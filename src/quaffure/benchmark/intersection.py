@@ -78,8 +78,8 @@ def _count(
         if x < 0 or y < 0 or x > shape[0] or y > shape[1]:
             continue
         column = min(x, shape[0] - 1) * shape[1] + min(y, shape[1] - 1)
-        for place in range(start[column], start[column + 1]):
-            winding[index] += _crossing(point, vertices, faces[members[place]])
+        for member in range(start[column], start[column + 1]):
+            winding[index] += _crossing(point, vertices, faces[members[member]])
     return winding
 
 
@@ -102,9 +102,9 @@ def _crossing(point: np.ndarray, vertices: np.ndarray, face: np.ndarray) -> int:
 @no_type_check
 @njit(cache=True)
 def _side(point: np.ndarray, vertices: np.ndarray, a: int, b: int) -> tuple[float, int]:
-    """Twice the area that an edge spans with the point, seen from above, and its sign.
+    """Twice the area that an edge spans with the point, projected along z, and its sign.
 
-    The edge is always taken from its lower vertex to its higher, so that both faces at it hear the same answer, also
+    The edge is always taken from its lower vertex to its higher, so that both faces at it get the same sign, also
     from a point exactly in line. Products of float32 numbers' differences are exact in float64, hence the signs.
     """
     low, high = min(a, b), max(a, b)

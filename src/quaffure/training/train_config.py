@@ -1,4 +1,4 @@
-"""What a training run of the deformation decoder is asked for."""
+"""Settings of a training run of the deformation decoder."""
 
 import math
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ class TrainConfig:
     """Runs of consecutive frames in a step, each on a body of its own; a step's grooms are draped on all of them.
     Of each process where there are several."""
     grooms_per_step: int = 4
-    """Grooms in a step, drawn anew each time; all of them where there are no more."""
+    """Grooms in a step, drawn at random each time; all of them where there are no more."""
     frames: int = 2
     """Consecutive frames in a run (N_pose_reg of Eq. 14)."""
     learning_rate: float = 1e-3
@@ -66,7 +66,7 @@ class TrainConfig:
 
 
 def refuse_impossible(counts: Mapping[str, int], learning_rate: float, seed: int) -> None:
-    """Check what every training is asked for.
+    """Check the settings that all trainings have.
 
     Args:
         counts: by the name of the setting.

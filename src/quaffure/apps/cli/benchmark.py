@@ -134,7 +134,7 @@ def _thinned(groom: Groom, strands: int | None) -> Groom:
 
 
 def _plot(picture: Path, runs: Sequence[Run]) -> None:
-    from quaffure.benchmark.solver_plot import plot_runs
+    from quaffure.benchmark.plots import plot_runs
 
     plot_runs(picture, runs)
 

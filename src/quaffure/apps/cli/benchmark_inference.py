@@ -72,7 +72,7 @@ class InferenceCommand:
 
 
 def _plot(picture: Path, timings: Sequence[Timing], least: Floor) -> None:
-    from quaffure.benchmark.inference_plot import plot_timings
+    from quaffure.benchmark.plots import plot_timings
 
     plot_timings(picture, timings, least)
 

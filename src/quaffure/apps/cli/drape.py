@@ -12,7 +12,7 @@ from quaffure.apps.cli.console import console, print_json, print_rows
 from quaffure.apps.cli.inputs import body_shape_of, motion_of
 from quaffure.apps.cli.outputs import writer_for
 from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
-from quaffure.benchmark.metrics import PerFrame, measure
+from quaffure.benchmark.metrics import DrapeMetrics, PerFrame
 from quaffure.body.body_model import load_body
 from quaffure.drape_motion import FRAMES_AT_ONCE, drape_motion
 from quaffure.draper import Draper
@@ -23,9 +23,11 @@ from quaffure.hair.guide_interpolation import interpolation_of
 from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
 from quaffure.model.quaffure_model import load_model
+from quaffure.scene import Scene
 from quaffure.solvers.by_name import SOLVERS, solver
 from quaffure.solvers.refined import RefinedDraper
 from quaffure.training.pose_sampler import LARGEST_COEFFICIENT
+from quaffure.types import Positions
 
 NEURAL, GROOMGEN = "neural", GroomGenDraper.name
 
@@ -82,18 +84,21 @@ class DrapeCommand:
         self._say(f"draping {len(groom)} strands in {_frames(len(motion))} with {self._row}")
         if self.refine and len(motion) > 1:
             self._say("refined frame by frame: hair that moves will tremble")
+        measured = DrapeMetrics(groom, draper.material, reference)
         with Progress(console=console, transient=True) as progress:
             task = progress.add_task(f"draping {len(groom)} strands", total=len(motion))
-            sequence = drape_motion(
-                draper, groom, body, motion, body_shape, lambda frames: progress.advance(task, frames)
-            )
+
+            def on_frames(draped: Positions, scene: Scene) -> None:
+                measured.add(draped, scene)
+                progress.advance(task, len(draped))
+
+            sequence = drape_motion(draper, groom, body, motion, body_shape, on_frames)
         if self.draper in SOLVERS:  # a network was trained with one, which `--elastic` does not choose
             sequence.meta["elastic"] = self.elastic
         for path, write in zip(self.out, writers):
             self._say(f"writing {path}")
             write(path, sequence, interpolation)
-        self._say("measuring")
-        self._report(sequence, *measure(sequence, groom, body, reference))
+        self._report(sequence, *measured.of_all_frames())
 
     @property
     def _row(self) -> str:

@@ -15,7 +15,7 @@ from quaffure.benchmark.draping import CaseDraper
 from quaffure.benchmark.evaluation_set import DataFolders, EvaluationCase, load_cases, load_evaluation_set
 from quaffure.benchmark.methods import ROWS, methods
 from quaffure.benchmark.results import Results, results_of
-from quaffure.benchmark.submissions import answered_frames, read_answer
+from quaffure.benchmark.submissions import read_submission, submitted_frames
 from quaffure.body.body_model import load_body
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
@@ -55,7 +55,7 @@ class ScoreCommand:
 
         @cache
         def frames(case: EvaluationCase) -> list[TimedDrape]:
-            return answered_frames(*answers[case.name], case, body)
+            return submitted_frames(*answers[case.name], case, body)
 
         by_name: dict[str, DrapeFrame] = {self.name: lambda case, frame: frames(case)[frame]}
         by_name |= {row.name: partial(draper.known, row) for row in rows}
@@ -73,7 +73,7 @@ class ScoreCommand:
         of = load_evaluation_set()
         answers: dict[str, tuple[Path, DrapeSequence]] = {}
         for path in self.answers:
-            entry, sequence = read_answer(path, of, material)
+            entry, sequence = read_submission(path, of, material)
             missing = self._folders.missing(entry, of)
             if missing is not None:
                 raise InputError(path, f"{missing}, which its case needs", "no such file")

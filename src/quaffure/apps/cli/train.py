@@ -23,10 +23,11 @@ from quaffure.model.checkpoint import load_network
 from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.model.quaffure_network import QuaffureNetwork
 from quaffure.training.distributed import Device, Worker, joined_workers
-from quaffure.training.groom_samples import family_growings
+from quaffure.training.groom_samples import family_grooms
+from quaffure.training.loop import Training, train
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_config import TrainConfig
-from quaffure.training.train_decoder import DecoderTraining, train
+from quaffure.training.train_decoder import DecoderRecipe
 from quaffure.training.validation import prior_validation
 
 SHIPPED = "shipped"
@@ -64,7 +65,8 @@ class TrainCommand:
             begun = self._weights()
             config = self.config if begun is None else replace(self.config, network=begun.config)
             body = self._body()
-            training = DecoderTraining(config, body, self._grooms(body), self._sampler(body), self.out, worker)
+            recipe = DecoderRecipe(config, body, self._grooms(body), self._sampler(body), prior_validation(), worker)
+            training = Training(recipe, self.out)
             if training.resume():
                 _say(worker, f"carrying on from step {training.step} of {config.steps}")
                 if training.step >= config.steps:
@@ -74,7 +76,7 @@ class TrainCommand:
             with Progress(
                 *progress_columns(TimeRemainingColumn()), console=console, disable=not worker.is_first
             ) as progress:
-                train(training, prior_validation(), _report(training, progress))
+                train(training, _report(training, progress))
 
     def _check(self) -> None:
         """What a mistake can be told from before anything is loaded."""
@@ -99,7 +101,7 @@ class TrainCommand:
         # A groom file keeps the groom's name whatever the file is called.
         refuse_evaluation_data(groom.name for groom in own)
         surface = rest_surface(body)
-        return (*own, *(growing.grown(body, surface) for growing in family_growings(range(self.family))))
+        return (*own, *(drawn.groom(body, surface) for drawn in family_grooms(range(self.family))))
 
     def _sampler(self, body: BodyModel) -> PoseSampler:
         clips = tuple(motion_of(str(path), body) for path in self.motion)
@@ -122,9 +124,9 @@ def _say(worker: Worker, text: str) -> None:
         console.print(text)
 
 
-def _report(training: DecoderTraining, progress: Progress) -> Callable[[int, dict[str, float]], None]:
+def _report(training: Training[DecoderRecipe], progress: Progress) -> Callable[[int, dict[str, float]], None]:
     """Moves the bar on at every step; a line with the time left at every validation, for logs without a terminal."""
-    first, last, start = training.step, training.config.steps, time.monotonic()
+    first, last, start = training.step, training.recipe.config.steps, time.monotonic()
     task = progress.add_task("training", total=last, completed=first)
 
     def report(step: int, figures: dict[str, float]) -> None:

@@ -15,9 +15,9 @@ from rich.progress import Progress, TaskID, TimeRemainingColumn
 
 from quaffure.apps.cli.console import print_json, print_rows, progress_columns
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
-from quaffure.benchmark.groom_code_figures import (
-    code_figures,
-    half_way_figures,
+from quaffure.benchmark.groom_code_metrics import (
+    code_metrics,
+    interpolation_metrics,
     reconstruction,
     scatter_of_styles,
     summary,
@@ -32,9 +32,10 @@ from quaffure.model.groom_autoencoder import GroomAutoencoder
 from quaffure.model.groom_code import load_groom_autoencoder
 from quaffure.model.groom_texture import GroomSample, sample_of
 from quaffure.procedural.hair_style import HELD_OUT, STYLES
-from quaffure.training.groom_samples import Growing, family_growings, grow_samples, library_growings
+from quaffure.training.groom_samples import ProceduralGroom, cached_samples, family_grooms, library_grooms
+from quaffure.training.loop import Training, train
 from quaffure.training.run_folder import RUN
-from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeTraining, train
+from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeRecipe, finish
 
 TRAINED = [name for name in STYLES if name not in HELD_OUT]
 # Seeds that no training uses.
@@ -52,9 +53,9 @@ class Garden:
     surface: Surface
     folder: Path
 
-    def grow(self, growings: list[Growing], what: str) -> list[GroomSample]:
+    def grow(self, growings: list[ProceduralGroom], what: str) -> list[GroomSample]:
         with _progress(what, len(growings), 0) as (progress, task):
-            return grow_samples(
+            return cached_samples(
                 growings, self.body, self.surface, self.folder, lambda done: progress.update(task, completed=done)
             )
 
@@ -87,9 +88,9 @@ class TrainCodeCommand:
         body = load_body()
         garden = Garden(body, rest_surface(body), made_folder(self.out / "grooms", RUN))
         own, unseen = self._own(body), _samples([load_groom(name, body) for name in self.unseen], body)
-        library = garden.grow(library_growings(TRAINED, range(self.config.library_seeds)), "growing the library")
-        family = garden.grow(family_growings(range(self.config.family)), "growing the family")
-        network = self._train(GroomCodeTraining(self.config, library + own, family, self.out, begun))
+        library = garden.grow(library_grooms(TRAINED, range(self.config.library_seeds)), "growing the library")
+        family = garden.grow(family_grooms(range(self.config.family)), "growing the family")
+        network = self._train(Training(GroomCodeRecipe(self.config, library + own, family, begun), self.out))
         first = [groom for index, groom in enumerate(library) if index % self.config.library_seeds == 0]
         figures = _figures(network, garden, {"library": first, "family": family[:SEEN_DRAWS], "own": own}, unseen)
         with replacing(self.out / "figures.json") as path:
@@ -103,22 +104,23 @@ class TrainCodeCommand:
         # One that is called like a bundled style is no growing of it.
         return _samples([replace(groom, name=f"own:{groom.name}") for groom in grooms], body)
 
-    def _train(self, training: GroomCodeTraining) -> GroomAutoencoder:
+    def _train(self, training: Training[GroomCodeRecipe]) -> GroomAutoencoder:
         if training.resume():
             Console(stderr=True).print(f"carrying on from step {training.step}")
         smooth = 0.0
-        with _progress("training", training.config.steps, training.step) as (progress, task):
+        with _progress("training", training.recipe.config.steps, training.step) as (progress, task):
 
-            def report(step: int, loss: float) -> None:
+            def report(step: int, metrics: dict[str, float]) -> None:
                 nonlocal smooth
+                loss = metrics["loss"]
                 if math.isfinite(loss):
                     smooth = loss if smooth == 0.0 else 0.98 * smooth + 0.02 * loss
                 progress.update(task, completed=step, description=f"loss {smooth:.4f} strand lengths")
 
-            network = train(training, report)
+            train(training, report)
         if training.optimizer.skipped:
             Console(stderr=True).print(f"{training.optimizer.skipped} updates skipped: gradients that were not finite")
-        return network
+        return finish(training)
 
 
 def _samples(grooms: list[Groom], body: BodyModel) -> list[GroomSample]:
@@ -129,14 +131,14 @@ def _figures(
     network: GroomAutoencoder, garden: Garden, seen: dict[str, list[GroomSample]], unseen: list[GroomSample]
 ) -> dict[str, Any]:
     # Each style once, and again by seeds that no training uses.
-    known = garden.grow(library_growings(STYLES, [0]), "growing every style")
-    anew = garden.grow(library_growings(STYLES, ANEW), "growing every style anew")
+    known = garden.grow(library_grooms(STYLES, [0]), "growing every style")
+    anew = garden.grow(library_grooms(STYLES, ANEW), "growing every style anew")
     groups = {
         "library, as trained": seen["library"],
         "library, grown anew": [groom for groom in anew if groom.style in TRAINED],
         "own grooms, as trained": seen["own"],
         "family, as trained": seen["family"],
-        "family, unseen": garden.grow(family_growings(UNSEEN_DRAWS), "growing unseen draws"),
+        "family, unseen": garden.grow(family_grooms(UNSEEN_DRAWS), "growing unseen draws"),
         "held-out styles": [groom for groom in known + anew if groom.style in HELD_OUT],
         "other grooms, unseen": unseen,
     }
@@ -144,9 +146,9 @@ def _figures(
     return {
         "reconstruction": {name: summary(of_group) for name, of_group in rows.items()},
         "grooms": {name: [asdict(row) for row in of_group] for name, of_group in rows.items()},
-        "codes": code_figures(network.encoder, known, anew),
+        "codes": code_metrics(network.encoder, known, anew),
         "scatter": scatter_of_styles(known + anew),
-        "half_way": half_way_figures(network, seen["library"]),
+        "half_way": interpolation_metrics(network, seen["library"]),
     }
 
 

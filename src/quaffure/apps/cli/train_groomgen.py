@@ -13,7 +13,8 @@ from rich.progress import Progress, TimeRemainingColumn
 from quaffure.apps.cli.console import console, progress_columns
 from quaffure.body.body_model import load_body
 from quaffure.training.groomgen_data import DrapedPoses, DrapeFolder
-from quaffure.training.train_groomgen import GroomGenConfig, GroomGenTraining, train
+from quaffure.training.loop import Training, train
+from quaffure.training.train_groomgen import GroomGenConfig, GroomGenRecipe
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class TrainGroomgenCommand:
     def run(self) -> None:
         drapes = DrapeFolder(self.data, load_body())
         with Progress(*progress_columns(TimeRemainingColumn()), console=console) as progress:
-            training = GroomGenTraining(self.config, drapes, _read(drapes, progress), self.out)
+            training = Training(GroomGenRecipe(self.config, drapes, _read(drapes, progress)), self.out)
             if training.resume():
                 console.print(f"carrying on from step {training.step}")
             train(training, _report(training, progress))
@@ -48,9 +49,9 @@ def _read(drapes: DrapeFolder, progress: Progress) -> DrapedPoses:
     return data
 
 
-def _report(training: GroomGenTraining, progress: Progress) -> Callable[[int, dict[str, float]], None]:
+def _report(training: Training[GroomGenRecipe], progress: Progress) -> Callable[[int, dict[str, float]], None]:
     """Moves the bar on at every step; a line with the time left at every validation, for logs without a terminal."""
-    first, last, start = training.step, training.config.steps, time.monotonic()
+    first, last, start = training.step, training.recipe.config.steps, time.monotonic()
     task = progress.add_task("training", total=last, completed=first)
 
     def report(step: int, figures: dict[str, float]) -> None:

@@ -1,4 +1,4 @@
-"""How good a groom code is: what its decoder gives back, whether styles keep apart, and what lies between two codes."""
+"""Quality of a groom code: reconstruction, separation of styles, and interpolation between two codes."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from quaffure.model.groom_texture import SHAPE_CHANNELS, UNIT_LENGTH, GroomSampl
 from quaffure.types import Float, Int, Tensor
 
 MILLIMETRES = 1e3
-# Of a strand, in other growings of its style.
+# Of a strand, in grooms of the same style by other seeds.
 NEIGHBOURS = 12
 
 
@@ -27,7 +27,7 @@ class Reconstruction:
         mean_mm, p95_mm: mean and 95th percentile of the distance [mm].
         length_mm: mean length of the strands [mm].
         length_percent: mean distance over mean length [%].
-        strand_percent: mean over strands of distance over own length [%]; stubble weighs as much as long hair.
+        strand_percent: mean over strands of distance over own length [%]; very short hair weighs as much as long hair.
     """
 
     groom: str
@@ -58,25 +58,27 @@ def reconstruction(network: GroomAutoencoder, groom: GroomSample) -> Reconstruct
     )
 
 
-def growing_scatter(groom: GroomSample, others: list[GroomSample]) -> float:
-    """How far a groom is from what other growings of its style tell of it: mean distance over mean length [%].
+def style_scatter(groom: GroomSample, others: list[GroomSample]) -> float:
+    """Distance of a groom from its prediction by grooms of the same style and other seeds, over the mean length [%].
 
-    Every strand is told by the medians of the vertices of the nearest strands of the others. It is what chance makes of
-    a style (phases of curls, clumps, lengths): about what is left when a code holds all of the style and nothing else.
+    A strand is predicted by the medians of the vertices of the nearest strands of the others. The distance is that of
+    chance (phases of curls, clumps, lengths): about what remains when a code holds all of the style and nothing else.
     """
-    place = [torch.stack([g.texels % TEXTURE_SIZE, g.texels // TEXTURE_SIZE], dim=1).numpy() for g in (groom, *others)]
-    nearest = cKDTree(np.concatenate(place[1:])).query(place[0], k=NEIGHBOURS)[1]
-    told = torch.cat([_vertices(other) for other in others])[torch.from_numpy(nearest)].median(dim=1).values
+    positions = [
+        torch.stack([g.texels % TEXTURE_SIZE, g.texels // TEXTURE_SIZE], dim=1).numpy() for g in (groom, *others)
+    ]
+    nearest = cKDTree(np.concatenate(positions[1:])).query(positions[0], k=NEIGHBOURS)[1]
+    predicted = torch.cat([_vertices(other) for other in others])[torch.from_numpy(nearest)].median(dim=1).values
     lengths = UNIT_LENGTH * groom.features[:, SHAPE_CHANNELS].float().exp()
-    return 100 * float((told - _vertices(groom)).norm(dim=-1).mean() / lengths.mean())
+    return 100 * float((predicted - _vertices(groom)).norm(dim=-1).mean() / lengths.mean())
 
 
 def scatter_of_styles(grooms: list[GroomSample]) -> dict[str, float]:
-    """`growing_scatter` of the first groom of every style that has several."""
+    """`style_scatter` of the first groom of every style that has several."""
     styles: dict[str, list[GroomSample]] = {}
     for groom in grooms:
         styles.setdefault(groom.style, []).append(groom)
-    return {style: growing_scatter(grown[0], grown[1:]) for style, grown in styles.items() if len(grown) > 1}
+    return {style: style_scatter(of_style[0], of_style[1:]) for style, of_style in styles.items() if len(of_style) > 1}
 
 
 def summary(rows: list[Reconstruction]) -> dict[str, float]:
@@ -91,33 +93,35 @@ def codes_of(encoder: GroomEncoder, grooms: Iterable[GroomSample]) -> Float[Tens
     return torch.cat([_code(encoder, groom.features.float(), groom.texels) for groom in grooms])
 
 
-def code_figures(
-    encoder: GroomEncoder, known: list[GroomSample], anew: list[GroomSample]
+def code_metrics(
+    encoder: GroomEncoder, reference: list[GroomSample], others: list[GroomSample]
 ) -> dict[str, dict[str, float]]:
-    """How well codes tell styles apart, when grooms are grown anew and when they lose every second strand.
+    """How well codes separate styles, for grooms of other seeds and for grooms that lose every second strand.
 
     Args:
-        known: one groom of every style.
-        anew: other growings of the same styles.
+        reference: one groom of every style.
+        others: grooms of the same styles by other seeds.
 
     Returns:
         For each of the two: `style_accuracy_percent`, and mean and largest `shift`.
     """
     changes = {
-        "grown anew": anew,
-        "half the strands": [half_of(groom, seed) for seed, groom in enumerate(known)],
-        "grown anew, half the strands": [half_of(groom, seed) for seed, groom in enumerate(anew)],
+        "grown anew": others,
+        "half the strands": [half_of(groom, seed) for seed, groom in enumerate(reference)],
+        "grown anew, half the strands": [half_of(groom, seed) for seed, groom in enumerate(others)],
     }
-    return {name: {"growings": len(changed)} | _shifts(encoder, known, changed) for name, changed in changes.items()}
+    return {
+        name: {"growings": len(changed)} | _shifts(encoder, reference, changed) for name, changed in changes.items()
+    }
 
 
-def _shifts(encoder: GroomEncoder, known: list[GroomSample], changed: list[GroomSample]) -> dict[str, float]:
-    """Share of the changed grooms whose nearest known code is their own style's, and how far codes have moved.
+def _shifts(encoder: GroomEncoder, reference: list[GroomSample], changed: list[GroomSample]) -> dict[str, float]:
+    """Share of the changed grooms whose nearest reference code is their own style's, and how far codes have moved.
 
-    A shift is the distance from the own style's known code, over that code's distance to the nearest other style.
+    A shift is the distance from the own style's reference code, over that code's distance to the nearest other style.
     """
-    codes, moved = codes_of(encoder, known), codes_of(encoder, changed)
-    styles = [groom.style for groom in known]
+    codes, moved = codes_of(encoder, reference), codes_of(encoder, changed)
+    styles = [groom.style for groom in reference]
     own = torch.tensor([styles.index(groom.style) for groom in changed])
     gaps = torch.cdist(moved, codes)
     apart = torch.cdist(codes, codes).fill_diagonal_(torch.inf).amin(1)
@@ -135,7 +139,7 @@ def half_of(groom: GroomSample, seed: int) -> GroomSample:
     return GroomSample(groom.style, groom.features[kept], groom.texels[kept])
 
 
-def half_way_figures(network: GroomAutoencoder, grooms: list[GroomSample]) -> dict[str, dict[str, float]]:
+def interpolation_metrics(network: GroomAutoencoder, grooms: list[GroomSample]) -> dict[str, dict[str, float]]:
     """`betweenness` of all pairs: mean, least and largest."""
     rows = [betweenness(network, first, second) for first, second in combinations(grooms, 2)]
     columns = {name: [row[name] for row in rows] for name in rows[0]}
@@ -152,11 +156,11 @@ def betweenness(network: GroomAutoencoder, first: GroomSample, second: GroomSamp
     Returns:
         share: its distance from the first groom over that of both, 0.5 in the middle.
         detour: distance over the first, by way of it, to the second, less the direct one, over the direct one.
-        length_outside_mm: how far its mean strand length lies outside of the range of theirs [mm].
+        length_outside_mm: distance of its mean strand length from the range of theirs [mm].
     """
     codes = codes_of(network.encoder, (first, second))
-    places = (codes[:1], codes.mean(0, keepdim=True), codes[1:])
-    (start, a), (half, middle), (stop, b) = (_decoded(network, place, first.texels) for place in places)
+    steps = (codes[:1], codes.mean(0, keepdim=True), codes[1:])
+    (start, a), (half, middle), (stop, b) = (_decoded(network, step, first.texels) for step in steps)
     there, back, direct = _mean_gap(a, middle), _mean_gap(middle, b), _mean_gap(a, b)
     return {
         "share": there / (there + back),

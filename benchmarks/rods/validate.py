@@ -1,6 +1,7 @@
-"""Compare the elastic models with theory: `python scripts/validate_rods.py` writes `docs/validation.md` and its plots.
+"""Compare the elastic models with theory: `python -m benchmarks.rods.validate` writes docs/validation.md and its plots.
 
-Every number of the page comes from this run, about a minute on one core. Needs the `docs` extra (matplotlib).
+To be run from the root of the repository. Every number of the page comes from this run, about a minute on one core.
+Needs the `docs` extra (matplotlib).
 """
 
 import argparse
@@ -50,7 +51,7 @@ ROD = HeavyRod(1.0)
 
 INTRODUCTION = f"""# How the elastic models compare with theory
 
-Written by `python scripts/validate_rods.py`; do not edit. `tests/test_rod_validation.py` holds the same comparisons.
+Written by `python -m benchmarks.rods.validate`; do not edit. `tests/test_rod_validation.py` holds the same comparisons.
 
 One hair, alone, clamped at its root: EI = {ROD.bend:.1e} N m^2, GJ = EI / {ROD.bend / ROD.twist:.2f}, weight
 {REAL_HAIR_WEIGHT:.1e} N/m. Curls are helices of {1000 * CURL.radius:.0f} mm radius and
@@ -64,7 +65,7 @@ energies; a test holds PyElastica to it.
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[2] / "docs")
     docs = parser.parse_args().out
     figures = docs / "figures"
     figures.mkdir(parents=True, exist_ok=True)

@@ -1,15 +1,16 @@
-"""The strip in docs/groom_code.md: `python scripts/groom_code_picture.py RUN`, a folder of `quaffure train-code`.
+"""The strip in docs/groom_code.md: `python scripts/figures/groom_code.py RUN`, a folder of `quaffure train-code`.
 
 In every row a groom, what its code decodes to, three steps to the code of another groom, and that groom itself.
 """
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
+import tyro
 from PIL import Image, ImageDraw, ImageFont
+from tiles import FIGURES, run_figure
 
 from quaffure.apps.render.camera import Camera
 from quaffure.apps.render.scene import StrandRenderer
@@ -23,18 +24,18 @@ from quaffure.model.groom_code import groom_code, load_groom_autoencoder
 from quaffure.model.groom_texture import strands_of
 from quaffure.procedural.generator import make_groom
 
-OUT = Path(__file__).parents[1] / "docs" / "figures" / "groom_code.jpg"
-# The last pair are two styles that no training has seen.
+OUT = FIGURES / "groom_code.jpg"
+# The last pair are two styles that no training used.
 PAIRS = (("bob", "long_wavy"), ("short_curly", "long_straight"), ("mohawk", "afro"), ("side_part_lob", "mullet"))
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 TILE_WIDTH, TILE_HEIGHT, EXTENT, TOP = 190, 250, 0.42, 0.22
 CAPTION, STRANDS = 26, 12_000
 
 
-def main(run: str) -> None:
+def main(run: tyro.conf.Positional[Path]) -> list[Path]:
     body = load_body()
     surface = rest_surface(body)
-    network = load_groom_autoencoder(Path(run) / "groom_autoencoder.safetensors")
+    network = load_groom_autoencoder(run / "groom_autoencoder.safetensors")
     titles = ["a groom", *(f"{share:g}" for share in SHARES), "another groom"]
     with StrandRenderer(TILE_WIDTH, TILE_HEIGHT) as renderer:
         rows = [_captions(titles)]
@@ -43,6 +44,7 @@ def main(run: str) -> None:
             rows.append(np.hstack([_tile(g, body, renderer) for g in _between(network, first, second, body, surface)]))
             rows.append(_captions([names[0].replace("_", " "), *[""] * len(SHARES), names[1].replace("_", " ")]))
     Image.fromarray(np.vstack(rows)).save(OUT, quality=82, optimize=True)
+    return [OUT]
 
 
 def _between(network: GroomAutoencoder, first: Groom, second: Groom, body: BodyModel, surface: Surface) -> list[Groom]:
@@ -54,7 +56,7 @@ def _between(network: GroomAutoencoder, first: Groom, second: Groom, body: BodyM
         with torch.no_grad():
             code = torch.lerp(codes[0], codes[1], share)[None]
             features = network.decoder(code, torch.zeros_like(texels), texels)
-        # The decoder knows of no body: what it leaves inside is moved out, as for the grooms themselves.
+        # The decoder has no body as input: what it leaves inside is moved out, as for the grooms themselves.
         mixed.append(replace(first, rest_strands=pushed_out(strands_of(features, first, body), surface)))
     return [first, *mixed, second]
 
@@ -75,4 +77,4 @@ def _captions(texts: list[str]) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    run_figure(main)

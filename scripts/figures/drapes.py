@@ -1,4 +1,4 @@
-"""The picture at the top of the README: `python scripts/drape_picture.py DANCE.bvh`.
+"""The picture at the top of the README: `python scripts/figures/drapes.py DANCE.bvh`.
 
 The shipped weights on six hairstyles: the neck turn of the paper's Fig. 6, then a dance clip, none trained on. The last
 two styles were held out of all training.
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import tyro
-from figures.tiles import FIGURES, TileRenderer, View, run_figure, save_picture
+from tiles import FIGURES, TileRenderer, View, run_figure, save_picture
 
 from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
 from quaffure.body.clips import bundled_clip

@@ -1,7 +1,6 @@
 """A user's own energy term, in every total, gradient, solver and training."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -22,10 +21,10 @@ from quaffure.solvers.lbfgs import LbfgsDraper
 from quaffure.solvers.newton.newton import NewtonDraper
 from quaffure.solvers.xpbd import XpbdDraper
 from quaffure.training.pose_sampler import PoseSampler
-from quaffure.training.train_decoder import DecoderTraining
+from quaffure.training.train_decoder import DecoderRecipe
 from quaffure.types import Energy, Float, Tensor
 from tests.scenes import bent_inwards, posed_scene, sphere_groom
-from tests.training_runs import TINY, tiny_groom
+from tests.training_runs import TINY, tiny_groom, validation
 
 
 @dataclass(frozen=True)
@@ -106,14 +105,14 @@ def test_a_stiff_spring_brings_its_vertex_to_the_point(make: type[DescentDraper]
     assert (draped[0, 1, -1] - point).norm() < 1e-3
 
 
-def test_the_training_loss_reaches_the_networks_weights_through_a_term(body: BodyModel, tmp_path: Path) -> None:
+def test_the_training_loss_reaches_the_networks_weights_through_a_term(body: BodyModel) -> None:
     groom, config = tiny_groom(body), replace(TINY, material=HairMaterial(k_pose_reg=0.0))
     bodies = BodyBatch(body, *PoseSampler(load_pose_prior()).sample(1, 2, torch.Generator().manual_seed(0)))
-    run = DecoderTraining(config, body, (groom,), PoseSampler(load_pose_prior()), tmp_path, terms=(SPRING,))
-    loss, terms = run._loss(Scene(groom, bodies), 0, 1)
+    recipe = DecoderRecipe(config, body, (groom,), PoseSampler(load_pose_prior()), validation(), terms=(SPRING,))
+    loss, terms = recipe._loss(Scene(groom, bodies), 0, 1, 0)
     loss.backward()
     assert terms["point_spring"] == pytest.approx(float(loss.detach()), rel=1e-4)
-    last = run.draper.network.strand[-1]
+    last = recipe.network.strand[-1]
     assert last.weight.grad.norm() > 0  # type: ignore[union-attr, operator]
 
 

@@ -1,11 +1,10 @@
 """One groom on a batch of posed bodies: what every draper starts from."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 from quaffure.body.body_model import BodyModel, PosedBody
 from quaffure.body.pose_features import HEAD
-from quaffure.geometry.occupancy_grid import OccupancyGrid
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface, posed_surface
 from quaffure.hair.groom import Groom
@@ -40,7 +39,7 @@ class BodyBatch:
         """One sample as a batch of its own; its surface is cut out of the batch's and not made again."""
         one = slice(index, index + 1)
         alone = BodyBatch(self.body, self.body_pose[one], self.body_shape[one])
-        alone.__dict__["surface"] = _surface_of(self.surface, one)
+        alone.__dict__["surface"] = self.surface.samples(one)
         return alone
 
 
@@ -71,16 +70,3 @@ class Scene:
         alone = Scene(self.groom, self.bodies.sample(index))
         alone.__dict__.update(posed=self.posed[one], director=self.director[one])
         return alone
-
-
-def _surface_of(surface: Surface, samples: slice) -> Surface:
-    wide, space = surface.wide, surface.map
-    return replace(
-        surface,
-        vertices=surface.vertices[samples],
-        corners=surface.corners[samples],
-        bounds=surface.bounds[samples],
-        normals=surface.normals[samples],
-        wide=wide._replace(blocks=wide.blocks[samples], boxes=wide.boxes[samples]),
-        map=OccupancyGrid(*(field[samples] for field in space)),
-    )

@@ -162,7 +162,7 @@ def _fill(vertices: np.ndarray, faces: np.ndarray, opposite: np.ndarray, arrays:
         split_near_cells(one.corners, space)
 
 
-# Called, not written out in the parallel loop: numba would drop assignments to fields of a tuple made there as dead code.
+# Called, not written out in the parallel loop: numba drops assignments to fields of a tuple there as dead code.
 @njit(cache=True)
 def _gather(vertices: np.ndarray, faces: np.ndarray, corners: np.ndarray) -> None:
     for leaf in range(len(faces)):

@@ -77,19 +77,28 @@ def sweep_strands(
         relaxation: omega of successive over-relaxation of the edges.
         most_push: how far one projection of a contact moves a vertex at most [m].
     """
-    edges = strands.tension.shape[1]
     for block in prange(len(strands.x)):
-        x, tension, contact = strands.x[block], strands.tension[block], strands.contact[block]
-        plane, inverse_mass = strands.plane[block], strands.inverse_mass[block]
-        edge, pull = strands.edge[block], strands.pull[block]
-        for sweep in range(sweeps):
-            for step in range(edges):
-                index = step if sweep % 2 == 0 else edges - 1 - step
-                _project_edge(x, tension, inverse_mass, edge, pull, relaxation, index)
-                _project_contact(
-                    x[index + 1], contact[index + 1], plane[index + 1], inverse_mass[index + 1],
-                    contact_stiffness, most_push,
-                )  # fmt: skip
+        _sweep_block(block, strands, contact_stiffness, relaxation, most_push, sweeps)
+
+
+# Called, not written out in the parallel loop: numba may drop assignments to fields of a tuple there as dead code.
+@no_type_check
+@njit(cache=True, fastmath=True)
+def _sweep_block(
+    block: int, strands: StrandBlocks, contact_stiffness: float, relaxation: float, most_push: float, sweeps: int
+) -> None:
+    x, tension, contact = strands.x[block], strands.tension[block], strands.contact[block]
+    plane, inverse_mass = strands.plane[block], strands.inverse_mass[block]
+    edge, pull = strands.edge[block], strands.pull[block]
+    edges = len(tension)
+    for sweep in range(sweeps):
+        for step in range(edges):
+            index = step if sweep % 2 == 0 else edges - 1 - step
+            _project_edge(x, tension, inverse_mass, edge, pull, relaxation, index)
+            _project_contact(
+                x[index + 1], contact[index + 1], plane[index + 1], inverse_mass[index + 1],
+                contact_stiffness, most_push,
+            )  # fmt: skip
 
 
 @no_type_check
@@ -159,35 +168,43 @@ def find_planes(
         last: changed.
         plane: as in `StrandBlocks`; changed.
     """
-    strands, vertices = margin.shape
+    for strand in prange(len(margin)):
+        _find_planes_of_strand(strand, positions, roots, margin, surface, last, plane)
+
+
+@no_type_check
+@njit(cache=True)
+def _find_planes_of_strand(
+    strand: int, positions: np.ndarray, roots: np.ndarray, margin: np.ndarray, surface: SurfaceArrays,
+    last: PlaneSearch, plane: np.ndarray,
+) -> None:  # fmt: skip
     tree, space = bvh_of(surface), occupancy_of(surface)
-    for strand in prange(strands):
-        stack, scratch = search_workspace()
-        block, lane = strand // LANES, strand % LANES
-        for vertex in range(1, vertices):
-            point = positions[strand, vertex]
-            moved = math.sqrt(((point - last.position[strand, vertex]) ** 2).sum())
-            if moved < last.clearance[strand, vertex]:
-                continue
-            out = plane[block, vertex, :, lane]
-            out[:3], out[3] = 0.0, FAR_AWAY
-            last.clearance[strand, vertex] = 0.0
-            x, y, z = point[0], point[1], point[2]
-            if margin[strand, vertex] <= np.float32(FREE_DISTANCE) and is_clear(x, y, z, space):
-                continue
-            leaf = last.leaf[strand, vertex]
-            leaf = nearest_face(x, y, z, leaf, squared_distance(surface.corners[leaf], x, y, z), tree, stack, scratch)
-            last.leaf[strand, vertex] = leaf
-            cx, cy, cz, feature = closest_on_triangle(surface.corners[leaf], x, y, z)
-            nx, ny, nz = surface.normals[leaf, feature]
-            distance, out[0], out[1], out[2] = signed_distance_from_offset(x - cx, y - cy, z - cz, nx, ny, nz)
-            last.position[strand, vertex] = point
-            last.clearance[strand, vertex] = max(distance - margin[strand, vertex], 0.0)
-            # Shortfall margin - (distance + n (x - point)), with x relative to the root.
-            height = 0.0
-            for axis in range(3):
-                height += out[axis] * (float(point[axis]) - float(roots[strand, axis]))
-            out[3] = margin[strand, vertex] - distance + height
+    stack, scratch = search_workspace()
+    block, lane = strand // LANES, strand % LANES
+    for vertex in range(1, margin.shape[1]):
+        point = positions[strand, vertex]
+        moved = math.sqrt(((point - last.position[strand, vertex]) ** 2).sum())
+        if moved < last.clearance[strand, vertex]:
+            continue
+        out = plane[block, vertex, :, lane]
+        out[:3], out[3] = 0.0, FAR_AWAY
+        last.clearance[strand, vertex] = 0.0
+        x, y, z = point[0], point[1], point[2]
+        if margin[strand, vertex] <= np.float32(FREE_DISTANCE) and is_clear(x, y, z, space):
+            continue
+        leaf = last.leaf[strand, vertex]
+        leaf = nearest_face(x, y, z, leaf, squared_distance(surface.corners[leaf], x, y, z), tree, stack, scratch)
+        last.leaf[strand, vertex] = leaf
+        cx, cy, cz, feature = closest_on_triangle(surface.corners[leaf], x, y, z)
+        nx, ny, nz = surface.normals[leaf, feature]
+        distance, out[0], out[1], out[2] = signed_distance_from_offset(x - cx, y - cy, z - cz, nx, ny, nz)
+        last.position[strand, vertex] = point
+        last.clearance[strand, vertex] = max(distance - margin[strand, vertex], 0.0)
+        # Shortfall margin - (distance + n (x - point)), with x relative to the root.
+        height = 0.0
+        for axis in range(3):
+            height += out[axis] * (float(point[axis]) - float(roots[strand, axis]))
+        out[3] = margin[strand, vertex] - distance + height
 
 
 @no_type_check

@@ -75,19 +75,28 @@ def pressed_pairs(
     cursor = first[:-1].copy()
     for rows, where, others, there in blocks:
         pair = (rows.particles, others.particles, particles.grid.shape, particles.smoothing_length)
-        state = _Rows(pressure[where], pressure[there], stiffness[where], stiffness[there], cursor[where])
-        _list(*pair, state, exactness, there.start, pairs)
+        derivatives = (pressure[where], pressure[there], stiffness[where], stiffness[there])
+        _list(*pair, _Rows(*derivatives, cursor[where], there.start, exactness), pairs)
     return pairs
 
 
 class _Rows(NamedTuple):
-    """Derivatives of the energy by the densities of the rows and of those near by, and where to write next."""
+    """What `_list` needs of its rows and of the vertices near by.
+
+    Attributes:
+        own_pressure, own_stiffness, pressure, stiffness: derivatives of the energy by their densities.
+        cursor: where the next pair of each row is written.
+        offset: index of the first of those near by among all.
+        exactness: as in `pressed_pairs`.
+    """
 
     own_pressure: np.ndarray
     pressure: np.ndarray
     own_stiffness: np.ndarray
     stiffness: np.ndarray
     cursor: np.ndarray
+    offset: int
+    exactness: float
 
 
 @njit(cache=True, parallel=True, fastmath=True)
@@ -116,51 +125,58 @@ def _count(
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _list(
-    rows: Particles, near_by: Particles, shape: tuple[int, int, int], h: float, state: _Rows, exactness: float,
-    offset: int, pairs: PressedPairs,
-) -> None:  # fmt: skip
-    """Write the pairs of every row from its `cursor` on, and move that behind them.
-
-    Args:
-        offset: index of the first of those near by among all.
-    """
-    own_pressure, pressure, stiffness = state.own_pressure, state.pressure, state.stiffness
-    support, inverse, scale = RIM * 4.0 * h * h, 1.0 / h, 1.0 / (4.0 * math.pi * h**4)
+    rows: Particles, near_by: Particles, shape: tuple[int, int, int], h: float, state: _Rows, pairs: PressedPairs
+) -> None:
+    """Write the pairs of every row from its `cursor` on, and move that behind them."""
     for cell in prange(len(rows.start) - 1):
-        if rows.start[cell] == rows.start[cell + 1]:
-            continue
-        ranges = np.empty((9, 2), np.int64)
-        found = cell_columns(cell, shape, near_by.start, ranges)
-        candidates = 1
+        if rows.start[cell] < rows.start[cell + 1]:
+            _list_cell(cell, rows, near_by, shape, h, state, pairs)
+
+
+# Called, not written out in the parallel loop: numba would drop assignments to fields of a tuple there as dead code.
+@njit(cache=True, fastmath=True)
+def _list_cell(
+    cell: int, rows: Particles, near_by: Particles, shape: tuple[int, int, int], h: float, state: _Rows,
+    pairs: PressedPairs,
+) -> None:  # fmt: skip
+    exactness, stiffness = state.exactness, state.stiffness
+    support, inverse, scale = RIM * 4.0 * h * h, 1.0 / h, 1.0 / (4.0 * math.pi * h**4)
+    ranges = np.empty((9, 2), np.int64)
+    found = cell_columns(cell, shape, near_by.start, ranges)
+    candidates = 1
+    for column in range(found):
+        candidates += ranges[column, 1] - ranges[column, 0]
+    kept = np.empty(candidates, np.int32)
+    for place in range(rows.start[cell], rows.start[cell + 1]):
+        px, py, pz, own = rows.x[place], rows.y[place], rows.z[place], state.own_stiffness[place]
+        count = 0
         for column in range(found):
-            candidates += ranges[column, 1] - ranges[column, 0]
-        kept = np.empty(candidates, np.int32)
-        for place in range(rows.start[cell], rows.start[cell + 1]):
-            px, py, pz, own = rows.x[place], rows.y[place], rows.z[place], state.own_stiffness[place]
-            count = 0
-            for column in range(found):
-                for other in range(ranges[column, 0], ranges[column, 1]):
-                    dx, dy, dz = px - near_by.x[other], py - near_by.y[other], pz - near_by.z[other]
-                    # No branch: most are too far away, and which cannot be foreseen.
-                    kept[count] = other
-                    count += (dx * dx + dy * dy + dz * dz < support) & (own + stiffness[other] > 0.0)
-            at, mass = state.cursor[place], rows.weight[place]
-            for other in kept[:count]:
+            for other in range(ranges[column, 0], ranges[column, 1]):
                 dx, dy, dz = px - near_by.x[other], py - near_by.y[other], pz - near_by.z[other]
-                squared = dx * dx + dy * dy + dz * dz
-                r = max(np.sqrt(squared), 1e-9)
-                away = 1.0 / r
-                far, near = 2.0 - r * inverse, max(1.0 - r * inverse, 0.0)
-                steepness = scale * kernel_slope(r * inverse)
-                bend = 3.0 * scale * inverse * (2.0 * far - 8.0 * near)
-                unit = steepness * away
-                pairs.other[at] = offset + other
-                pairs.kernel_gradient[at, 0], pairs.kernel_gradient[at, 1], pairs.kernel_gradient[at, 2] = unit * dx, unit * dy, unit * dz
-                push = own_pressure[place] * near_by.weight[other] + pressure[other] * mass
-                across = exactness * push * unit
-                bend = exactness * bend + (1.0 - exactness) * REPULSION * max(bend, 0.0)
-                # A vertex is its own neighbour too, at no distance.
-                pairs.across[at] = across if squared > 0.0 else 0.0
-                pairs.along[at] = (push * bend - across) / max(steepness * steepness, 1e-30) if squared > 0.0 else 0.0
-                at += 1
-            state.cursor[place] = at
+                # No branch: most are too far away, and which cannot be foreseen.
+                kept[count] = other
+                count += (dx * dx + dy * dy + dz * dz < support) & (own + stiffness[other] > 0.0)
+        at, mass = state.cursor[place], rows.weight[place]
+        for other in kept[:count]:
+            dx, dy, dz = px - near_by.x[other], py - near_by.y[other], pz - near_by.z[other]
+            squared = dx * dx + dy * dy + dz * dz
+            r = max(np.sqrt(squared), 1e-9)
+            away = 1.0 / r
+            far, near = 2.0 - r * inverse, max(1.0 - r * inverse, 0.0)
+            steepness = scale * kernel_slope(r * inverse)
+            bend = 3.0 * scale * inverse * (2.0 * far - 8.0 * near)
+            unit = steepness * away
+            pairs.other[at] = state.offset + other
+            pairs.kernel_gradient[at, 0], pairs.kernel_gradient[at, 1], pairs.kernel_gradient[at, 2] = (
+                unit * dx,
+                unit * dy,
+                unit * dz,
+            )
+            push = state.own_pressure[place] * near_by.weight[other] + state.pressure[other] * mass
+            across = exactness * push * unit
+            bend = exactness * bend + (1.0 - exactness) * REPULSION * max(bend, 0.0)
+            # A vertex is its own neighbour too, at no distance.
+            pairs.across[at] = across if squared > 0.0 else 0.0
+            pairs.along[at] = (push * bend - across) / max(steepness * steepness, 1e-30) if squared > 0.0 else 0.0
+            at += 1
+        state.cursor[place] = at

@@ -30,10 +30,10 @@ from quaffure.body.motion import resample
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.energies.closed_form import equilibrium_vectors
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.geometry.occupancy_grid import FREE, OUTSIDE, REACH, OccupancyGrid, classify
+from quaffure.geometry.occupancy_grid import FREE, FREE_DISTANCE, OUTSIDE, classify
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.geometry.surface import Surface
+from quaffure.geometry.surface import Surface, occupancy_of
 from quaffure.io.load_groom import load_groom
 from quaffure.io.read_motion import read_motion
 from quaffure.model.quaffure_model import load_model
@@ -173,14 +173,14 @@ def compared(points: torch.Tensor, found: np.ndarray, surface: Surface, sample: 
     faces = surface.topology.faces.numpy()
     exact = igl.signed_distance(exact_points, vertices, faces, sign_type=igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)[0]
     winding = igl.fast_winding_number(vertices, faces, exact_points)
-    space = OccupancyGrid(*(field[sample] for field in surface.map))
+    space = occupancy_of(surface.sample_arrays(sample))
     known = np.array([classify(*point, space) for point in points.numpy()])
     matters = np.abs(exact) > ROUNDING
     return {
         "points": len(points),
         "largest_error_mm": 1000 * float(np.abs(np.abs(found) - np.abs(exact)).max()),
         "other_sign": int(((found < 0) != (exact < 0))[matters].sum()),
-        "wrong_map": int(((known == FREE) & (exact < REACH)).sum() + ((known == OUTSIDE) & (exact < 0)).sum()),
+        "wrong_map": int(((known == FREE) & (exact < FREE_DISTANCE)).sum() + ((known == OUTSIDE) & (exact < 0)).sum()),
         "other_winding_percent": 100 * float(((found < 0) != (winding > 0.5))[matters].mean()),
     }
 

@@ -16,7 +16,7 @@ from quaffure.geometry.signed_distance import signed_distance
 from quaffure.solvers.adam import AdamDraper
 from quaffure.solvers.lbfgs import LbfgsDraper
 from quaffure.solvers.newton.newton import ACTIVE_SHARE, HELD_SHARE, LBFGS_EVALUATIONS, PATIENT, NewtonDraper, heaviest
-from quaffure.solvers.newton.newton_descent import MOST_DAMPING, Trust, conjugate_gradients
+from quaffure.solvers.newton.newton_descent import MOST_DAMPING, TrustRegionState, conjugate_gradients
 from quaffure.solvers.newton.newton_system import NewtonSystem, Point, QuadraticModel
 from quaffure.solvers.xpbd import XpbdDraper
 from quaffure.types import Positions
@@ -119,16 +119,16 @@ def test_a_part_is_the_whole_with_the_rest_held() -> None:
     joined = system.joined(point, strands, part, own)
     assert joined.energy == pytest.approx(whole.energy, rel=1e-12)
     assert joined.excess == pytest.approx(whole.excess, abs=1e-9)
-    assert np.abs(own.excess_beside).max() > 0
+    assert np.abs(own.fixed_excess).max() > 0
     slack = np.full(point.excess.shape, 0.01)
     model, models = QuadraticModel(system, whole, 0 * slack, 0.5), QuadraticModel(part, own, 0 * slack[strands], 0.5)
     scale = np.abs(model.gradient).max()
     assert models.gradient == pytest.approx(model.gradient[strands], rel=1e-5, abs=1e-6 * scale)
     product = model.product(step)[strands]
     assert models.product(step[strands]) == pytest.approx(product, abs=1e-5 * np.abs(product).max())
-    change, changes = model.forecast(step), models.forecast(step[strands])
-    assert changes.crowd_slope == pytest.approx(change.crowd_slope[strands], rel=1e-4)
-    total = system.strand_gradient(whole) + system.crowd_gradient(whole)
+    change, changes = model.predicted(step), models.predicted(step[strands])
+    assert changes.density_slope == pytest.approx(change.density_slope[strands], rel=1e-4)
+    total = system.strand_gradient(whole) + system.density_energy_gradient(whole)
     assert total == pytest.approx(model.gradient, rel=1e-5, abs=1e-6 * scale)
 
 
@@ -149,8 +149,8 @@ def test_negative_curvature_is_followed_downhill() -> None:
     start[:, 0] = scene.posed[0, :, 0].numpy()
     for exactness, expected in ((1.0, True), (0.0, False)):
         model = QuadraticModel(system, system.point(start), np.zeros(start.shape[:2]), exactness)
-        step, is_bent = conjugate_gradients(model, 0.1)
-        assert is_bent == expected
+        step, has_negative_curvature = conjugate_gradients(model, 0.1)
+        assert has_negative_curvature == expected
         assert (model.gradient * step).sum() < 0
 
 
@@ -273,7 +273,9 @@ def test_a_part_hands_no_damping_to_the_whole(monkeypatch: pytest.MonkeyPatch) -
     system = NewtonSystem(HairEnergy(scene.groom, CROWDED), scene, 0)
     told: list[tuple[int, float]] = []
 
-    def stuck(part: NewtonSystem, point: Point, trust: Trust, target: float, steps: int) -> tuple[Point, Trust, int]:
+    def stuck(
+        part: NewtonSystem, point: Point, trust: TrustRegionState, target: float, steps: int
+    ) -> tuple[Point, TrustRegionState, int]:
         told.append((len(point.positions), trust.damping))
         return point, replace(trust, damping=4 * max(trust.damping, MOST_DAMPING)), steps
 

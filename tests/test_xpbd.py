@@ -166,8 +166,3 @@ def test_the_setting_of_the_paper() -> None:
     setting = paper_setting()
     assert (setting.steps, setting.iterations) == (30, 10_000)
     assert setting.time_step(0) == setting.time_step(29) == setting.first_time_step
-
-
-def test_a_margin_that_clear_cells_cannot_see_is_refused() -> None:
-    with pytest.raises(ValueError, match="collision margin"):
-        XpbdDraper(HairMaterial(collision_margin=0.006)).solve(posed_scene(sphere_groom(strands=2)))

@@ -1,11 +1,10 @@
 """One groom on a batch of posed bodies: what drapers, energies and solvers read."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 from quaffure.body.body_model import BodyModel, PosedBody
 from quaffure.body.pose_features import HEAD
-from quaffure.geometry.occupancy_grid import OccupancyGrid
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface, posed_surface
 from quaffure.hair.groom import Groom
@@ -58,7 +57,7 @@ class PosedScene:
     def sample(self, index: int) -> "PosedScene":
         """One sample as a scene of its own, the same to the bit."""
         one = slice(index, index + 1)
-        return PosedScene(self.groom, self.posed[one], _surface_samples(self.surface, one))
+        return PosedScene(self.groom, self.posed[one], self.surface.samples(one))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,16 +87,3 @@ class Scene:
 
 
 HairScene = Scene | PosedScene
-
-
-def _surface_samples(surface: Surface, samples: slice) -> Surface:
-    wide, space = surface.wide, surface.map
-    return replace(
-        surface,
-        vertices=surface.vertices[samples],
-        corners=surface.corners[samples],
-        bounds=surface.bounds[samples],
-        normals=surface.normals[samples],
-        wide=wide._replace(blocks=wide.blocks[samples], boxes=wide.boxes[samples]),
-        map=OccupancyGrid(*(field[samples] for field in space)),
-    )

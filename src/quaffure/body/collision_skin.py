@@ -8,7 +8,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import HEAD, NEAR_HAIR
-from quaffure.geometry.binary_bvh import build_binary_bvh
+from quaffure.geometry.bvh import leaf_order
 from quaffure.geometry.mesh import face_normals
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.geometry.surface import posed_surface
@@ -48,7 +48,7 @@ def collision_skin(body: BodyModel) -> CollisionSkin:
     joints = [body.joint_names.index(name) for name in (HEAD, *NEAR_HAIR, *FURTHER)]
     near = body.dense_skin_weights[:, joints].sum(1) > 0.5
     faces = body.faces[near[body.faces].any(1)]
-    order = build_binary_bvh(body.rest_vertices.cpu().numpy(), faces.cpu().numpy()).face_order
+    order = leaf_order(body.rest_vertices.cpu().numpy(), faces.cpu().numpy())
     faces = faces[torch.from_numpy(order).to(faces).long()]
     vertices, local = faces.unique(return_inverse=True)
     return CollisionSkin(vertices, local, _reach(body, faces))

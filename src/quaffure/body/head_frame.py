@@ -20,6 +20,7 @@ from quaffure.body.mls_body import KERNEL_RADIUS, mls_body, skin_points
 from quaffure.body.motion import without_heading
 from quaffure.body.pose_features import FEATURE_COUNT, HEAD, NEAR_HAIR, OFFSET_SCALE, pose_features
 from quaffure.geometry.mls_surface import LEAF, MlsSurface
+from quaffure.geometry.rotation import write_rotation
 from quaffure.types import BodyPose, BodyShape, Float, Int, Tensor
 
 _PARTS = 4  # of the skin, for threads to share one body
@@ -196,10 +197,10 @@ def _pose_joints(
             parent = skeleton.parents[joint]
             axis_angle = body_pose[sample, 3 * joint : 3 * joint + 3]
             if parent < 0:
-                _rotation(axis_angle, rotations[joint])
+                write_rotation(axis_angle, rotations[joint])
                 positions[joint] = rest[joint]
                 continue
-            _rotation(axis_angle, local)
+            write_rotation(axis_angle, local)
             for i in range(3):
                 positions[joint, i] = positions[parent, i]
                 for j in range(3):
@@ -213,26 +214,6 @@ def _pose_joints(
         code[sample, :10] = body_shape[sample]
         code[sample, 10:91] = body_pose[sample]
         _take_heading_off(body_pose[sample, :3], code[sample, 10:13])
-
-
-@no_type_check
-@njit(cache=True)
-def _rotation(axis_angle: np.ndarray, matrix: np.ndarray) -> None:
-    """Rodrigues' formula."""
-    x, y, z = np.float64(axis_angle[0]), np.float64(axis_angle[1]), np.float64(axis_angle[2])
-    squared = x * x + y * y + z * z
-    sine, cosine = 1.0 - squared / 6.0, 0.5 - squared / 24.0  # sin a / a, (1 - cos a) / a^2
-    if squared > 1e-6:
-        angle = math.sqrt(squared)
-        sine, cosine = math.sin(angle) / angle, 2.0 * math.sin(0.5 * angle) ** 2 / squared
-    matrix[0, 0], matrix[1, 1], matrix[2, 2] = (
-        1.0 - cosine * (y * y + z * z),
-        1.0 - cosine * (x * x + z * z),
-        1.0 - cosine * (x * x + y * y),
-    )
-    matrix[0, 1], matrix[1, 0] = cosine * x * y - sine * z, cosine * x * y + sine * z
-    matrix[0, 2], matrix[2, 0] = cosine * x * z + sine * y, cosine * x * z - sine * y
-    matrix[1, 2], matrix[2, 1] = cosine * y * z - sine * x, cosine * y * z + sine * x
 
 
 @no_type_check

@@ -14,6 +14,7 @@ from torch.autograd.function import FunctionCtx
 
 from quaffure.config import HairMaterial
 from quaffure.energies.rest_state import RestState
+from quaffure.energies.smoothing_kernel import kernel_slope, kernel_value
 from quaffure.geometry.cell_list import cell_columns, check_finite, interleaved, sort_into_cells
 from quaffure.types import Energy, Positions, Tensor
 
@@ -130,9 +131,7 @@ def _excess(
                 for other in range(count):
                     dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
                     q = np.sqrt(dx * dx + dy * dy + dz * dz) * inverse
-                    # (2 - q)+^3 - 4 (1 - q)+^3 is Eq. 13 without a branch.
-                    far, near = max(np.float32(2.0) - q, np.float32(0.0)), max(np.float32(1.0) - q, np.float32(0.0))
-                    total += masses[other] * (far * far * far - np.float32(4.0) * near * near * near)
+                    total += masses[other] * kernel_value(q)
                 excess[place] = max(total * scale - rest_density[order[place]], np.float32(0.0))
 
 
@@ -150,7 +149,7 @@ def density_gradient(
         threads: that share the work.
         gradient: filled, in the unsorted order [N].
     """
-    scale = np.float32(3.0 / (4.0 * math.pi)) / (h * h * h * h)
+    scale = np.float32(1.0 / (4.0 * math.pi)) / (h * h * h * h)
     inverse = np.float32(1.0) / h
     start = particles.start
     columns, along = shape[0] * shape[1], shape[2]
@@ -206,16 +205,14 @@ def _near_by(
 def _slopes(
     px: np.float32, py: np.float32, pz: np.float32, others: np.ndarray, count: int, inverse: np.float32
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """Weighted sum over the first `count` of `others` [4, vertex] of the gradient of Eq. 13 at p, times h / 3."""
+    """Weighted sum over the first `count` of `others` [4, vertex] of the gradient of Eq. 13 at p, times h."""
     gx, gy, gz = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     xs, ys, zs, weights = others[0, :count], others[1, :count], others[2, :count], others[3, :count]
     for other in range(count):
         dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
         r = np.sqrt(dx * dx + dy * dy + dz * dz)
-        q = r * inverse
-        far, near = max(np.float32(2.0) - q, np.float32(0.0)), max(np.float32(1.0) - q, np.float32(0.0))
-        falls = weights[other] * (np.float32(4.0) * near * near - far * far) / max(r, np.float32(1e-8))
-        gx += falls * dx
-        gy += falls * dy
-        gz += falls * dz
+        slope = weights[other] * kernel_slope(r * inverse) / max(r, np.float32(1e-8))
+        gx += slope * dx
+        gy += slope * dy
+        gz += slope * dz
     return gx, gy, gz

@@ -1,26 +1,12 @@
 """Hair against hair as density of smoothed particles, Eqs. 11-13."""
 
-import math
-
 import torch
 
 from quaffure.energies.energy_term import EnergyTerm, HairState
+from quaffure.energies.smoothing_kernel import kernel_volume, smoothing_kernel
 from quaffure.geometry.cell_list import fixed_radius_pairs
 from quaffure.scene import HairScene
 from quaffure.types import Energy, Float, Int, Positions, Scalar, Tensor
-
-
-def smoothing_kernel(distance: Float[Tensor, "*n"], smoothing_length: float) -> Float[Tensor, "*n"]:
-    """Eq. 13, W(r, h) as printed (Bando et al. 2003): dimensionless, 4 at r = 0, zero from 2h on, C2 at h and 2h."""
-    q = distance / smoothing_length
-    near = 4 - 6 * q.square() + 3 * q.pow(3)
-    far = (2 - q).clamp(min=0).pow(3)
-    return torch.where(q < 1, near, far)
-
-
-def kernel_volume(smoothing_length: float) -> float:
-    """Integral of Eq. 13 over space, 4 pi h^3 [m^3]: dividing by it turns masses into a density."""
-    return 4 * math.pi * smoothing_length**3
 
 
 def density(

@@ -15,6 +15,7 @@ from numba import get_num_threads, njit, prange
 
 from quaffure.geometry.mesh import face_normals
 from quaffure.geometry.mls_surface import FAST
+from quaffure.geometry.triangle import squared_distance_in_plane
 from quaffure.types import Float, Int, Tensor
 
 CELL_SIZE, CELLS = 0.0125, 80
@@ -162,24 +163,15 @@ def _compare(
     x: float, y: float, z: float, block: int, faces: np.ndarray, records: np.ndarray, rows: np.ndarray
 ) -> None:
     """Fill in the squared distances to a block of faces, 1 where they are out of reach, then the heights above them."""
-    none, one, beyond = np.float32(0.0), np.float32(1.0), np.float32(BESIDE * BESIDE)
+    one, beyond = np.float32(1.0), np.float32(BESIDE * BESIDE)
     for lane in range(IN_BLOCK):
         face = records[faces[block, lane]]
         height = x * face[0] + y * face[1] + z * face[2] - face[3]
         u = x * face[_ALONG] + y * face[_ALONG + 1] + z * face[_ALONG + 2] - face[_ALONG + 3]
         v = x * face[_ACROSS] + y * face[_ACROSS + 1] + z * face[_ACROSS + 2] - face[_ACROSS + 3]
-        length, cx, cy = face[_LENGTH], face[_THIRD], face[_THIRD + 1]
-        du = u - min(max(u, none), length)
-        beside = du * du + v * v
-        share = min(max((u * cx + v * cy) * face[_INVERSE], none), one)
-        du, dv = u - share * cx, v - share * cy
-        beside = min(beside, du * du + dv * dv)
-        bx, bu = cx - length, u - length
-        share = min(max((bu * bx + v * cy) * face[_INVERSE + 1], none), one)
-        du, dv = bu - share * bx, v - share * cy
-        beside = min(beside, du * du + dv * dv)
-        within = min(min(v, u * cy - v * cx), bx * v - cy * bu)
-        beside = beside if within < none else none
+        beside = squared_distance_in_plane(
+            u, v, face[_LENGTH], face[_THIRD], face[_THIRD + 1], face[_INVERSE], face[_INVERSE + 1]
+        )
         out = (height < -face[_REACH]) | (height > face[_REACH + 1]) | (beside > beyond)
         rows[lane] = one if out else beside + np.float32(_TIE) * height * height
         rows[IN_BLOCK + lane] = height

@@ -9,8 +9,10 @@ from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.config import HairMaterial
 from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
-from quaffure.geometry.occupancy_grid import REACH
 from quaffure.model.quaffure_network import NetworkConfig
+
+LARGEST_COLLISION_MARGIN = 0.05
+"""Hair farther from the body than this is not in contact with it [m]."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,10 @@ class TrainConfig:
         refuse_impossible({name: getattr(self, name) for name in counts}, self.learning_rate, self.seed)
         if not 0 < self.body_contact_weight < math.inf:
             raise InputError("--body-contact-weight", "a number above 0", f"{self.body_contact_weight}")
-        if not 0 < self.material.collision_margin <= REACH:
-            raise InputError("--collision-margin", f"up to {REACH} m", f"{self.material.collision_margin}")
+        if not 0 < self.material.collision_margin <= LARGEST_COLLISION_MARGIN:
+            raise InputError(
+                "--collision-margin", f"up to {LARGEST_COLLISION_MARGIN} m", f"{self.material.collision_margin}"
+            )
 
     @property
     def loss_material(self) -> HairMaterial:

@@ -13,7 +13,7 @@ def density_change(pairs: PressedPairs, step: Float[np.ndarray, "p 3"]) -> Float
     Vertices beyond those that `step` holds do not move.
     """
     change = np.empty(len(pairs.mass))
-    _change(pairs.first, pairs.other, pairs.kernel_gradient, pairs.mass, pairs.stiffness, _padded(pairs, step), change)
+    _change(pairs, _padded(pairs, step), change)
     return change
 
 
@@ -22,23 +22,23 @@ def density_force(
 ) -> Float[np.ndarray, "p 3"]:
     """Gradient [N] of an energy whose derivative by every density is `pressure` [J m^3/kg], by the first `moving`."""
     force = np.empty((len(pressure) if moving is None else moving, 3))
-    _force(pairs.first, pairs.other, pairs.kernel_gradient, pairs.mass, pressure, force)
+    _force(pairs, pressure, force)
     return force
 
 
 def density_product(pairs: PressedPairs, step: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p 3"]:
     """The Hessian times a step [m] of those that move: [N]."""
     change, product, step_of_all = np.empty(len(pairs.mass)), np.empty_like(step), _padded(pairs, step)
-    _change(pairs.first, pairs.other, pairs.kernel_gradient, pairs.mass, pairs.stiffness, step_of_all, change)
+    _change(pairs, step_of_all, change)
     change *= pairs.stiffness
-    _multiply(*pairs[:6], change, step_of_all, product)
+    _multiply(pairs, change, step_of_all, product)
     return product
 
 
 def density_blocks(pairs: PressedPairs, moving: int | None = None) -> Float[np.ndarray, "p 3 3"]:
     """Blocks of the Hessian on each of the first `moving` vertices [N/m]."""
     blocks = np.empty((len(pairs.mass) if moving is None else moving, 3, 3))
-    _blocks(*pairs, blocks)
+    _blocks(pairs, blocks)
     return blocks
 
 
@@ -51,10 +51,8 @@ def _padded(pairs: PressedPairs, step: Float[np.ndarray, "p 3"]) -> Float[np.nda
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _force(
-    first: np.ndarray, others: np.ndarray, gradients: np.ndarray, mass: np.ndarray, pressure: np.ndarray,
-    force: np.ndarray,
-) -> None:  # fmt: skip
+def _force(pairs: PressedPairs, pressure: np.ndarray, force: np.ndarray) -> None:
+    first, others, gradients, _, _, mass, _ = pairs
     for place in prange(len(force)):
         fx, fy, fz = 0.0, 0.0, 0.0
         own_mass, own_pressure = mass[place], pressure[place]
@@ -68,10 +66,8 @@ def _force(
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _change(
-    first: np.ndarray, others: np.ndarray, gradients: np.ndarray, mass: np.ndarray, stiffness: np.ndarray,
-    step: np.ndarray, change: np.ndarray,
-) -> None:  # fmt: skip
+def _change(pairs: PressedPairs, step: np.ndarray, change: np.ndarray) -> None:
+    first, others, gradients, _, _, mass, stiffness = pairs
     for place in prange(len(mass)):
         change[place] = 0.0
         if stiffness[place] <= 0.0:
@@ -89,10 +85,8 @@ def _change(
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _multiply(
-    first: np.ndarray, others: np.ndarray, gradients: np.ndarray, across: np.ndarray, along: np.ndarray,
-    mass: np.ndarray, change: np.ndarray, step: np.ndarray, product: np.ndarray,
-) -> None:  # fmt: skip
+def _multiply(pairs: PressedPairs, change: np.ndarray, step: np.ndarray, product: np.ndarray) -> None:
+    first, others, gradients, across, along, mass, _ = pairs
     for place in prange(len(product)):
         fx, fy, fz = 0.0, 0.0, 0.0
         sx, sy, sz = step[place, 0], step[place, 1], step[place, 2]
@@ -110,10 +104,8 @@ def _multiply(
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _blocks(
-    first: np.ndarray, others: np.ndarray, gradients: np.ndarray, across: np.ndarray, along: np.ndarray,
-    mass: np.ndarray, stiffness: np.ndarray, blocks: np.ndarray,
-) -> None:  # fmt: skip
+def _blocks(pairs: PressedPairs, blocks: np.ndarray) -> None:
+    first, others, gradients, across, along, mass, stiffness = pairs
     for place in prange(len(blocks)):
         block = np.zeros((3, 3))
         ox, oy, oz = 0.0, 0.0, 0.0

@@ -21,7 +21,7 @@ from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.cell_list import check_finite
 from quaffure.scene import HairScene, PosedScene
 from quaffure.solvers.lbfgs import LbfgsDraper
-from quaffure.solvers.newton.newton_descent import MOST_DAMPING, Trust, descend
+from quaffure.solvers.newton.newton_descent import MOST_DAMPING, TrustRegionState, descend
 from quaffure.solvers.newton.newton_system import NewtonSystem, PerStrand, Point, Vertices
 from quaffure.solvers.stopping import stopping_report
 from quaffure.solvers.supported_terms import refuse_other_terms
@@ -41,14 +41,14 @@ REMAINING_SHARE = 0.5
 EXACT_ENOUGH = 0.96
 """Exactness from which all strands together are worth a step where the gradient has spread."""
 FIRST_SLACK = 0.05
-"""How far the first model lets densities rise [kg/m^3]; the first step says better."""
+"""How far the first model lets densities rise [kg/m^3]; the first step shows more exactly."""
 _FEWEST = 20
-_STEPS = 10  # of some strands before others have their turn
+_STEPS = 10  # of some strands before others are moved
 _ROUND = 0.1  # a round's own cost in steps of all strands
 
 
 class NewtonDraper:
-    """Minimizes `HairEnergy` over vertices, roots held, from the best of where XPBD, twice, and L-BFGS lead.
+    """Minimizes `HairEnergy` over vertices, roots held, from the best of the drapes of XPBD, twice, and L-BFGS.
 
     Where hair presses on hair there are many minima, and no solver always finds the lowest. The drape is never above
     one of the three starts, so never above that of `XpbdDraper` with its default setting. The defaults of
@@ -133,7 +133,9 @@ class NewtonDraper:
             ValueError: one of the positions is not finite.
         """
         start = system.point(positions)
-        state = _State(start, system.strand_gradient(start), Trust(np.full(positions.shape[:2], FIRST_SLACK)))
+        state = _State(
+            start, system.strand_gradient(start), TrustRegionState(np.full(positions.shape[:2], FIRST_SLACK))
+        )
         taken, together, is_tamed, energy, before = 0.0, False, False, math.inf, math.inf
         while True:
             forces = _forces(system, state.point, state.own)
@@ -141,12 +143,12 @@ class NewtonDraper:
             if relative <= self.tolerance or taken >= self.steps or (has_stalled and together and is_tamed):
                 return state.point.positions, relative
             has_spread = relative > REMAINING_SHARE * before and state.trust.exactness > EXACT_ENOUGH
-            # To half the tolerance at most: what the strands that are held have left comes on top.
+            # To half the tolerance at most: the residual of the strands that are held comes on top.
             strands, target = heaviest(forces), max(HELD_SHARE * relative, 0.5 * self.tolerance)
             were_together = together
             together = len(strands) > ACTIVE_SHARE * len(forces) or has_stalled or (has_spread and not together)
             if together and not were_together:
-                # What damping some strands needed says nothing of all.
+                # What damping some strands needed does not apply to all.
                 state = state._replace(trust=replace(state.trust, damping=0.0))
             is_tamed, energy, before = state.trust.damping > MOST_DAMPING, state.point.energy, relative
             state, effort = _all_moved(system, state) if together else _some_moved(system, state, strands, target)
@@ -163,7 +165,7 @@ class _State(NamedTuple):
 
     point: Point
     own: Vertices
-    trust: Trust
+    trust: TrustRegionState
 
 
 def _forces(system: NewtonSystem, point: Point, own: Vertices | None = None) -> PerStrand:
@@ -173,7 +175,7 @@ def _forces(system: NewtonSystem, point: Point, own: Vertices | None = None) -> 
         own: gradient of all terms but Eq. 11, where it is known [N].
     """
     own = system.strand_gradient(point) if own is None else own
-    return np.linalg.norm(own + system.crowd_gradient(point), axis=(1, 2)) / system.weight
+    return np.linalg.norm(own + system.density_energy_gradient(point), axis=(1, 2)) / system.weight
 
 
 def heaviest(forces: PerStrand) -> Int[np.ndarray, " k"]:

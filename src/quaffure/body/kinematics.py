@@ -1,0 +1,117 @@
+"""Forward kinematics of a batch of bodies: the one place where joint rotations become joint positions.
+
+Shapes cannot be checked at run time inside compiled code, hence `no_type_check`.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple, no_type_check
+
+import numpy as np
+import torch
+from numba import njit
+
+from quaffure.backend import Backend, choose_backend
+from quaffure.body.body_model import BodyModel
+from quaffure.types import BodyPose, BodyShape, Float, Tensor
+
+
+class PosedJoints(NamedTuple):
+    """Joints of posed bodies in the world, in double precision where the compiled kernel computes them.
+
+    Attributes:
+        rest: position of each joint of the shaped body in the rest pose [m].
+        rotations: `world_from_joint`; the identity in the rest pose.
+        positions: position of each joint [m].
+    """
+
+    rest: Float[Tensor, "b j 3"]
+    rotations: Float[Tensor, "b j 3 3"]
+    positions: Float[Tensor, "b j 3"]
+
+    def rows(self, rows: slice) -> "PosedJoints":
+        """Some of the bodies."""
+        return PosedJoints(self.rest[rows], self.rotations[rows], self.positions[rows])
+
+
+def pose_joints(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> PosedJoints:
+    """Joints of bodies of shape beta [standard deviations] in pose theta [rad].
+
+    Compiled, in double precision and without gradient on the CPU; in torch where a gradient is wanted or the body is
+    elsewhere.
+    """
+    differentiable = torch.is_grad_enabled() and (body_pose.requires_grad or body_shape.requires_grad)
+    if differentiable or choose_backend(body.rest_joints) is Backend.TORCH:
+        rest = body.rest_joints + torch.einsum("bc,cjd->bjd", body_shape, body.joint_shape_directions)
+        return PosedJoints(rest, *body.posed_joints(body_pose, body_shape))
+    batch, count = len(body_pose), len(body.joint_parents)
+    joints = PosedJoints(
+        torch.empty(batch, count, 3, dtype=torch.float64),
+        torch.empty(batch, count, 3, 3, dtype=torch.float64),
+        torch.empty(batch, count, 3, dtype=torch.float64),
+    )
+    pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
+    _forward_kinematics(pose.numpy(), shape.numpy(), _skeleton(body), *(field.numpy() for field in joints))
+    return joints
+
+
+class _Skeleton(NamedTuple):
+    rest: np.ndarray
+    directions: np.ndarray
+    parents: np.ndarray
+
+
+@lru_cache(maxsize=4)
+def _skeleton(body: BodyModel) -> _Skeleton:
+    rest, directions = body.rest_joints.double().numpy(), body.joint_shape_directions.double().numpy()
+    return _Skeleton(rest, directions, np.array(body.joint_parents))
+
+
+@no_type_check
+@njit(cache=True)
+def _forward_kinematics(
+    body_pose: np.ndarray, body_shape: np.ndarray, skeleton: _Skeleton, rest_joints: np.ndarray,
+    world_rotations: np.ndarray, world_positions: np.ndarray,
+) -> None:  # fmt: skip
+    """Fill the fields of `PosedJoints`."""
+    local = np.empty((3, 3))
+    for sample in range(len(body_pose)):
+        rest, rotations, positions = rest_joints[sample], world_rotations[sample], world_positions[sample]
+        rest[:] = skeleton.rest
+        for coefficient in range(body_shape.shape[1]):
+            rest += np.float64(body_shape[sample, coefficient]) * skeleton.directions[coefficient]
+        for joint in range(len(rest)):
+            parent = skeleton.parents[joint]
+            axis_angle = body_pose[sample, 3 * joint : 3 * joint + 3]
+            if parent < 0:
+                _write_rotation(axis_angle, rotations[joint])
+                positions[joint] = rest[joint]
+                continue
+            _write_rotation(axis_angle, local)
+            for i in range(3):
+                positions[joint, i] = positions[parent, i]
+                for j in range(3):
+                    positions[joint, i] += rotations[parent, i, j] * (rest[joint, j] - rest[parent, j])
+                    rotations[joint, i, j] = 0.0
+                    for k in range(3):
+                        rotations[joint, i, j] += rotations[parent, i, k] * local[k, j]
+
+
+@no_type_check
+@njit(cache=True)
+def _write_rotation(axis_angle: np.ndarray, matrix: np.ndarray) -> None:
+    """Rodrigues' formula."""
+    x, y, z = np.float64(axis_angle[0]), np.float64(axis_angle[1]), np.float64(axis_angle[2])
+    squared = x * x + y * y + z * z
+    sine, cosine = 1.0 - squared / 6.0, 0.5 - squared / 24.0  # sin a / a, (1 - cos a) / a^2
+    if squared > 1e-6:
+        angle = math.sqrt(squared)
+        sine, cosine = math.sin(angle) / angle, 2.0 * math.sin(0.5 * angle) ** 2 / squared
+    matrix[0, 0], matrix[1, 1], matrix[2, 2] = (
+        1.0 - cosine * (y * y + z * z),
+        1.0 - cosine * (x * x + z * z),
+        1.0 - cosine * (x * x + y * y),
+    )
+    matrix[0, 1], matrix[1, 0] = cosine * x * y - sine * z, cosine * x * y + sine * z
+    matrix[0, 2], matrix[2, 0] = cosine * x * z + sine * y, cosine * x * z - sine * y
+    matrix[1, 2], matrix[2, 1] = cosine * y * z - sine * x, cosine * y * z + sine * x

@@ -18,8 +18,6 @@ HEAVY = ("pxr", "moderngl", "av", "anny", "igl", "trimesh", "PIL", "viser")
 
 # Numba compiles no structs of arrays, so a kernel takes its arrays one by one.
 KERNELS_WITH_MANY_PARAMETERS = {
-    "model/compiled_drape.py": {"finish"},
-    "model/initial_shape_kernels.py": {"feel", "grow"},
     "solvers/xpbd_kernels.py": {"find_planes", "sweep_strands"},
     "solvers/newton/density_hessian.py": {"_multiply"},
     "solvers/newton/density_pairs.py": {"_list"},

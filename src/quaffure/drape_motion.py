@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from quaffure.body.body_model import BodyModel
+from quaffure.body.kinematics import PosedJoints
 from quaffure.body.motion import Motion
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper
@@ -37,7 +38,7 @@ def drape_motion(
         The drapes. `meta` says what made them, and `milliseconds`, the median wall time of one drape, from pose in to
         strands out, in batches of `FRAMES_AT_ONCE`, the first batch left out where there are others.
     """
-    strands, posed, vertices, times = [], [], [], []
+    strands, posed, vertices, times, joints = [], [], [], [], []
     for body_pose in motion.body_pose.split(FRAMES_AT_ONCE):
         start = time.perf_counter()
         scene = Scene(groom, BodyBatch(body, body_pose, body_shape.expand(len(body_pose), -1)))
@@ -45,6 +46,7 @@ def drape_motion(
         times.append(1000 * (time.perf_counter() - start) / len(body_pose))
         posed.append(scene.posed)
         vertices.append(scene.bodies.posed.vertices)
+        joints.append(scene.bodies.joints)
         on_frames(len(body_pose))
     return DrapeSequence(
         strands=_frames(strands),
@@ -64,7 +66,17 @@ def drape_motion(
             "material": asdict(draper.material),
             "milliseconds": float(np.median(times[1:] or times)),
         },
+        joints=tuple(_frames(list(field)) for field in zip(*joints)),
     )
+
+
+def bodies_of(sequence: DrapeSequence, body: BodyModel, frames: slice = slice(None)) -> BodyBatch:
+    """The bodies of some frames of a drape; not posed again where its joints are known."""
+    body_pose = torch.from_numpy(sequence.body_pose[frames])
+    bodies = BodyBatch(body, body_pose, torch.from_numpy(sequence.body_shape).expand(len(body_pose), -1))
+    if sequence.joints:
+        bodies.__dict__["joints"] = PosedJoints(*(torch.from_numpy(field[frames]) for field in sequence.joints))
+    return bodies
 
 
 def material_of(sequence: DrapeSequence) -> HairMaterial:

@@ -9,7 +9,7 @@ import torch
 from quaffure.benchmark.intersection import winding_numbers
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import HEAD, world_from_head
-from quaffure.drape_motion import FRAMES_AT_ONCE, material_of
+from quaffure.drape_motion import FRAMES_AT_ONCE, bodies_of, material_of
 from quaffure.energies.elastic import length_errors, orientation_errors
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.self_collision import densities, density_excesses
@@ -42,9 +42,7 @@ def measure(
     posed: list[PerFrame] = []
     for start in range(0, len(sequence), FRAMES_AT_ONCE):
         chunk = slice(start, start + FRAMES_AT_ONCE)
-        body_pose = torch.from_numpy(sequence.body_pose[chunk])
-        body_shape = torch.from_numpy(sequence.body_shape).expand(len(body_pose), -1)
-        scene = Scene(groom, BodyBatch(body, body_pose, body_shape))
+        scene = Scene(groom, bodies_of(sequence, body, chunk))
         against = None if reference is None else torch.from_numpy(reference.strands[chunk])
         draped.append(metrics(torch.from_numpy(sequence.strands[chunk]), scene, energy, against))
         posed.append(metrics(scene.posed, scene, energy, against))
@@ -105,9 +103,7 @@ def total_energy(draped: Positions, scene: Scene, energy: HairEnergy) -> Energy:
 
 def acceleration(sequence: DrapeSequence, body: BodyModel) -> Float[Tensor, ""]:
     """Mean second difference over frames of the draped vertices seen from the head [m per frame^2]."""
-    body_shape = torch.from_numpy(sequence.body_shape).expand(len(sequence), -1)
-    bodies = BodyBatch(body, torch.from_numpy(sequence.body_pose), body_shape)
-    return acceleration_from_head(torch.from_numpy(sequence.strands), bodies)
+    return acceleration_from_head(torch.from_numpy(sequence.strands), bodies_of(sequence, body))
 
 
 def acceleration_from_head(draped: Positions, bodies: BodyBatch) -> Float[Tensor, ""]:

@@ -36,6 +36,7 @@ class HeadFrameBody(NamedTuple):
         pose_code: beta, theta without heading, pose features.
         scalp: posed vertices of `scalp_vertices`.
         surface: point-sampled skin that hair can touch.
+        skin: vertices of `collision_skin`, in the world [m]; none where they are not asked for.
     """
 
     world_from_head: Float[Tensor, "b 3 3"]
@@ -43,29 +44,13 @@ class HeadFrameBody(NamedTuple):
     pose_code: Float[Tensor, "b code"]
     scalp: Float[Tensor, "b c 3"]
     surface: MlsSurface
+    skin: Float[Tensor, "b v 3"]
 
     def sample(self, index: int) -> "HeadFrameBody":
         """One of the bodies."""
-        one = slice(index, index + 1)
-        rotation, head, code, scalp, (points, normals, radius) = self
-        surface = MlsSurface(points[one], normals[one], radius)
-        return HeadFrameBody(rotation[one], head[one], code[one], scalp[one], surface)
-
-
-class HeadFrameJoints(NamedTuple):
-    """Joints in the head's frame, for the compiled passes.
-
-    Attributes:
-        body_shape: beta [standard deviations].
-        transforms: 3 x 4 matrices from rest vertices to the head's frame, of each joint.
-        world_from_head, head, pose_code: see `HeadFrameBody`.
-    """
-
-    body_shape: Float[Tensor, "b 10"]
-    transforms: Float[np.ndarray, "b j 12"]
-    world_from_head: Float[Tensor, "b 3 3"]
-    head: Float[Tensor, "b 3"]
-    pose_code: Float[Tensor, "b code"]
+        one, (rotation, head, code, scalp, surface, skin) = slice(index, index + 1), self
+        surface = MlsSurface(surface.points[one], surface.normals[one], surface.radius)
+        return HeadFrameBody(rotation[one], head[one], code[one], scalp[one], surface, skin[one])
 
 
 @lru_cache(maxsize=4)
@@ -75,7 +60,12 @@ def scalp_vertices(body: BodyModel) -> Int[Tensor, " c"]:
 
 
 def head_frame_body_reference(
-    body: BodyModel, body_pose: BodyPose, body_shape: BodyShape, posed: PosedBody, config: MlsBodyConfig
+    body: BodyModel,
+    body_pose: BodyPose,
+    body_shape: BodyShape,
+    posed: PosedBody,
+    config: MlsBodyConfig,
+    collides: bool = True,
 ) -> HeadFrameBody:
     """Torch twin of `head_frame_body`: any device and type, differentiable in pose and shape.
 
@@ -89,50 +79,39 @@ def head_frame_body_reference(
     surface = MlsSurface((points - head[:, None, None]) @ rotation[:, None], normals @ rotation[:, None], radius)
     scalp = (posed.vertices[:, scalp_vertices(body)] - head[:, None]) @ rotation
     code = torch.cat([body_shape, without_heading(body_pose).to(body_shape), features], dim=1)
-    return HeadFrameBody(rotation, head, code, scalp, surface)
+    skin = posed.vertices[:, collision_skin(body).vertices] if collides else posed.vertices[:, :0]
+    return HeadFrameBody(rotation, head, code, scalp, surface, skin)
 
 
-def head_frame_joints(
-    body: BodyModel, body_pose: BodyPose, body_shape: BodyShape, posed: PosedJoints
-) -> HeadFrameJoints:
-    """Joints of bodies of shape beta [standard deviations] in pose theta [rad]; float32, on the CPU.
+def head_frame_body(
+    body: BodyModel,
+    body_pose: BodyPose,
+    body_shape: BodyShape,
+    joints: PosedJoints,
+    config: MlsBodyConfig,
+    collides: bool = True,
+) -> HeadFrameBody:
+    """Bodies of shape beta [standard deviations] in pose theta [rad]; float32, on the CPU.
 
     Args:
-        posed: these joints in the world.
+        joints: of these bodies.
+        collides: pose the collision skin too.
     """
-    batch, count = posed.rest.shape[:2]
-    transforms = np.empty((batch, count, 3, 4), np.float32)
+    skin, batch = _skin_to_pose(body, config.leaves, collides), len(body_pose)
     rotation, head, code = torch.empty(batch, 3, 3), torch.empty(batch, 3), torch.empty(batch, POSE_CODE_SIZE)
-    pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
-    world = _WorldJoints(pose.numpy(), shape.numpy(), *(field.double().numpy() for field in posed), _near_hair(body))
-    _enter_head_frame(world, transforms, rotation.numpy(), head.numpy(), code.numpy())
-    return HeadFrameJoints(shape, transforms.reshape(batch, count, 12), rotation, head, code)
-
-
-def head_frame_body(body: BodyModel, joints: HeadFrameJoints, config: MlsBodyConfig) -> HeadFrameBody:
-    """The bodies of `joints`; float32, on the CPU."""
-    skin = _sampled_skin(body, config.leaves)
-    positions, normals = _posed_vertices(skin, joints)
-    points = positions[:, : len(skin.normals)].unflatten(1, (-1, LEAF))
-    surface = MlsSurface(points, normals.unflatten(1, (-1, LEAF)), config.kernel_radius)
-    scalp = positions[:, len(skin.normals) :].contiguous()
-    return HeadFrameBody(joints.world_from_head, joints.head, joints.pose_code, scalp, surface)
-
-
-def posed_skin(body: BodyModel, joints: HeadFrameJoints) -> Float[Tensor, "b v 3"]:
-    """The vertices of `collision_skin(body)` [m, world], as in `BodyModel.pose`; float32, on the CPU."""
-    positions, _ = _posed_vertices(_collision_skin(body), joints)
-    return positions @ joints.world_from_head.mT + joints.head[:, None]
-
-
-def _posed_vertices(
-    skin: "_Skin", joints: HeadFrameJoints
-) -> tuple[Float[Tensor, "b v 3"], Float[Tensor, "b p 3"]]:
-    """Vertices, and the normals of those that have one, in the head's frame."""
-    batch = len(joints.head)
     positions, normals = torch.empty(batch, len(skin.rest), 3), torch.empty(batch, len(skin.normals), 3)
-    _pose_skin(joints.body_shape.numpy(), skin, joints.transforms, positions.numpy(), normals.numpy())
-    return positions, normals
+    pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
+    rest, rotations, centres = joints.rest.double(), joints.rotations.double(), joints.positions.double()
+    world = _WorldJoints(
+        pose.numpy(), shape.numpy(), rest.numpy(), rotations.numpy(), centres.numpy(), _near_hair(body)
+    )
+    frame = _HeadFrame(rotation.numpy(), head.numpy(), code.numpy())
+    _pose_bodies(world, skin, frame, positions.numpy(), normals.numpy())
+    count, rest_count = len(skin.normals), len(scalp_vertices(body))
+    points = positions[:, :count].unflatten(1, (-1, LEAF))
+    surface = MlsSurface(points, normals.unflatten(1, (-1, LEAF)), config.kernel_radius)
+    scalp, far = positions[:, count : count + rest_count].contiguous(), positions[:, count + rest_count :]
+    return HeadFrameBody(rotation, head, code, scalp, surface, far @ rotation.mT + head[:, None])
 
 
 class _WorldJoints(NamedTuple):
@@ -144,6 +123,14 @@ class _WorldJoints(NamedTuple):
     rotations: np.ndarray
     positions: np.ndarray
     near: np.ndarray
+
+
+class _HeadFrame(NamedTuple):
+    """The first fields of `HeadFrameBody`."""
+
+    world_from_head: np.ndarray
+    head: np.ndarray
+    pose_code: np.ndarray
 
 
 class _Skin(NamedTuple):
@@ -161,18 +148,11 @@ def _near_hair(body: BodyModel) -> Int[np.ndarray, " j"]:
     return np.array([body.joint_names.index(name) for name in (HEAD, *NEAR_HAIR)])
 
 
-@lru_cache(maxsize=4)
-def _sampled_skin(body: BodyModel, leaves: int) -> _Skin:
+@lru_cache(maxsize=8)
+def _skin_to_pose(body: BodyModel, leaves: int, collides: bool) -> _Skin:
+    """Sampled points, then the scalp, then the collision skin."""
     points, normals, _ = skin_points(body, leaves)
-    return _skin_of(body, torch.cat([points, scalp_vertices(body)]), normals)
-
-
-@lru_cache(maxsize=4)
-def _collision_skin(body: BodyModel) -> _Skin:
-    return _skin_of(body, collision_skin(body).vertices, torch.empty(0, 3))
-
-
-def _skin_of(body: BodyModel, vertices: Int[Tensor, " v"], normals: Float[Tensor, "p 3"]) -> _Skin:
+    vertices = torch.cat([points, scalp_vertices(body), collision_skin(body).vertices[: None if collides else 0]])
     return _Skin(
         body.rest_vertices[vertices].numpy(),
         body.shape_directions[:, vertices].permute(1, 2, 0).contiguous().numpy(),
@@ -184,20 +164,23 @@ def _skin_of(body: BodyModel, vertices: Int[Tensor, " v"], normals: Float[Tensor
 
 @no_type_check
 @njit(cache=True)
-def _enter_head_frame(
-    joints: _WorldJoints, transforms: np.ndarray, world_from_head: np.ndarray, head: np.ndarray, code: np.ndarray
+def _pose_bodies(
+    joints: _WorldJoints, skin: _Skin, frames: _HeadFrame, positions: np.ndarray, normals: np.ndarray
 ) -> None:
-    """Fill the fields of `HeadFrameJoints`."""
+    """Fill frames, vertices in the head's frame, and the normals of those that have one."""
+    transforms = np.empty((*joints.rest.shape[:2], 12), np.float32)  # 3 x 4, from rest vertices to the head's frame
     for sample in range(len(joints.body_pose)):
-        rest, rotations, positions = joints.rest[sample], joints.rotations[sample], joints.positions[sample]
-        frame, origin = rotations[joints.near[0]], positions[joints.near[0]]
-        world_from_head[sample] = frame
-        head[sample] = origin
-        _write_transforms(rest, rotations, positions, frame, origin, transforms[sample])
-        _write_features(positions, joints.near, frame, origin, transforms[sample], code[sample, -FEATURE_COUNT:])
-        code[sample, :10] = joints.body_shape[sample]
-        code[sample, 10:91] = joints.body_pose[sample]
-        _remove_heading(joints.body_pose[sample, :3], code[sample, 10:13])
+        rest, rotations, centres = joints.rest[sample], joints.rotations[sample], joints.positions[sample]
+        frame, origin, code = rotations[joints.near[0]], centres[joints.near[0]], frames.pose_code[sample]
+        frames.world_from_head[sample] = frame
+        frames.head[sample] = origin
+        own_transforms = transforms[sample].reshape((len(rest), 3, 4))
+        _write_transforms(rest, rotations, centres, frame, origin, own_transforms)
+        _write_features(centres, joints.near, frame, origin, own_transforms, code[-FEATURE_COUNT:])
+        code[:10] = joints.body_shape[sample]
+        code[10:91] = joints.body_pose[sample]
+        _remove_heading(joints.body_pose[sample, :3], code[10:13])
+    _pose_skin(joints.body_shape, skin, transforms, positions, normals)
 
 
 @no_type_check

@@ -40,8 +40,9 @@ def pose_joints(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> 
     Compiled, in double precision and without gradient on the CPU; in torch where a gradient is wanted or the body is
     elsewhere.
     """
+    skeleton = _skeleton(body)
     differentiable = torch.is_grad_enabled() and (body_pose.requires_grad or body_shape.requires_grad)
-    if differentiable or choose_backend(body.rest_joints) is Backend.TORCH:
+    if differentiable or skeleton is None:
         rest = body.rest_joints + torch.einsum("bc,cjd->bjd", body_shape, body.joint_shape_directions)
         return PosedJoints(rest, *body.posed_joints(body_pose, body_shape))
     batch, count = len(body_pose), len(body.joint_parents)
@@ -51,7 +52,7 @@ def pose_joints(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> 
         torch.empty(batch, count, 3, dtype=torch.float64),
     )
     pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
-    _forward_kinematics(pose.numpy(), shape.numpy(), _skeleton(body), *(field.numpy() for field in joints))
+    _forward_kinematics(pose.numpy(), shape.numpy(), skeleton, *map(Tensor.numpy, joints))
     return joints
 
 
@@ -62,7 +63,10 @@ class _Skeleton(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def _skeleton(body: BodyModel) -> _Skeleton:
+def _skeleton(body: BodyModel) -> _Skeleton | None:
+    """For the compiled kernel; None for a body that it cannot read."""
+    if choose_backend(body.rest_joints) is Backend.TORCH:
+        return None
     rest, directions = body.rest_joints.double().numpy(), body.joint_shape_directions.double().numpy()
     return _Skeleton(rest, directions, np.array(body.joint_parents))
 

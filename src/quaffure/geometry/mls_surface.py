@@ -128,14 +128,15 @@ def mls_points(surface: MlsSurface) -> MlsPoints:
     batch, count = len(surface.points), LEAF * surface.points.shape[1]
     points = MlsPoints(np.zeros((batch, count + 1, 8), np.float32), np.empty((batch, 3, count), np.float32))
     positions, normals = surface.points.detach().flatten(1, 2), surface.normals.detach().flatten(1, 2)
-    _record(positions.numpy(), normals.numpy(), np.float32(1 / surface.radius), *points)
+    record_points(positions.numpy(), normals.numpy(), np.float32(1 / surface.radius), *points)
     return points
 
 
 @njit(cache=True, error_model="numpy")
-def _record(
+def record_points(
     positions: np.ndarray, normals: np.ndarray, per_radius: np.float32, records: np.ndarray, scaled: np.ndarray
 ) -> None:
+    """Fill the fields of `MlsPoints`."""
     for sample in range(len(positions)):
         for index in range(positions.shape[1]):
             for axis in range(3):

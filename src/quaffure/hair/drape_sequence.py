@@ -21,6 +21,7 @@ class DrapeSequence:
         body_shape: coefficients of the shape basis, beta [-].
         fps: frames per second.
         meta: groom, draper, version, parameters; anything that JSON holds.
+        joints: the fields of `quaffure.body.kinematics.PosedJoints` where the frames were posed here; not in files.
     """
 
     strands: Float32[np.ndarray, "f s n 3"]
@@ -32,6 +33,7 @@ class DrapeSequence:
     body_shape: Float[np.ndarray, "10"]
     fps: float
     meta: dict[str, Any] = field(default_factory=dict)
+    joints: tuple[np.ndarray, ...] = ()
 
     def __len__(self) -> int:
         """Number of frames."""

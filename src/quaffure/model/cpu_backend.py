@@ -12,14 +12,14 @@ import torch
 from numba import get_num_threads, njit, prange
 
 from quaffure.body.collision_skin import CollisionSkin, collision_skin
-from quaffure.body.head_frame import HeadFrameBody, head_frame_body, head_frame_joints, posed_skin
-from quaffure.config import EDGES_PER_STRAND, HairMaterial
-from quaffure.geometry.mls_surface import FAST, mls_points
-from quaffure.model.initial_shape import InitialShape, bits, body_arrays, empty_shape, fill_initial_shape
-from quaffure.model.initial_shape_kernels import BodyArrays
+from quaffure.body.head_frame import HeadFrameBody, head_frame_body
+from quaffure.body.kinematics import PosedJoints
+from quaffure.config import HairMaterial
+from quaffure.geometry.mls_surface import FAST
+from quaffure.model.initial_shape import InitialShape, bits, empty_shape, fill_initial_shape
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project
-from quaffure.model.quaffure_network import DirectionNetwork
+from quaffure.model.quaffure_network import FEATURE_SIZE, DirectionNetwork
 from quaffure.model.torch_backend import TorchBackend, TorchPosed
 from quaffure.scene import BodyBatch
 from quaffure.types import Float, Positions, Tensor
@@ -32,21 +32,16 @@ class CpuPosed(NamedTuple):
     """The body of one drape.
 
     Attributes:
-        bodies: for the initial shape, in the head's frame; a batch of one.
-        world_from_head, head: the head's rotation and its joint [m].
+        body: a batch of one.
         encoded: by the network.
-        skin: faces that hair is projected out of, None where it is not.
-        vertices: of the skin, posed [m, world].
         memory: for the initial shape; of all drapes of a batch, so that it is still in the processor's cache.
+        skin: faces that hair is projected out of.
     """
 
-    bodies: BodyArrays
-    world_from_head: Float[Tensor, "3 3"]
-    head: Float[Tensor, "3"]
+    body: HeadFrameBody
     encoded: object
-    skin: CollisionSkin | None
-    vertices: Float[Tensor, "v 3"] | None
     memory: InitialShape
+    skin: CollisionSkin
 
 
 class CpuBackend:
@@ -65,37 +60,29 @@ class CpuBackend:
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, CpuPosed]]:
         """Each groom with the body of its row; bodies are posed, and grooms encoded, `BATCH` at a time."""
         body, config = bodies.body, self.config
+        skin = collision_skin(body, self._clearance)
+        rest, rotations, positions = bodies.joints
         for first in range(0, len(grooms), BATCH):
             part, rows = grooms[first : first + BATCH], slice(first, first + BATCH)
+            joints = PosedJoints(rest[rows], rotations[rows], positions[rows])
             pose, shape = bodies.body_pose[rows], bodies.body_shape[rows]
-            joints = head_frame_joints(body, pose, shape, bodies.joints.rows(rows))
-            head = head_frame_body(body, joints, config.initial_shape.body)
-            arrays = body_arrays(head, mls_points(head.surface), self._material, config.initial_shape)
-            skin = collision_skin(body, self._clearance) if config.contact else None
-            vertices = posed_skin(body, joints) if config.contact else [None] * len(part)
-            encoded, memory = self.encode(part, head), self.memory(part)
+            batch = head_frame_body(body, pose, shape, joints, config.initial_shape.body, config.contact)
+            codes, most, begun = [], 0, time.perf_counter()
+            for groom in part:
+                codes.append(groom.code)
+                most = max(most, groom.blocks.rows.size)
+            encoded = self.layout.encode(torch.stack(codes), batch.pose_code)
+            self.network_seconds += time.perf_counter() - begun
+            memory = empty_shape(1, most, self.layout.columns, self.layout.dtype)
             for row, groom in enumerate(part):
-                frame = head.world_from_head[row], head.head[row]
-                yield groom, CpuPosed(arrays.row(row), *frame, encoded[row], skin, vertices[row], memory)
-
-    def encode(self, grooms: Sequence[PreparedGroom], bodies: HeadFrameBody) -> Sequence[object]:
-        """The part of the network that runs once for a batch."""
-        begun = time.perf_counter()
-        encoded = self.layout.encode(torch.stack([groom.code for groom in grooms]), bodies.pose_code)
-        self.network_seconds += time.perf_counter() - begun
-        return encoded
-
-    def memory(self, grooms: Sequence[PreparedGroom]) -> InitialShape:
-        """Memory for the initial shape of any of these grooms."""
-        rows = max(groom.blocks.rows.size for groom in grooms)
-        return empty_shape(1, rows, EDGES_PER_STRAND)._replace(features=self.layout.features(rows)[None])
+                yield groom, CpuPosed(batch.sample(row), encoded[row], memory, skin)
 
     def initial_shape(self, groom: PreparedGroom, posed: CpuPosed) -> InitialShape:
         """Row by row of the kernels' blocks."""
         rows, (roots, edges, compliance, features) = groom.blocks.rows, posed.memory
         count = rows.size
         shape = InitialShape(roots[:, :count], edges[:, :count], compliance[:, :count], features[:, :count])
-        fill_initial_shape(groom.blocks, rows, posed.bodies, shape)
+        fill_initial_shape(groom.blocks, rows, posed.body, self._material, self.config.initial_shape, shape)
         return shape
 
     def network(self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape) -> Float[Tensor, "row outputs"]:
@@ -112,31 +99,30 @@ class CpuBackend:
         hair, strand = torch.empty(1, *groom.margin.shape, 3), groom.blocks.strands.strand.reshape(-1)
         _integrate(
             _ShapeRows(shape.roots[0].numpy(), shape.edges[0].numpy(), shape.compliance[0].numpy(), strand),
-            bits(changes), groom.rest_length.numpy(), posed.world_from_head.numpy(), posed.head.numpy(),
+            bits(changes), groom.rest_length.numpy(), posed.body.world_from_head[0].numpy(), posed.body.head[0].numpy(),
             get_num_threads(), hair[0].numpy(),
         )  # fmt: skip
         return hair
 
     def project(self, groom: PreparedGroom, posed: CpuPosed, hair: Positions) -> Positions:
         """Hair projected out of the skin [m, world]."""
-        if posed.skin is None or posed.vertices is None:
+        if not self.config.contact:
             return hair
-        strands, config = (hair[0], posed.vertices, groom.rest_length, groom.clearance), self.config.projection
-        return project(*strands, posed.skin, posed.head, config)[None]
+        strands, config = (hair[0], posed.body.skin[0], groom.rest_length, groom.clearance), self.config.projection
+        return project(*strands, posed.skin, posed.body.head[0], config)[None]
 
 
 class CpuTrainingBackend(TorchBackend):
     """The initial shape from the compiled kernels, without gradient, the rest in torch; no projection."""
 
     def head_frame(self, bodies: BodyBatch) -> HeadFrameBody:
-        joints = head_frame_joints(bodies.body, bodies.body_pose, bodies.body_shape, bodies.joints)
-        return head_frame_body(bodies.body, joints, self.config.initial_shape.body)
+        config = self.config.initial_shape.body
+        return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, bodies.joints, config, collides=False)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
-        config, (strands, vertices) = self.config.initial_shape, groom.margin.shape
-        shape = empty_shape(len(posed.body.head), strands, vertices - 1)
-        arrays = body_arrays(posed.body, mls_points(posed.body.surface), self._material, config)
-        fill_initial_shape(groom.blocks, groom.blocks.strands.strand, arrays, shape)
+        shape = empty_shape(len(posed.body.head), len(groom.margin), FEATURE_SIZE, torch.float32)
+        config, rows = self.config.initial_shape, groom.blocks.strands.strand
+        fill_initial_shape(groom.blocks, rows, posed.body, self._material, config, shape)
         return shape
 
 

@@ -6,7 +6,7 @@ and texels stay next to their channels, so that a strand's is one row of memory.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import nn
@@ -61,21 +61,20 @@ class StrandTexels(NamedTuple):
     rows: Int[Tensor, " s"]
 
 
+@runtime_checkable
 class NetworkWithoutGradient(Protocol):
     """A network of edge directions as `quaffure.model.cpu_backend` runs it: once a batch, then once a groom.
 
     Attributes:
         dtype: of features and outputs.
+        columns: of the features' memory; the caller fills the first ones.
     """
 
     dtype: torch.dtype
+    columns: int
 
     def encode(self, groom_codes: Float[Tensor, "b 16"], pose_code: Float[Tensor, "b code"]) -> Sequence[object]:
         """What `changes` needs of each drape of a batch, whose grooms may differ."""
-        ...
-
-    def features(self, strands: int) -> Float[Tensor, "s columns"]:
-        """Workspace for the features that `changes` reads; the caller fills the first columns."""
         ...
 
     def changes(
@@ -91,13 +90,10 @@ class ForwardNetwork:
     dtype = torch.float32
 
     def __init__(self, network: nn.Module, features: int, bf16: bool) -> None:
-        self._network, self._columns, self._bf16 = network, features, bf16
+        self._network, self.columns, self._bf16 = network, features, bf16
 
     def encode(self, groom_codes: Float[Tensor, "b 16"], pose_code: Float[Tensor, "b code"]) -> Sequence[object]:
         return list(zip(groom_codes, pose_code.split(1)))
-
-    def features(self, strands: int) -> Float[Tensor, "s columns"]:
-        return torch.empty(strands, self._columns)
 
     @torch.no_grad()
     def changes(
@@ -114,6 +110,7 @@ class InferenceNetwork:
     Attributes:
         dtype: of weights and activations; sums are in float32.
         feature_size: how many numbers a strand's own shape and local features are.
+        columns: these and its texel.
     """
 
     @torch.no_grad()
@@ -148,6 +145,7 @@ class InferenceNetwork:
             self._stored(to_texels.bias.unflatten(0, (outputs, 4)).T.flatten()),
         )
         before = torch.cat([from_strand, from_texel.weight], dim=1)
+        self.columns = before.shape[1]
         self._strand = [(self._stored(before), self._stored(from_texel.bias))]
         self._strand += [self._affine(layer) for layer in strand if isinstance(layer, nn.Linear)]
 
@@ -166,10 +164,6 @@ class InferenceNetwork:
         blocks = texture.permute(0, 2, 3, 1).flatten(1, 2)
         return linear(blocks, *self._to_texels).unflatten(2, (4, -1)).flatten(1, 2)
 
-    def features(self, strands: int) -> Float[Tensor, "s columns"]:
-        """Workspace; `changes` fills the columns after the first `feature_size` with the strands' texels."""
-        return torch.empty(strands, self._strand[0][0].shape[1], dtype=self.dtype)
-
     @torch.inference_mode()
     def changes(
         self, encoded: Float[Tensor, "texels channels"], texels: StrandTexels, features: Float[Tensor, "s columns"]
@@ -178,7 +172,8 @@ class InferenceNetwork:
 
         Args:
             encoded: a row of `encode`.
-            features: a strand's positions [m] and local features in the first `feature_size` columns.
+            features: a strand's positions [m] and local features in the first `feature_size` columns; the others are
+                filled with its texel.
         """
         torch.index_select(encoded, 0, texels.rows, out=features[:, self.feature_size :])
         values = features

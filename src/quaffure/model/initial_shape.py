@@ -12,18 +12,15 @@ import torch
 from numba import get_num_threads
 
 from quaffure.body.head_frame import HeadFrameBody
-from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.config import EDGES_PER_STRAND, STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.closed_form import equilibrium_vectors
 from quaffure.geometry.mls_surface import (
-    LANES,
-    LOCAL_FEATURES,
     MIN_LENGTH,
-    MlsPoints,
     MlsSurface,
     resolve_contact_reference,
 )
 from quaffure.hair.posing import triangle_frames
-from quaffure.model.initial_shape_kernels import BodyArrays, ShapeArrays, estimate_contact_force, resolve_contact
+from quaffure.model.initial_shape_kernels import BodyArrays, ShapeArrays, initial_shape_kernel
 from quaffure.model.network_config import InitialShapeConfig
 from quaffure.model.prepared_groom import KernelBlocks, PreparedGroom
 from quaffure.types import EdgeVectors, Float, Int, RestLengths, Tensor
@@ -50,7 +47,7 @@ class InitialShape(NamedTuple):
 def initial_shape_reference(
     groom: PreparedGroom, body: HeadFrameBody, material: HairMaterial, config: InitialShapeConfig
 ) -> InitialShape:
-    """Torch twin of `initial_shape`: any device and type, differentiable in the bodies and in the material."""
+    """Torch twin of `fill_initial_shape`: any device and type, differentiable in the bodies and in the material."""
     strands, rest_length = groom.strands, groom.rest_length
     triangles = body.scalp[:, strands.corners]
     frames = triangle_frames(triangles)
@@ -122,41 +119,48 @@ def propagate_contact_force(
     return torch.stack(totals[::-1], dim=2)
 
 
-def empty_shape(batch: int, strands: int, edges: int) -> InitialShape:
-    """Memory for `initial_shape`."""
+def empty_shape(batch: int, strands: int, features: int, dtype: torch.dtype) -> InitialShape:
+    """Memory for `fill_initial_shape`."""
     return InitialShape(
         torch.empty(batch, strands, 3),
-        torch.empty(batch, strands, edges, 3),
-        torch.empty(batch, strands, edges),
-        torch.empty(batch, strands, (3 + LOCAL_FEATURES) * edges),
+        torch.empty(batch, strands, EDGES_PER_STRAND, 3),
+        torch.empty(batch, strands, EDGES_PER_STRAND),
+        torch.empty(batch, strands, features, dtype=dtype),
     )
 
 
-def body_arrays(
-    body: HeadFrameBody, points: MlsPoints, material: HairMaterial, config: InitialShapeConfig
-) -> BodyArrays:
-    """A batch of bodies for `fill_initial_shape`; float32, on the CPU."""
-    weight = float(material.linear_density) * STANDARD_GRAVITY / float(material.k_cosserat)
-    scalars = (body.surface.radius, weight, config.propagated_share, config.load_share)
-    down = -body.world_from_head[:, 2]
-    return BodyArrays(body.scalp.numpy(), down.numpy(), *points, *(np.float32(value) for value in scalars))
-
-
 def fill_initial_shape(
-    blocks: KernelBlocks, row_of: Int[np.ndarray, "block lane"], bodies: BodyArrays, shape: InitialShape
+    blocks: KernelBlocks,
+    row_of: Int[np.ndarray, "block lane"],
+    body: HeadFrameBody,
+    material: HairMaterial,
+    config: InitialShapeConfig,
+    shape: InitialShape,
 ) -> None:
-    """Fill `shape` with a groom on a batch of bodies before the network.
+    """Fill `shape` with a groom on a batch of bodies before the network; float32, on the CPU.
 
     Args:
         row_of: the row of `shape` for the strand in each lane.
         shape: filled; its features may be in bfloat16, and may have more columns.
     """
-    threads, chosen = get_num_threads(), blocks.representatives
-    force = np.empty((len(bodies.scalp), *chosen.edges.shape[:2], 3 * LANES), np.float32)
-    estimate_contact_force(chosen, bodies, threads, force)
+    points, normals, radius = body.surface
+    weight = float(material.linear_density) * STANDARD_GRAVITY / float(material.k_cosserat)
+    arrays = BodyArrays(
+        body.scalp.numpy(),
+        -body.world_from_head[:, 2].numpy(),
+        points.flatten(1, 2).contiguous().numpy(),
+        normals.flatten(1, 2).contiguous().numpy(),
+        np.float32(radius),
+        np.float32(1 / radius),
+        np.float32(weight),
+        np.float32(config.propagated_share),
+        np.float32(config.load_share),
+    )
     roots, edges, compliance, features = shape
-    arrays = ShapeArrays(roots.numpy(), edges.numpy(), compliance.numpy(), bits(features))
-    resolve_contact(blocks.strands, bodies, threads, force, blocks.representative, row_of, arrays)
+    initial_shape_kernel(
+        blocks.strands, blocks.representatives, blocks.representative, row_of, arrays, get_num_threads(),
+        ShapeArrays(roots.numpy(), edges.numpy(), compliance.numpy(), bits(features)),
+    )  # fmt: skip
 
 
 def bits(values: Tensor) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The kernels before the network, a block of strands in the lanes of the processor's vectors.
 
-`estimate_contact_force` resolves contact of the cluster representatives alone, and `resolve_contact` that of all
+`_estimate_contact_force` resolves contact of the cluster representatives alone, and `_resolve_contact` that of all
 strands under these forces; their torch twin is in `quaffure.model.initial_shape`. Shapes cannot be checked at run time
 inside compiled code, hence `no_type_check`.
 """
@@ -23,6 +23,7 @@ from quaffure.geometry.mls_surface import (
     evaluate,
     list_points,
     normalize_features,
+    record_points,
 )
 from quaffure.hair.strand_blocks import StrandBlocks
 
@@ -51,26 +52,28 @@ class BodyArrays(NamedTuple):
     Attributes:
         scalp: posed vertices [m].
         down: gravity's direction.
-        records, positions: see `quaffure.geometry.mls_surface.MlsPoints`.
-        radius: of the point-sampled body [m].
+        points, normals: of the point-sampled body [m].
+        radius, per_radius: of its points [m], and its inverse.
         weight: of a strand over k_Cosserat [1/m^2].
         propagated_share, load_share: see `quaffure.model.network_config.InitialShapeConfig`.
     """
 
     scalp: np.ndarray
     down: np.ndarray
-    records: np.ndarray
-    positions: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
     radius: np.float32
+    per_radius: np.float32
     weight: np.float32
     propagated_share: np.float32
     load_share: np.float32
 
-    def row(self, index: int) -> "BodyArrays":
-        """One of the bodies."""
-        scalp, down, records, positions, *common = self
-        one = slice(index, index + 1)
-        return BodyArrays(scalp[one], down[one], records[one], positions[one], *common)
+
+class _Points(NamedTuple):
+    """See `quaffure.geometry.mls_surface.MlsPoints`."""
+
+    records: np.ndarray
+    positions: np.ndarray
 
 
 class ShapeArrays(NamedTuple):
@@ -83,8 +86,32 @@ class ShapeArrays(NamedTuple):
 
 
 @no_type_check
+@njit(cache=True, error_model="numpy")
+def initial_shape_kernel(
+    strands: StrandBlocks, representatives: StrandBlocks, representative: np.ndarray, row_of: np.ndarray,
+    body: BodyArrays, threads: int, shape: ShapeArrays,
+) -> None:  # fmt: skip
+    """Fill roots, edges, their compliance and the network's features.
+
+    Args:
+        representatives: strands of which contact forces are estimated.
+        representative: [block, lane], lane among those of `representatives` of each strand's own.
+        row_of: [block, lane], row of the results for each strand.
+    """
+    batch, count = body.points.shape[:2]
+    points = _Points(np.zeros((batch, count + 1, 8), np.float32), np.empty((batch, 3, count), np.float32))
+    record_points(body.points, body.normals, body.per_radius, points.records, points.positions)
+    blocks, edges = representatives.edges.shape[:2]
+    force = np.empty((batch, blocks, edges, 3 * LANES), np.float32)
+    _estimate_contact_force(representatives, body, points, threads, force)
+    _resolve_contact(strands, body, points, threads, force, representative, row_of, shape)
+
+
+@no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
-def estimate_contact_force(strands: StrandBlocks, body: BodyArrays, threads: int, force: np.ndarray) -> None:
+def _estimate_contact_force(
+    strands: StrandBlocks, body: BodyArrays, points: _Points, threads: int, force: np.ndarray
+) -> None:
     """Resolve contact as if nothing pushed, and fill the force of the skin on each edge (`propagate_contact_force`).
 
     Args:
@@ -93,8 +120,8 @@ def estimate_contact_force(strands: StrandBlocks, body: BodyArrays, threads: int
     batch, blocks, count = len(body.scalp), len(strands.edges), strands.edges.shape[1]
     # Made outside of the parallel loop, where arrays are not counted: counting costs as much as evaluating.
     spaces, contacts = np.empty((threads, _ALL_ROWS), np.float32), np.empty((threads, count, _CONTACT_SIZE), np.float32)
-    covers, flags = np.empty((threads, 4), np.float32), np.empty((threads, body.positions.shape[2]), np.uint8)
-    lists, none = np.empty((threads, body.records.shape[1] + UNROLL), np.uint32), np.zeros(3 * LANES, np.float32)
+    covers, flags = np.empty((threads, 4), np.float32), np.empty((threads, points.positions.shape[2]), np.uint8)
+    lists, none = np.empty((threads, points.records.shape[1] + UNROLL), np.uint32), np.zeros(3 * LANES, np.float32)
     for thread in prange(threads):
         rows, contact, cover, inside, near = (
             spaces[thread],
@@ -106,7 +133,7 @@ def estimate_contact_force(strands: StrandBlocks, body: BodyArrays, threads: int
         for item in range(thread, batch * blocks, threads):
             sample, block = item // blocks, item % blocks
             rest_edges, margin, down = strands.edges[block], strands.margin[block], body.down[sample]
-            records, positions = body.records[sample], body.positions[sample]
+            records, positions = points.records[sample], points.positions[sample]
             _compute_roots(
                 strands.corners[block], strands.barycentric[block], strands.offset[block], body.scalp[sample], rows
             )
@@ -123,21 +150,15 @@ def estimate_contact_force(strands: StrandBlocks, body: BodyArrays, threads: int
 
 @no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
-def resolve_contact(
-    strands: StrandBlocks, body: BodyArrays, threads: int, force: np.ndarray, representative: np.ndarray,
-    row_of: np.ndarray, shape: ShapeArrays,
+def _resolve_contact(
+    strands: StrandBlocks, body: BodyArrays, points: _Points, threads: int, force: np.ndarray,
+    representative: np.ndarray, row_of: np.ndarray, shape: ShapeArrays,
 ) -> None:  # fmt: skip
-    """Fill roots, edges, their compliance and the network's features.
-
-    Args:
-        force: of the representatives, by `estimate_contact_force`.
-        representative: [block, lane], lane among those of `force` of each strand's representative.
-        row_of: [block, lane], row of the results for each strand.
-    """
+    """Fill `shape` under the forces of the representatives, see `initial_shape_kernel`."""
     batch, blocks, count = len(body.scalp), len(row_of), strands.edges.shape[1]
     spaces, forces = np.empty((threads, _ALL_ROWS), np.float32), np.empty((threads, count, 3 * LANES), np.float32)
-    covers, flags = np.empty((threads, 4), np.float32), np.empty((threads, body.positions.shape[2]), np.uint8)
-    lists = np.empty((threads, body.records.shape[1] + UNROLL), np.uint32)
+    covers, flags = np.empty((threads, 4), np.float32), np.empty((threads, points.positions.shape[2]), np.uint8)
+    lists = np.empty((threads, points.records.shape[1] + UNROLL), np.uint32)
     for thread in prange(threads):
         rows, own_force, cover, inside, near = (
             spaces[thread],
@@ -148,7 +169,7 @@ def resolve_contact(
         )
         for item in range(thread, batch * blocks, threads):
             sample, block = item // blocks, item % blocks
-            own_rows, records, positions = row_of[block], body.records[sample], body.positions[sample]
+            own_rows, records, positions = row_of[block], points.records[sample], points.positions[sample]
             rest_edges, margin, down = strands.edges[block], strands.margin[block], body.down[sample]
             edges, features = shape.edges[sample], shape.features[sample]
             compliance, roots = shape.compliance[sample], shape.roots[sample]

@@ -12,7 +12,7 @@ import tyro
 from quaffure.body.mls_body import MlsBodyConfig
 from quaffure.model.weights_file import MAX_WIDTH
 
-MAX_LAYERS = 64
+POSE_SIZE, SHAPE_SIZE, MAX_LAYERS = 81, 10, 64
 FILE_KEYS = {"views": "skin_features", "slides": "contact"}
 
 

@@ -1,7 +1,7 @@
 """The network's drape: one pass, no iterations."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
 import torch
@@ -19,8 +19,15 @@ from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions, Tensor
 
 
+@runtime_checkable
 class DrapeBackend(Protocol):
-    """The five steps of a drape on one kind of device."""
+    """The five steps of a drape on one kind of device.
+
+    Attributes:
+        network_seconds: wall time of the network alone, of all drapes so far.
+    """
+
+    network_seconds: float
 
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, Any]]: ...
     def initial_shape(self, groom: PreparedGroom, posed: Any) -> Any: ...
@@ -74,7 +81,10 @@ class NeuralDraper:
 
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of every sample [m, world], without gradient."""
-        return _joined(self.drape_grooms([scene.groom] * len(scene.bodies.body_pose), scene.bodies))
+        prepared = [self.prepared(scene.groom, scene.bodies.body)] * len(scene.bodies.body_pose)
+        with torch.no_grad():
+            hair = list(drape(self.backend(), prepared, scene.bodies))
+        return hair[0] if len(hair) == 1 else torch.cat(hair)
 
     def drape_grooms(self, grooms: Sequence[Groom], bodies: BodyBatch) -> list[Positions]:
         """Each groom draped on the body of its row [m, world], without gradient; the rows in order."""
@@ -89,7 +99,7 @@ class NeuralDraper:
         """
         kind: type[TorchBackend] = CpuTrainingBackend if self._kind is Backend.CPU else TorchBackend
         prepared = [self.prepared(scene.groom, scene.bodies.body)] * len(scene.bodies.body_pose)
-        return _joined(list(drape(self._torch_backend(kind, projects=False), prepared, scene.bodies)))
+        return torch.cat(list(drape(self._torch_backend(kind, projects=False), prepared, scene.bodies)))
 
     def prepared(self, groom: Groom, body: BodyModel) -> PreparedGroom:
         """A groom on a body; kept as long as both are.
@@ -107,7 +117,17 @@ class NeuralDraper:
 
     def backend(self) -> DrapeBackend:
         """The five steps with the weights of now; made anew when anything that decides a drape has changed."""
-        state = (_contents(self.network), self.material, self.bf16)
+        # Every layer and the version of every weight; `parameters()` takes longer than posing the body.
+        layers: list[nn.Module] = [self.network]
+        weights: list[object] = []
+        for layer in layers:
+            for part in layer._modules.values():
+                if part is not None:
+                    layers.append(part)  # and visited in its turn
+            for weight in layer._parameters.values():
+                if weight is not None:
+                    weights += (weight.data_ptr(), None if weight.is_inference() else weight._version)
+        state = (layers, weights, self.material, self.bf16)
         if self._made is None or self._made[0] != state:
             if self._kind is Backend.CPU and not isinstance(self.network, DisplacementNetwork):
                 made: DrapeBackend = CpuBackend(self.network, self.material, self.bf16)
@@ -121,18 +141,3 @@ class NeuralDraper:
             return DisplacementBackend(self.network, self.material, self.bf16)
         return kind(self.network, self.material, self.bf16, projects)
 
-
-def _joined(parts: list[Positions]) -> Positions:
-    return parts[0] if len(parts) == 1 else torch.cat(parts)
-
-
-def _contents(module: nn.Module) -> list[object]:
-    """Every layer and the version of every weight; `parameters()` takes longer than posing the body."""
-    found: list[object] = [id(module)]
-    for weight in module._parameters.values():
-        if weight is not None:
-            found += (weight.data_ptr(), None if weight.is_inference() else weight._version)
-    for layer in module._modules.values():
-        if layer is not None:
-            found += _contents(layer)
-    return found

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from quaffure.body.body_model import BodyModel, PosedBody
+from quaffure.body.body_model import BodyModel
 from quaffure.body.mls_body import mls_body
 from quaffure.config import TEXTURE_SIZE, HairMaterial
 from quaffure.energies.rest_state import RestState, rest_state
@@ -23,7 +23,7 @@ from quaffure.hair.strand_blocks import (
 from quaffure.model.groom_code import groom_code
 from quaffure.model.groom_encoder import GroomEncoder
 from quaffure.model.inference_network import StrandTexels, texture_rows
-from quaffure.model.network_config import InitialShapeConfig, NetworkConfig
+from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE, InitialShapeConfig, NetworkConfig
 from quaffure.types import Float, Int, RestLengths, Tensor
 
 NO_CONTACT = -10.0
@@ -131,8 +131,7 @@ def initial_clearance(
     arc = torch.nn.functional.pad(rest.rest_length.cumsum(dim=1), (1, 0))
     ramp = (arc / config.layer_ramp).clamp(max=1)
     layered = rest.collision_margin + config.layer_thickness * height[:, None] * ramp
-    identity = torch.eye(3).to(arc).expand(1, len(body.joint_parents), 3, 3)
-    at_rest = PosedBody(body.rest_vertices[None], identity, body.rest_joints[None])
+    at_rest = body.pose(arc.new_zeros(1, POSE_SIZE), arc.new_zeros(1, SHAPE_SIZE))
     surface = mls_body(body, at_rest, config.body)
     features = local_features(groom.rest_strands.flatten(0, 1)[None], surface).unflatten(1, layered.shape)[0]
     share = features[..., 4]

@@ -14,8 +14,8 @@ from quaffure.hair.groom import Groom
 from quaffure.model.checkpoint import load_network
 from quaffure.model.cpu_backend import BATCH
 from quaffure.model.inference_network import fast_bfloat16
+from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE
 from quaffure.model.neural import NeuralDraper
-from quaffure.model.quaffure_network import POSE_SIZE, SHAPE_SIZE
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions, Tensor
 
@@ -99,7 +99,8 @@ class Quaffure:
             raise InputError("groom", "a Groom (`quaffure.load_groom`)", f"{groom!r}")
         if groom.rest_strands.dtype != torch.float32:
             raise InputError(groom.name, "vertices in torch.float32", f"{groom.rest_strands.dtype}")
-        return groom.to(self.body.rest_vertices.device)
+        device = self.body.rest_vertices.device
+        return groom if groom.rest_strands.device == device else groom.to(device)
 
 
 def _taken(name: str, values: Tensor, rows: range) -> Tensor:

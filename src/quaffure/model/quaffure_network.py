@@ -14,10 +14,9 @@ from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.model.groom_encoder import CODE_SIZE, GroomEncoder
 from quaffure.model.groom_texture import TEXTURE_CHANNELS
 from quaffure.model.inference_network import ForwardNetwork, InferenceNetwork, NetworkInputs, NetworkWithoutGradient
-from quaffure.model.network_config import NetworkConfig
+from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE, NetworkConfig
 from quaffure.types import Float, Tensor
 
-POSE_SIZE, SHAPE_SIZE = 81, 10
 FEATURE_SIZE = (3 + LOCAL_FEATURES) * EDGES_PER_STRAND
 """Numbers of a strand before the network: positions of all vertices but the root, and their local features."""
 

@@ -1,5 +1,6 @@
 """The five steps of a drape in torch: any device, any floating type, differentiable in all but the projection."""
 
+import time
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -32,10 +33,12 @@ class TorchBackend:
 
     Attributes:
         projects: without it, `project` leaves hair as it is.
+        network_seconds: wall time of the network alone, of all drapes so far; of what was queued on another device.
     """
 
     def __init__(self, network: nn.Module, material: HairMaterial, bf16: bool, projects: bool) -> None:
         self._network, self._material, self._bf16 = network, material, bf16
+        self.network_seconds = 0.0
         self.config: NetworkConfig = network.config  # type: ignore[assignment]
         self.projects = projects and self.config.contact
         self._clearance = self.config.projection.clearance_share * float(material.collision_margin)
@@ -53,7 +56,8 @@ class TorchBackend:
 
     def head_frame(self, bodies: BodyBatch) -> HeadFrameBody:
         config = self.config.initial_shape.body
-        return head_frame_body_reference(bodies.body, bodies.body_pose, bodies.body_shape, bodies.posed, config)
+        pose, shape = bodies.body_pose, bodies.body_shape
+        return head_frame_body_reference(bodies.body, pose, shape, bodies.posed, config, self.projects)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
         return initial_shape_reference(groom, posed.body, self._material, self.config.initial_shape)
@@ -63,9 +67,10 @@ class TorchBackend:
         return self.forward(groom, posed.body.pose_code, shape.features)
 
     def forward(self, groom: PreparedGroom, pose_code: Tensor, *features: Tensor) -> Tensor:
-        device = pose_code.device
+        device, begun = pose_code.device, time.perf_counter()
         with torch.autocast(device.type, torch.bfloat16, enabled=self._bf16):
             changes: Tensor = self._network(NetworkInputs(groom.code, groom.texels, pose_code), *features)
+        self.network_seconds += time.perf_counter() - begun
         return changes
 
     def integrate(
@@ -83,8 +88,7 @@ class TorchBackend:
             return hair
         skin = collision_skin(posed.bodies.body, self._clearance)
         arguments = groom.rest_length, groom.clearance, skin, self.config.projection
-        skins = posed.bodies.posed.vertices[:, skin.vertices]
-        return torch.stack([project_reference(*sample, *arguments) for sample in zip(hair, skins)])
+        return torch.stack([project_reference(*sample, *arguments) for sample in zip(hair, posed.body.skin)])
 
 
 class DisplacementBackend(TorchBackend):

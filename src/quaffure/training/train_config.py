@@ -10,7 +10,7 @@ from quaffure.config import HairMaterial
 from quaffure.energies.elastic_model import elastic_model
 from quaffure.errors import InputError
 from quaffure.geometry.occupancy_grid import REACH
-from quaffure.model.quaffure_network import NetworkConfig
+from quaffure.model.network_config import NetworkConfig
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ def test_a_push_counts_as_far_as_it_goes_the_normals_way() -> None:
 
 
 def test_contact_resolved_twice_leaves_hair_on_a_shoulder_at_less_energy() -> None:
-    """From above and beside a ball, the edges over its rim are deflected where resolving once deflects those on it alone."""
+    """Next to a ball, edges above its rim are deflected too, where resolving once deflects those on it alone."""
     angle = torch.linspace(0, 6.28, 50)
     root = torch.stack([0.7 * angle.cos(), 0.7 * angle.sin(), torch.full((50,), 1.2)], dim=-1)[None]
     vectors = torch.tensor([0.0, 0.0, -1.5]).repeat(1, 50, 20, 1)

@@ -87,7 +87,9 @@ def test_untrained_directions_are_the_equilibrium_out_of_the_body(scene: Scene) 
 def test_strands_of_the_crown_start_above_those_of_the_neck(groom: Groom, body: BodyModel) -> None:
     rest = rest_state(groom.rest_strands, MATERIAL)
     away = replace(groom, rest_strands=groom.rest_strands + groom.rest_strands.new_tensor([0.0, 0.0, 1.0]))
-    above = initial_clearance(away, rest, MATERIAL, body, SHAPE) - rest.collision_margin  # where the body hinders nothing
+    above = (
+        initial_clearance(away, rest, MATERIAL, body, SHAPE) - rest.collision_margin
+    )  # where the body hinders nothing
     heights = groom.rest_strands[:, 0, 2]
     assert (above[heights.argmax(), 1:] > above[heights.argmin(), 1:]).all()
     assert above[:, 0].max() == 0
@@ -104,7 +106,9 @@ def test_hair_starts_no_further_out_than_it_is_at_rest(groom: Groom, body: BodyM
 
 
 @pytest.mark.parametrize("name", ["crew_cut", "long_straight"])
-def test_very_short_hair_is_not_bent_where_the_point_sampled_skin_is_less_exact_than_it_is_stiff(body: BodyModel, name: str) -> None:
+def test_very_short_hair_is_not_bent_where_the_point_sampled_skin_is_less_exact_than_it_is_stiff(
+    body: BodyModel, name: str
+) -> None:
     groom = make_groom(name, body).select(torch.arange(0, 2400, 40))
     rest, unyielding = rest_state(groom.rest_strands, MATERIAL), replace(MATERIAL, k_body_collision=1e9)
     clearance = initial_clearance(groom, rest, unyielding, body, SHAPE)

@@ -23,9 +23,9 @@ from torch import nn
 
 from quaffure.config import TEXTURE_SIZE, VERTICES_PER_STRAND, HairMaterial
 from quaffure.errors import InputError
-from quaffure.model.network_config import known_fields
 from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.model.groom_autoencoder import GAIN, Widths
+from quaffure.model.network_config import known_fields
 from quaffure.model.weights_file import MAX_WIDTH, read_weights, save_weights
 from quaffure.types import Float, Int, Positions, Tensor
 

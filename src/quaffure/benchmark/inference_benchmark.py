@@ -149,9 +149,9 @@ def time_parts(model: Quaffure, groom: Groom) -> dict[str, float]:
 
 def time_fitting(model: Quaffure, groom: Groom) -> float:
     """Processor time [s] of what is done once for a groom, before its first drape."""
-    return _timed(
-        lambda: model.draper.prepared(groom.select(torch.arange(len(groom))), model.body).blocks, repeats=5
-    )[1]
+    return _timed(lambda: model.draper.prepared(groom.select(torch.arange(len(groom))), model.body).blocks, repeats=5)[
+        1
+    ]
 
 
 def floor(model: Quaffure, groom: Groom) -> Floor:

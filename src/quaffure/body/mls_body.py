@@ -38,9 +38,7 @@ def mls_body(body: BodyModel, posed: PosedBody, config: MlsBodyConfig) -> MlsSur
 
 
 @lru_cache(maxsize=4)
-def skin_points(
-    body: BodyModel, leaves: int
-) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 3"], Float[Tensor, "k 27"]]:
+def skin_points(body: BodyModel, leaves: int) -> tuple[Int[Tensor, " k"], Float[Tensor, "k 3"], Float[Tensor, "k 27"]]:
     """Vertices spread evenly over the skin, leaf after leaf, their normals at rest and their skin weights."""
     near = torch.tensor([body.joint_names.index(name) for name in (HEAD, *NEAR_HAIR)], device=body.faces.device)
     weights = body.dense_skin_weights

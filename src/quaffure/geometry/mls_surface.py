@@ -192,8 +192,22 @@ def evaluate(records: np.ndarray, near: np.ndarray, listed: int, lanes: np.ndarr
     for first in range(0, listed, UNROLL):
         a, b = near[first], near[first + 1]
         # Read here, or the compiler has to make sure before every loop that no lane is part of a point.
-        ax, ay, az, bx, by, bz = records[a, 0], records[a, 1], records[a, 2], records[b, 0], records[b, 1], records[b, 2]
-        au, av, aw, bu, bv, bw = records[a, 3], records[a, 4], records[a, 5], records[b, 3], records[b, 4], records[b, 5]
+        ax, ay, az, bx, by, bz = (
+            records[a, 0],
+            records[a, 1],
+            records[a, 2],
+            records[b, 0],
+            records[b, 1],
+            records[b, 2],
+        )
+        au, av, aw, bu, bv, bw = (
+            records[a, 3],
+            records[a, 4],
+            records[a, 5],
+            records[b, 3],
+            records[b, 4],
+            records[b, 5],
+        )
         ah, bh = records[a, 6], records[b, 6]
         for i in range(LANES):
             x, y, z = lanes[POSITION + i], lanes[POSITION + LANES + i], lanes[POSITION + 2 * LANES + i]

@@ -33,7 +33,7 @@ class DrapeSequence:
     body_shape: Float[np.ndarray, "10"]
     fps: float
     meta: dict[str, Any] = field(default_factory=dict)
-    joints: tuple[np.ndarray, ...] = ()
+    joints: Any = ()
 
     def __len__(self) -> int:
         """Number of frames."""

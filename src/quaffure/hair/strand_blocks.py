@@ -80,9 +80,7 @@ def in_blocks(values: Tensor) -> np.ndarray:
     return np.ascontiguousarray(values.detach().unflatten(0, (-1, LANES)).movedim(1, -1).numpy())
 
 
-def cluster_representatives(
-    groom: Groom, size: int, radius: float
-) -> tuple[Int[Tensor, " s"], Int[Tensor, " s"]]:
+def cluster_representatives(groom: Groom, size: int, radius: float) -> tuple[Int[Tensor, " s"], Int[Tensor, " s"]]:
     """Clusters of neighbouring strands.
 
     Args:

@@ -42,4 +42,3 @@ def load_network(path: str | Path) -> tuple[QuaffureNetwork, HairMaterial, dict[
         first_line = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(path, "a checkpoint of this package", first_line) from error
     return network.eval(), material, notes
-

@@ -5,7 +5,7 @@ Shapes cannot be checked at run time inside compiled code, hence `no_type_check`
 
 import time
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, no_type_check
+from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 import torch
@@ -39,7 +39,7 @@ class CpuPosed(NamedTuple):
     """
 
     body: HeadFrameBody
-    encoded: object
+    encoded: Any
     memory: InitialShape
     skin: CollisionSkin
 
@@ -54,7 +54,8 @@ class CpuBackend:
 
     def __init__(self, network: DirectionNetwork, material: HairMaterial, bf16: bool) -> None:
         self.config, self._material = network.config, material
-        self.layout, self.network_seconds = network.for_inference(bf16), 0.0
+        self.layout: Any = network.for_inference(bf16)
+        self.network_seconds = 0.0
         self._clearance = self.config.projection.clearance_share * material.collision_margin
 
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, CpuPosed]]:

@@ -99,7 +99,9 @@ def root_frames(groom: Groom, body: BodyModel) -> Float[Tensor, "s 3 3"]:
     chart, corners = body.scalp, body.faces[body.scalp.faces]
     along_u = torch.zeros_like(body.rest_vertices)
     for corner in range(3):
-        along_u.index_add_(0, corners[:, corner], _gradient_of_u(body.rest_vertices[corners], chart.uv))
+        along_u.index_add_(
+            0, corners[:, corner], _gradient_of_u(body.rest_vertices[corners], chart.uv.to(body.rest_vertices))
+        )
     normals = angle_weighted_vertex_normals(body.rest_vertices[None], corners)[0]
     if not bool(torch.isin(groom.root_faces, chart.faces).all()):
         raise InputError(groom.name, "roots on the scalp", "roots elsewhere")

@@ -4,9 +4,9 @@ In the layout, doublings are folded into the convolutions that follow them, the 
 and texels stay next to their channels, so that a strand's is one row of memory.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import torch
 from torch import nn
@@ -61,45 +61,24 @@ class StrandTexels(NamedTuple):
     rows: Int[Tensor, " s"]
 
 
-@runtime_checkable
-class NetworkWithoutGradient(Protocol):
-    """A network of edge directions as `quaffure.model.cpu_backend` runs it: once a batch, then once a groom.
-
-    Attributes:
-        dtype: of features and outputs.
-        columns: of the features' memory; the caller fills the first ones.
-    """
-
-    dtype: torch.dtype
-    columns: int
-
-    def encode(self, groom_codes: Float[Tensor, "b 16"], pose_code: Float[Tensor, "b code"]) -> Sequence[object]:
-        """What `changes` needs of each drape of a batch, whose grooms may differ."""
-        ...
-
-    def changes(
-        self, encoded: object, texels: StrandTexels, features: Float[Tensor, "s columns"]
-    ) -> Float[Tensor, "s outputs"]:
-        """Change of every edge's direction of one drape."""
-        ...
-
-
 class ForwardNetwork:
-    """A network's own `forward`, of any class."""
+    """A network's own `forward`, of any class; see `InferenceNetwork`."""
 
     dtype = torch.float32
 
     def __init__(self, network: nn.Module, features: int, bf16: bool) -> None:
         self._network, self.columns, self._bf16 = network, features, bf16
 
-    def encode(self, groom_codes: Float[Tensor, "b 16"], pose_code: Float[Tensor, "b code"]) -> Sequence[object]:
+    def encode(
+        self, groom_codes: Float[Tensor, "b 16"], pose_code: Float[Tensor, "b code"]
+    ) -> list[tuple[Tensor, Tensor]]:
         return list(zip(groom_codes, pose_code.split(1)))
 
     @torch.no_grad()
     def changes(
-        self, encoded: object, texels: StrandTexels, features: Float[Tensor, "s columns"]
+        self, encoded: tuple[Tensor, Tensor], texels: StrandTexels, features: Float[Tensor, "s columns"]
     ) -> Float[Tensor, "s outputs"]:
-        code, pose_code = encoded  # type: ignore[misc]
+        code, pose_code = encoded
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bf16):
             return self._network(NetworkInputs(code, texels.flat, pose_code), features[None])[0].flatten(1).float()
 

@@ -140,4 +140,3 @@ class NeuralDraper:
         if isinstance(self.network, DisplacementNetwork):
             return DisplacementBackend(self.network, self.material, self.bf16)
         return kind(self.network, self.material, self.bf16, projects)
-

@@ -13,7 +13,7 @@ from quaffure.geometry.mls_surface import LOCAL_FEATURES
 from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.model.groom_encoder import CODE_SIZE, GroomEncoder
 from quaffure.model.groom_texture import TEXTURE_CHANNELS
-from quaffure.model.inference_network import ForwardNetwork, InferenceNetwork, NetworkInputs, NetworkWithoutGradient
+from quaffure.model.inference_network import ForwardNetwork, InferenceNetwork, NetworkInputs
 from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE, NetworkConfig
 from quaffure.types import Float, Tensor
 
@@ -78,7 +78,7 @@ class DirectionNetwork(nn.Module):
         weight = self.from_strand.weight
         return torch.cat([weight[:, : 3 * EDGES_PER_STRAND] / self._METRES, weight[:, 3 * EDGES_PER_STRAND :]], dim=1)
 
-    def for_inference(self, bf16: bool) -> NetworkWithoutGradient:
+    def for_inference(self, bf16: bool) -> InferenceNetwork | ForwardNetwork:
         """This network for drapes without gradient on the CPU, with the weights of now.
 
         Returns:

@@ -43,9 +43,7 @@ class TorchBackend:
         self.projects = projects and self.config.contact
         self._clearance = self.config.projection.clearance_share * float(material.collision_margin)
 
-    def posed(
-        self, grooms: Sequence[PreparedGroom], bodies: BodyBatch
-    ) -> Iterator[tuple[PreparedGroom, TorchPosed]]:
+    def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, TorchPosed]]:
         """Each groom with the bodies of its rows."""
         if all(groom is grooms[0] for groom in grooms):
             yield grooms[0], TorchPosed(bodies, self.head_frame(bodies))
@@ -87,8 +85,11 @@ class TorchBackend:
         if not self.projects:
             return hair
         skin = collision_skin(posed.bodies.body, self._clearance)
-        arguments = groom.rest_length, groom.clearance, skin, self.config.projection
-        return torch.stack([project_reference(*sample, *arguments) for sample in zip(hair, posed.body.skin)])
+        samples = [
+            project_reference(own, vertices, groom.rest_length, groom.clearance, skin, self.config.projection)
+            for own, vertices in zip(hair, posed.body.skin)
+        ]
+        return torch.stack(samples)
 
 
 class DisplacementBackend(TorchBackend):
@@ -111,9 +112,7 @@ class DisplacementBackend(TorchBackend):
         moved = self.forward(groom, posed.body.pose_code)
         return torch.cat([torch.zeros_like(moved[:, :, :1]), moved[:, :, 1:]], dim=2)
 
-    def integrate(
-        self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape, changes: Positions
-    ) -> Positions:
+    def integrate(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape, changes: Positions) -> Positions:
         """Displaced vertices [m, world]."""
         positions = shape.features.unflatten(2, (-1, 3)) + changes
         return positions @ posed.body.world_from_head[:, None].mT + posed.body.head[:, None, None]

@@ -60,12 +60,7 @@ def scalp_vertices(body: BodyModel) -> Int[Tensor, " c"]:
 
 
 def head_frame_body_reference(
-    body: BodyModel,
-    body_pose: BodyPose,
-    body_shape: BodyShape,
-    posed: PosedBody,
-    config: MlsBodyConfig,
-    collides: bool = True,
+    body: BodyModel, body_pose: BodyPose, body_shape: BodyShape, posed: PosedBody, config: MlsBodyConfig
 ) -> HeadFrameBody:
     """Torch twin of `head_frame_body`: any device and type, differentiable in pose and shape.
 
@@ -79,7 +74,7 @@ def head_frame_body_reference(
     surface = MlsSurface((points - head[:, None, None]) @ rotation[:, None], normals @ rotation[:, None], radius)
     scalp = (posed.vertices[:, scalp_vertices(body)] - head[:, None]) @ rotation
     code = torch.cat([body_shape, without_heading(body_pose).to(body_shape), features], dim=1)
-    skin = posed.vertices[:, collision_skin(body).vertices] if collides else posed.vertices[:, :0]
+    skin = posed.vertices[:, collision_skin(body).vertices]
     return HeadFrameBody(rotation, head, code, scalp, surface, skin)
 
 

@@ -71,9 +71,13 @@ def local_features(points: Float[Tensor, "b p 3"], surface: MlsSurface) -> Float
     """
     if choose_backend(points) is Backend.TORCH:
         return local_features_reference(points, surface)
-    features, prepared = torch.empty(*points.shape[:2], LOCAL_FEATURES), mls_points(surface)
-    scaled = (points.detach() / surface.radius).contiguous()
-    _local_features(scaled.numpy(), *prepared, features.numpy())
+    batch, count = len(surface.points), LEAF * surface.points.shape[1]
+    features = torch.empty(*points.shape[:2], LOCAL_FEATURES)
+    records, scaled = np.zeros((batch, count + 1, 8), np.float32), np.empty((batch, 3, count), np.float32)
+    positions, normals = surface.points.detach().flatten(1, 2), surface.normals.detach().flatten(1, 2)
+    record_points(positions.numpy(), normals.numpy(), np.float32(1 / surface.radius), records, scaled)
+    queries = (points.detach() / surface.radius).contiguous()
+    _local_features(queries.numpy(), records, scaled, features.numpy())
     return features
 
 
@@ -110,33 +114,17 @@ def resolve_contact_reference(
     return torch.stack(edges, dim=2), torch.stack(features, dim=2)
 
 
-class MlsPoints(NamedTuple):
-    """A `MlsSurface` as `evaluate` reads it, lengths in units of its radius.
-
-    Attributes:
-        records: a point's position, normal, height along its normal, and a zero; leaf after leaf, and at the end a
-            point that has no weight anywhere.
-        positions: x of all points but the last, then y, then z.
-    """
-
-    records: Float[np.ndarray, "b p 8"]
-    positions: Float[np.ndarray, "b 3 q"]
-
-
-def mls_points(surface: MlsSurface) -> MlsPoints:
-    """Lay a surface out for `evaluate`; float32, on the CPU."""
-    batch, count = len(surface.points), LEAF * surface.points.shape[1]
-    points = MlsPoints(np.zeros((batch, count + 1, 8), np.float32), np.empty((batch, 3, count), np.float32))
-    positions, normals = surface.points.detach().flatten(1, 2), surface.normals.detach().flatten(1, 2)
-    record_points(positions.numpy(), normals.numpy(), np.float32(1 / surface.radius), *points)
-    return points
-
-
 @njit(cache=True, error_model="numpy")
 def record_points(
     positions: np.ndarray, normals: np.ndarray, per_radius: np.float32, records: np.ndarray, scaled: np.ndarray
 ) -> None:
-    """Fill the fields of `MlsPoints`."""
+    """Lay points out for `evaluate`, in units of their radius.
+
+    Args:
+        records: filled with a point's position, normal, height along its normal, and a zero; at the end with a point
+            that has no weight anywhere.
+        scaled: filled with x of all points, then y, then z.
+    """
     for sample in range(len(positions)):
         for index in range(positions.shape[1]):
             for axis in range(3):

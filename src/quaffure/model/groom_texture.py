@@ -1,4 +1,4 @@
-"""What the groom encoder reads, Sec. 3.2: every strand in the frame of its root, its size apart from its shape."""
+"""Input of the groom encoder, Sec. 3.2: every strand in the frame of its root, its size apart from its shape."""
 
 from dataclasses import dataclass
 
@@ -23,10 +23,10 @@ LEAST_LENGTH = 1e-3
 
 @dataclass(frozen=True)
 class GroomSample:
-    """A groom as the autoencoder sees it.
+    """A groom as the autoencoder reads it.
 
     Attributes:
-        style: what is the same for two growings of one style.
+        style: name that all samples of one style share.
         features: see `strand_features`; half precision.
         texels: flat index of each strand's texel.
     """
@@ -91,7 +91,7 @@ def root_frames(groom: Groom, body: BodyModel) -> Float[Tensor, "s 3 3"]:
     """Orthonormal frames on the scalp of the rest body, columns: along u, along v, outwards (world_from_root).
 
     Unlike the frames of single triangles (`posing.triangle_frames`), which turn from one triangle to the next
-    by any angle, they follow the chart: strands that grow alike have neighbours that look alike.
+    by any angle, they follow the chart: strands of one style have similar features.
 
     Raises:
         InputError: a root is not on the scalp.

@@ -20,6 +20,7 @@ from quaffure.geometry.mls_surface import (
     resolve_contact_reference,
 )
 from quaffure.hair.posing import triangle_frames
+from quaffure.hair.strand_blocks import RestStrands
 from quaffure.model.initial_shape_kernels import BodyArrays, ShapeArrays, initial_shape_kernel
 from quaffure.model.network_config import InitialShapeConfig
 from quaffure.model.prepared_groom import KernelBlocks, PreparedGroom
@@ -48,11 +49,8 @@ def initial_shape_reference(
     groom: PreparedGroom, body: HeadFrameBody, material: HairMaterial, config: InitialShapeConfig
 ) -> InitialShape:
     """Torch twin of `fill_initial_shape`: any device and type, differentiable in the bodies and in the material."""
-    strands, rest_length = groom.strands, groom.rest_length
-    triangles = body.scalp[:, strands.corners]
-    frames = triangle_frames(triangles)
-    roots = (strands.barycentric[..., None] * triangles).sum(-2) + (frames @ strands.offset[..., None])[..., 0]
-    director = torch.nn.functional.normalize(strands.edges, dim=-1) @ frames.mT
+    rest_length, (roots, posed_edges) = groom.rest_length, strands_in_head_frame(groom.strands, body)
+    director = torch.nn.functional.normalize(posed_edges, dim=-1)
     whole = rest_length.sum(1, keepdim=True)
     beyond = whole - rest_length.cumsum(1) + 0.5 * rest_length
     free = equilibrium_vectors(
@@ -67,6 +65,14 @@ def initial_shape_reference(
     compliance = (rest_length * load / material.k_cosserat + deflection).clamp(max=1)
     positions = roots[:, :, None] + (rest_length[..., None] * edges).cumsum(dim=2)
     return InitialShape(roots, edges, compliance, torch.cat([positions.flatten(2), local.flatten(2)], dim=2))
+
+
+def strands_in_head_frame(strands: RestStrands, body: HeadFrameBody) -> tuple[Float[Tensor, "b s 3"], EdgeVectors]:
+    """Roots and edges of a groom that moves rigidly with its scalp triangles [m, head's frame]."""
+    triangles = body.scalp[:, strands.corners]
+    frames = triangle_frames(triangles)
+    roots = (strands.barycentric[..., None] * triangles).sum(-2) + (frames @ strands.offset[..., None])[..., 0]
+    return roots, strands.edges @ frames.mT
 
 
 def resolve_contact_twice(

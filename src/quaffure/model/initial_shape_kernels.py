@@ -12,24 +12,7 @@ from numba import njit, prange
 
 from quaffure.geometry.mls_surface import FAST, LANES, UNROLL, record_points
 from quaffure.hair.strand_blocks import StrandBlocks
-from quaffure.model.initial_shape_lanes import (
-    ALL_ROWS,
-    COMPLIANCE,
-    CONTACT_SIZE,
-    DIRECTION,
-    VERTEX,
-    add_deflection,
-    advance,
-    aim,
-    compute_lengths,
-    compute_roots,
-    deflect,
-    evaluate_ends,
-    gather,
-    propagate,
-    record_contact,
-    write_features,
-)
+from quaffure.model import initial_shape_lanes as lane
 
 
 class BodyArrays(NamedTuple):
@@ -56,7 +39,7 @@ class BodyArrays(NamedTuple):
 
 
 class _Points(NamedTuple):
-    """See `quaffure.geometry.mls_surface.MlsPoints`."""
+    """Filled by `record_points`."""
 
     records: np.ndarray
     positions: np.ndarray
@@ -105,33 +88,28 @@ def _estimate_contact_force(
     """
     batch, blocks, count = len(body.scalp), len(strands.edges), strands.edges.shape[1]
     # Made outside of the parallel loop, where arrays are not counted: counting costs as much as evaluating.
-    spaces, contacts = np.empty((threads, ALL_ROWS), np.float32), np.empty((threads, count, CONTACT_SIZE), np.float32)
+    spaces = np.empty((threads, lane.ALL_ROWS), np.float32)
+    contacts = np.empty((threads, count, lane.CONTACT_SIZE), np.float32)
     covers, flags = np.empty((threads, 4), np.float32), np.empty((threads, points.positions.shape[2]), np.uint8)
     lists, none = np.empty((threads, points.records.shape[1] + UNROLL), np.uint32), np.zeros(3 * LANES, np.float32)
     for thread in prange(threads):
-        rows, contact, cover, inside, near = (
-            spaces[thread],
-            contacts[thread],
-            covers[thread],
-            flags[thread],
-            lists[thread],
-        )
+        rows, contact, cover = spaces[thread], contacts[thread], covers[thread]
+        inside, near = flags[thread], lists[thread]
         for item in range(thread, batch * blocks, threads):
             sample, block = item // blocks, item % blocks
             rest_edges, margin, down = strands.edges[block], strands.margin[block], body.down[sample]
             records, positions = points.records[sample], points.positions[sample]
-            compute_roots(
-                strands.corners[block], strands.barycentric[block], strands.offset[block], body.scalp[sample], rows
-            )
-            compute_lengths(rest_edges, rows)
+            corners, barycentric, offset = strands.corners[block], strands.barycentric[block], strands.offset[block]
+            lane.compute_roots(corners, barycentric, offset, body.scalp[sample], rows)
+            lane.compute_lengths(rest_edges, rows)
             cover[3], listed = np.float32(-1.0), 0
             for edge in range(count):
-                aim(rest_edges[edge], down, body.weight, body.propagated_share, body.load_share, none, rows)
-                listed = evaluate_ends(records, positions, body.radius, cover, listed, inside, near, rows)
-                deflect(margin[edge], body.radius, rows)
-                record_contact(contact[edge], rows)
-                advance(rows)
-            propagate(contact, force[sample, block])
+                lane.aim(rest_edges[edge], down, body.weight, body.propagated_share, body.load_share, none, rows)
+                listed = lane.evaluate_ends(records, positions, body.radius, cover, listed, inside, near, rows)
+                lane.deflect(margin[edge], body.radius, rows)
+                lane.record_contact(contact[edge], rows)
+                lane.advance(rows)
+            lane.propagate(contact, force[sample, block])
 
 
 @no_type_check
@@ -142,40 +120,35 @@ def _resolve_contact(
 ) -> None:  # fmt: skip
     """Fill `shape` under the forces of the representatives, see `initial_shape_kernel`."""
     batch, blocks, count = len(body.scalp), len(row_of), strands.edges.shape[1]
-    spaces, forces = np.empty((threads, ALL_ROWS), np.float32), np.empty((threads, count, 3 * LANES), np.float32)
+    spaces, forces = np.empty((threads, lane.ALL_ROWS), np.float32), np.empty((threads, count, 3 * LANES), np.float32)
     covers, flags = np.empty((threads, 4), np.float32), np.empty((threads, points.positions.shape[2]), np.uint8)
     lists = np.empty((threads, points.records.shape[1] + UNROLL), np.uint32)
     for thread in prange(threads):
-        rows, own_force, cover, inside, near = (
-            spaces[thread],
-            forces[thread],
-            covers[thread],
-            flags[thread],
-            lists[thread],
-        )
+        rows, own_force, cover = spaces[thread], forces[thread], covers[thread]
+        inside, near = flags[thread], lists[thread]
         for item in range(thread, batch * blocks, threads):
             sample, block = item // blocks, item % blocks
             own_rows, records, positions = row_of[block], points.records[sample], points.positions[sample]
             rest_edges, margin, down = strands.edges[block], strands.margin[block], body.down[sample]
             edges, features = shape.edges[sample], shape.features[sample]
             compliance, roots = shape.compliance[sample], shape.roots[sample]
-            compute_roots(
-                strands.corners[block], strands.barycentric[block], strands.offset[block], body.scalp[sample], rows
-            )
+            corners, barycentric, offset = strands.corners[block], strands.barycentric[block], strands.offset[block]
+            lane.compute_roots(corners, barycentric, offset, body.scalp[sample], rows)
             for i in range(LANES):
                 for axis in range(3):
-                    roots[own_rows[i], axis] = rows[VERTEX + axis * LANES + i]
-            gather(force[sample], representative[block], own_force)
-            compute_lengths(rest_edges, rows)
+                    roots[own_rows[i], axis] = rows[lane.VERTEX + axis * LANES + i]
+            lane.gather(force[sample], representative[block], own_force)
+            lane.compute_lengths(rest_edges, rows)
             cover[3], listed = np.float32(-1.0), 0
             for edge in range(count):
-                aim(rest_edges[edge], down, body.weight, body.propagated_share, body.load_share, own_force[edge], rows)
-                listed = evaluate_ends(records, positions, body.radius, cover, listed, inside, near, rows)
-                deflect(margin[edge], body.radius, rows)
-                advance(rows)
-                add_deflection(rows)
+                pushed = own_force[edge]
+                lane.aim(rest_edges[edge], down, body.weight, body.propagated_share, body.load_share, pushed, rows)
+                listed = lane.evaluate_ends(records, positions, body.radius, cover, listed, inside, near, rows)
+                lane.deflect(margin[edge], body.radius, rows)
+                lane.advance(rows)
+                lane.add_deflection(rows)
                 for i in range(LANES):
-                    compliance[own_rows[i], edge] = rows[COMPLIANCE + i]
+                    compliance[own_rows[i], edge] = rows[lane.COMPLIANCE + i]
                     for axis in range(3):
-                        edges[own_rows[i], edge, axis] = rows[DIRECTION + axis * LANES + i]
-                write_features(rows, own_rows, edge, count, features)
+                        edges[own_rows[i], edge, axis] = rows[lane.DIRECTION + axis * LANES + i]
+                lane.write_features(rows, own_rows, edge, count, features)

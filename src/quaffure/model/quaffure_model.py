@@ -97,10 +97,10 @@ class Quaffure:
         """The groom on the body's device."""
         if not isinstance(groom, Groom):
             raise InputError("groom", "a Groom (`quaffure.load_groom`)", f"{groom!r}")
-        if groom.rest_strands.dtype != torch.float32:
-            raise InputError(groom.name, "vertices in torch.float32", f"{groom.rest_strands.dtype}")
-        device = self.body.rest_vertices.device
-        return groom if groom.rest_strands.device == device else groom.to(device)
+        expected, found = self.body.rest_vertices, groom.rest_strands
+        if found.dtype is not expected.dtype:
+            raise InputError(groom.name, f"vertices in {expected.dtype}", f"{found.dtype}")
+        return groom if found.device == expected.device else groom.to(expected.device)
 
 
 def _taken(name: str, values: Tensor, rows: range) -> Tensor:

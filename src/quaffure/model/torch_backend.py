@@ -11,9 +11,8 @@ from quaffure.body.collision_skin import collision_skin
 from quaffure.body.head_frame import HeadFrameBody, head_frame_body_reference
 from quaffure.config import HairMaterial
 from quaffure.geometry.polyline import integrate_directions
-from quaffure.hair.posing import triangle_frames
 from quaffure.model.inference_network import NetworkInputs
-from quaffure.model.initial_shape import InitialShape, initial_shape_reference
+from quaffure.model.initial_shape import InitialShape, initial_shape_reference, strands_in_head_frame
 from quaffure.model.network_config import NetworkConfig
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project_reference
@@ -55,7 +54,7 @@ class TorchBackend:
     def head_frame(self, bodies: BodyBatch) -> HeadFrameBody:
         config = self.config.initial_shape.body
         pose, shape = bodies.body_pose, bodies.body_shape
-        return head_frame_body_reference(bodies.body, pose, shape, bodies.posed, config, self.projects)
+        return head_frame_body_reference(bodies.body, pose, shape, bodies.posed, config)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
         return initial_shape_reference(groom, posed.body, self._material, self.config.initial_shape)
@@ -100,10 +99,7 @@ class DisplacementBackend(TorchBackend):
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
         """The posed groom; its features are positions alone."""
-        strands, triangles = groom.strands, posed.body.scalp[:, groom.strands.corners]
-        frames = triangle_frames(triangles)
-        roots = (strands.barycentric[..., None] * triangles).sum(-2) + (frames @ strands.offset[..., None])[..., 0]
-        edges = strands.edges @ frames.mT
+        roots, edges = strands_in_head_frame(groom.strands, posed.body)
         positions = roots[:, :, None] + torch.nn.functional.pad(edges.cumsum(dim=2), (0, 0, 1, 0))
         return InitialShape(roots, edges, torch.ones_like(edges[..., 0]), positions.flatten(2))
 

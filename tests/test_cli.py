@@ -23,7 +23,8 @@ from quaffure.io.read_strands import read_strands
 from quaffure.io.usd import write_usd
 from quaffure.model import quaffure_model
 from quaffure.model.checkpoint import save_network
-from quaffure.model.quaffure_network import NetworkConfig, build_network
+from quaffure.model.network_config import NetworkConfig
+from quaffure.model.quaffure_network import build_network
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import STYLES
 from tests.synthetic_drape import drape as synthetic_drape

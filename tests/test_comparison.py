@@ -33,8 +33,9 @@ from quaffure.drape_motion import drape_motion
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
+from quaffure.model.network_config import NetworkConfig
 from quaffure.model.neural import NeuralDraper
-from quaffure.model.quaffure_network import NetworkConfig, build_network
+from quaffure.model.quaffure_network import build_network
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import HELD_OUT, STYLES
 from quaffure.scene import Scene

@@ -16,10 +16,7 @@ MOST_LINES_OF_A_FILE, MOST_LINES_OF_A_FUNCTION, MOST_PARAMETERS = 400, 60, 8
 MOST_ASSET_BYTES = 12_000_000
 HEAVY = ("pxr", "moderngl", "av", "anny", "igl", "trimesh", "PIL", "viser")
 
-KERNELS_WITH_MANY_PARAMETERS = {
-    "model/compiled_drape.py": {"finish"},
-    "model/initial_shape_kernels.py": {"feel", "grow"},
-}
+KERNELS_WITH_MANY_PARAMETERS = {}
 
 
 def functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:

@@ -25,7 +25,8 @@ from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.io.groom_file import write_groom
 from quaffure.model.checkpoint import save_network
-from quaffure.model.quaffure_network import NetworkConfig, build_network
+from quaffure.model.network_config import NetworkConfig
+from quaffure.model.quaffure_network import build_network
 from tests.test_comparison import STRANDS, tiny_groom
 
 MATERIAL = HairMaterial(k_cosserat=1e-7)

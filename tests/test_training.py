@@ -192,7 +192,7 @@ def test_self_collision_on_every_second_step_is_as_strong(
 
 
 def test_contact_counts_in_the_loss_as_often_as_it_is_asked_to(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
-    through_the_body = replace(TINY, network=replace(TINY.network, slides=False), steps=1)
+    through_the_body = replace(TINY, network=replace(TINY.network, contact=False), steps=1)
     rows = []
     for weight in (1.0, 3.0):
         config = replace(through_the_body, body_contact_weight=weight)

@@ -10,7 +10,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.hair.groom import Groom
-from quaffure.model.quaffure_network import NetworkConfig
+from quaffure.model.network_config import NetworkConfig
 from quaffure.procedural.generator import make_groom
 from quaffure.training.distributed import SINGLE_PROCESS, Worker
 from quaffure.training.loop import Training

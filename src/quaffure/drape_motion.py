@@ -67,6 +67,12 @@ def drape_motion(
     )
 
 
+def bodies_of(sequence: DrapeSequence, body: BodyModel, frames: slice = slice(None)) -> BodyBatch:
+    """The bodies of some frames of a drape."""
+    body_pose = torch.from_numpy(sequence.body_pose[frames])
+    return BodyBatch(body, body_pose, torch.from_numpy(sequence.body_shape).expand(len(body_pose), -1))
+
+
 def material_of(sequence: DrapeSequence) -> HairMaterial:
     """The material that a drape was made with; the default one where its file does not say."""
     return HairMaterial(**sequence.meta.get("material", {}))

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from quaffure.body.body_model import BodyModel, PosedBody
+from quaffure.body.kinematics import PosedJoints, pose_joints
 from quaffure.body.pose_features import HEAD
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface, posed_surface
@@ -26,8 +27,20 @@ class BodyBatch:
     body_shape: BodyShape
 
     @cached_property
+    def joints(self) -> PosedJoints:
+        """Forward kinematics, once for everything that reads these bodies."""
+        return pose_joints(self.body, self.body_pose, self.body_shape)
+
+    @cached_property
     def posed(self) -> PosedBody:
-        return self.body.pose(self.body_pose, self.body_shape)
+        _, rotations, positions = self.joints
+        return self.body.skin(self.body_shape, rotations.to(self.body.rest_joints), positions.to(self.body.rest_joints))
+
+    def rows(self, rows: slice) -> "BodyBatch":
+        """Some of the bodies, not posed again."""
+        part = BodyBatch(self.body, self.body_pose[rows], self.body_shape[rows])
+        part.__dict__["joints"] = self.joints.rows(rows)
+        return part
 
     @cached_property
     def surface(self) -> Surface:

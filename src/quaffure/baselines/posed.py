@@ -1,4 +1,4 @@
-"""The groom as the pose transform leaves it: the start of all others, and the row to beat."""
+"""The posed groom without deformation, the baseline of every table."""
 
 from quaffure.config import HairMaterial
 from quaffure.scene import HairScene

@@ -10,7 +10,7 @@ from quaffure.benchmark.intersection import winding_numbers
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import HEAD, world_from_head
 from quaffure.config import HairMaterial
-from quaffure.drape_motion import FRAMES_AT_ONCE, material_of
+from quaffure.drape_motion import FRAMES_AT_ONCE, bodies_of, material_of
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.self_collision import densities, density_excesses
 from quaffure.energies.stretch import length_errors
@@ -87,9 +87,8 @@ def measure(
     measured = DrapeMetrics(groom, material_of(sequence), reference)
     for start in range(0, len(sequence), FRAMES_AT_ONCE):
         chunk = slice(start, start + FRAMES_AT_ONCE)
-        body_pose = torch.from_numpy(sequence.body_pose[chunk])
-        body_shape = torch.from_numpy(sequence.body_shape).expand(len(body_pose), -1)
-        measured.add(torch.from_numpy(sequence.strands[chunk]), Scene(groom, BodyBatch(body, body_pose, body_shape)))
+        scene = Scene(groom, bodies_of(sequence, body, chunk))
+        measured.add(torch.from_numpy(sequence.strands[chunk]), scene)
     return measured.of_all_frames()
 
 

@@ -112,8 +112,13 @@ class BodyModel:
 
     def pose(self, body_pose: BodyPose, body_shape: BodyShape) -> PosedBody:
         """Bodies of shape beta [standard deviations] in pose theta [rad]; differentiable in both."""
+        return self.skin(body_shape, *self.posed_joints(body_pose, body_shape))
+
+    def skin(
+        self, body_shape: BodyShape, rotations: Float[Tensor, "b j 3 3"], positions: Float[Tensor, "b j 3"]
+    ) -> PosedBody:
+        """Bodies of shape beta [standard deviations] whose joints are posed, by linear blend skinning."""
         rest_vertices, rest_joints = self.rest(body_shape)
-        rotations, positions = self._forward_kinematics(body_pose, rest_joints)
         # x -> G_j (x - J_j) + p_j as one 3x4 matrix a joint, blended by the skin weights; vertices go last, where
         # products over them run through contiguous memory.
         offsets = positions[..., None] - rotations @ rest_joints[..., None]

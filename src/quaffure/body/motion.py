@@ -167,7 +167,7 @@ def without_heading(body_pose: Float[Tensor, "f 81"]) -> Float[Tensor, "f 81"]:
     heading = torch.atan2(hips[:, 1, 0] - hips[:, 0, 1], hips[:, 0, 0] + hips[:, 1, 1])
     vertical = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64, device=body_pose.device)
     turn_back = matrix_from_axis_angle(-heading[:, None] * vertical)
-    hips_pose = axis_angle_from_matrix(turn_back @ hips).float()
+    hips_pose = axis_angle_from_matrix(turn_back @ hips).to(body_pose)
     return torch.cat([hips_pose, body_pose[:, 3:]], dim=-1)
 
 

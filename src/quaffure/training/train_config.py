@@ -9,7 +9,7 @@ from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.config import HairMaterial
 from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
-from quaffure.model.quaffure_network import NetworkConfig
+from quaffure.model.network_config import NetworkConfig
 
 LARGEST_COLLISION_MARGIN = 0.05
 """Hair farther from the body than this is not in contact with it [m]."""

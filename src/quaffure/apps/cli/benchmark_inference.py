@@ -15,6 +15,8 @@ from quaffure.benchmark.inference_benchmark import (
     Floor,
     Timing,
     floor,
+    inference_layout,
+    model_dtype,
     report,
     time_fitting,
     time_grooms,
@@ -44,7 +46,7 @@ class InferenceCommand:
     def run(self) -> None:
         check_benchmark_out(self.out)
         model = load_model(self.weights)
-        if not model.draper.is_compiled(model.body):
+        if inference_layout(model) is None:
             raise InputError(self.weights or "weights", "a network that is compiled to drape", "another configuration")
         grooms = [load_groom(name, model.body) for name in self.groom or ("long_straight",)]
         counts = QUICK_COUNTS if self.quick else COUNTS
@@ -60,7 +62,7 @@ class InferenceCommand:
             strands = time_strands(model, grooms[0])
             parts = time_parts(model, grooms[0])
             fitting = time_fitting(model, grooms[0])
-            least = floor(model.draper.compiled(), model.draper.packed(grooms[0], model.body))
+            least = floor(model, grooms[0])
         written = report(model, timings, strands, parts, fitting, least)
         drawn = write_benchmark(self.out, written, lambda picture: _plot(picture, timings, least))
         if self.json:
@@ -78,7 +80,7 @@ def _plot(picture: Path, timings: Sequence[Timing], least: Floor) -> None:
 
 
 def _print(model: Quaffure, timings: Sequence[Timing], parts: dict[str, float], least: Floor) -> None:
-    print_rows([_row(timing) for timing in timings], f"drapes in {model.draper.compiled().network.dtype}")
+    print_rows([_row(timing) for timing in timings], f"drapes in {model_dtype(model)}")
     whole = sum(parts.values())
     rows: list[dict[str, object]] = [
         {"part of a drape": name.replace("_", " "), "CPU ms": 1000 * seconds, "share %": 100 * seconds / whole}

@@ -8,8 +8,8 @@ from quaffure.body.motion import Motion
 from quaffure.draper import Draper
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of
+from quaffure.model.network_config import POSE_SIZE
 from quaffure.model.quaffure_model import Quaffure
-from quaffure.model.quaffure_network import POSE_SIZE
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import STYLES
 from quaffure.solvers.by_name import SOLVERS, solver

@@ -1,19 +1,17 @@
 """What the live page shows, as plain state that can be draped without a browser."""
 
 import math
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
-from torch import nn
 
 from quaffure.benchmark.metrics import measure
 from quaffure.body.body_model import SHAPE_COUNT, BodyModel
 from quaffure.body.motion import Motion, joint_matrices, pose_from_matrices
-from quaffure.drape_motion import drape_motion
+from quaffure.drape_motion import bodies_of, drape_motion
 from quaffure.draper import Draper
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
@@ -21,7 +19,6 @@ from quaffure.geometry.signed_distance import signed_distance
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.model.neural import NeuralDraper
-from quaffure.scene import BodyBatch
 from quaffure.types import BodyPose, Bool, Float
 
 Degrees = tuple[float, float, float]
@@ -92,7 +89,7 @@ class Stage:
     def drape(self) -> "Drape":
         """The hair at rest on this stage. Takes as long as the draper takes."""
         pose = Motion(self.body_pose(), self.motion.fps, self.motion.name)
-        with network_clock(self.draper, self.body) as network_times:
+        with network_clock(self.draper) as network_times:
             sequence = drape_motion(self.draper, self.groom, self.body, pose, torch.tensor(self.body_shape))
         sequence.meta["frame"] = self.frame
         return Drape(self, sequence, sum(network_times) if network_times else None)
@@ -133,8 +130,7 @@ class Drape:
 
     def inside(self, strands: Float[np.ndarray, "m n 3"]) -> Bool[np.ndarray, "m n"]:
         """Which vertices of these strands are inside the body; roots, which lie on the skin, are not."""
-        shape = torch.from_numpy(self.sequence.body_shape)[None]
-        surface = BodyBatch(self.stage.body, torch.from_numpy(self.sequence.body_pose), shape).surface
+        surface = bodies_of(self.sequence, self.stage.body).surface
         points = torch.from_numpy(strands[:, 1:].reshape(1, -1, 3))
         below = (signed_distance(points, surface) < 0).numpy().reshape(len(strands), -1)
         return np.pad(below, ((0, 0), (1, 0)))
@@ -145,29 +141,12 @@ def _of_one_frame(figures: Mapping[str, torch.Tensor]) -> dict[str, float]:
 
 
 @contextmanager
-def network_clock(draper: Draper, body: BodyModel) -> Iterator[list[float]]:
-    """Collect the wall time of every forward pass of the draper's network [ms]; none where it has no network."""
+def network_clock(draper: Draper) -> Iterator[list[float]]:
+    """Collect the wall time of the draper's network [ms]; none where it has no network."""
     times: list[float] = []
     if not isinstance(draper, NeuralDraper):
         yield times
         return
-    if draper.is_compiled(body):  # the kernels keep the time themselves
-        before = draper.compiled().network_seconds
-        yield times
-        times.append(1000 * (draper.compiled().network_seconds - before))
-        return
-    started = 0.0
-
-    def start(network: nn.Module, inputs: object) -> None:
-        nonlocal started
-        started = time.perf_counter()
-
-    def stop(network: nn.Module, inputs: object, outputs: object) -> None:
-        times.append(1000 * (time.perf_counter() - started))
-
-    hooks = [draper.network.register_forward_pre_hook(start), draper.network.register_forward_hook(stop)]
-    try:
-        yield times
-    finally:
-        for hook in hooks:
-            hook.remove()
+    before = draper.backend().network_seconds
+    yield times
+    times.append(1000 * (draper.backend().network_seconds - before))

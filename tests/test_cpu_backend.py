@@ -8,29 +8,37 @@ import pytest
 import torch
 
 from quaffure.body.body_model import BodyModel
-from quaffure.body.head_frame import head_frame_body, head_frame_body_reference
+from quaffure.body.head_frame import HeadFrameBody, head_frame_body, head_frame_body_reference
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.config import HairMaterial
 from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
-from quaffure.geometry.mls_surface import mls_points
 from quaffure.hair.groom import Groom
 from quaffure.hair.posing import triangle_frames
-from quaffure.hair.strand_blocks import CLUSTER_RADIUS, CLUSTER_SIZE, cluster_representatives, strand_blocks
+from quaffure.hair.strand_blocks import cluster_representatives, rest_strands
 from quaffure.model import activated_layers
 from quaffure.model.activated_layers import fused
-from quaffure.model.compiled_drape import BATCH
-from quaffure.model.inference_network import InferenceNetwork, fast_bfloat16, folded_doubling, texel_rows
-from quaffure.model.initial_shape import fill_initial_shape, initial_shape, initial_shape_reference
+from quaffure.model.cpu_backend import BATCH
+from quaffure.model.inference_network import (
+    InferenceNetwork,
+    NetworkInputs,
+    StrandTexels,
+    fast_bfloat16,
+    folded_doubling,
+    texture_rows,
+)
+from quaffure.model.initial_shape import InitialShape, empty_shape, fill_initial_shape, initial_shape_reference
+from quaffure.model.network_config import InitialShapeConfig, NetworkConfig
 from quaffure.model.neural import NeuralDraper
-from quaffure.model.prepared_groom import THICKNESS, initial_clearance
+from quaffure.model.prepared_groom import PreparedGroom, prepare_groom
 from quaffure.model.quaffure_model import Quaffure, load_model
-from quaffure.model.quaffure_network import DirectionNetwork, NetworkConfig, NetworkInputs, build_network
+from quaffure.model.quaffure_network import DirectionNetwork, build_network
 from quaffure.procedural.generator import make_groom
 from quaffure.scene import BodyBatch, Scene
 
 CONFIG = NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=16, strand_width=32)
 MATERIAL = HairMaterial()
+SHAPE = InitialShapeConfig()
 ALL_FREE = torch.tensor(-10.0)  # a margin that no strand falls short of
 
 
@@ -62,9 +70,31 @@ def model(network: DirectionNetwork, body: BodyModel) -> Quaffure:
     return Quaffure(body, NeuralDraper(network, MATERIAL, bf16=False), {})
 
 
-def test_packets_hold_every_strand(groom: Groom, body: BodyModel) -> None:
+def prepared(groom: Groom, body: BodyModel, margin: torch.Tensor | None = None) -> PreparedGroom:
+    """A groom with its own margin, or with another."""
+    ready = prepare_groom(groom, body, build_network(CONFIG).encoder, CONFIG, MATERIAL)
+    return ready if margin is None else replace(ready, margin=margin)
+
+
+def compiled_body(bodies: BodyBatch) -> HeadFrameBody:
+    return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, bodies.joints, SHAPE.body)
+
+
+def initial_shape(groom: PreparedGroom, bodies: BodyBatch) -> InitialShape:
+    shape = empty_shape(len(bodies.body_pose), len(groom.margin), 184, torch.float32)
+    fill_initial_shape(groom.blocks, groom.blocks.strands.strand, compiled_body(bodies), MATERIAL, SHAPE, shape)
+    return shape
+
+
+def expected_shape(groom: PreparedGroom, bodies: BodyBatch) -> InitialShape:
+    posed = bodies.body.pose(bodies.body_pose, bodies.body_shape)
+    view = head_frame_body_reference(bodies.body, bodies.body_pose, bodies.body_shape, posed, SHAPE.body)
+    return initial_shape_reference(groom, view, MATERIAL, SHAPE)
+
+
+def test_blocks_hold_every_strand(groom: Groom, body: BodyModel) -> None:
     margin = torch.rand(groom.rest_strands.shape[:2])
-    packets = strand_blocks(groom, body, margin)
+    packets = prepared(groom, body, margin).blocks.strands
     strand = torch.from_numpy(packets.strand).long()
     assert sorted(strand.flatten()[: len(groom)].tolist()) == list(range(len(groom)))
     frames = triangle_frames(body.rest_vertices[body.faces[groom.root_faces]])[strand]
@@ -73,38 +103,38 @@ def test_packets_hold_every_strand(groom: Groom, body: BodyModel) -> None:
     assert torch.equal(torch.from_numpy(packets.margin).movedim(2, 1), margin[strand][..., 1:])
 
 
-def test_neighbours_follow_one_leader(body: BodyModel) -> None:
+def test_neighbours_share_one_representative(body: BodyModel) -> None:
     dense = make_groom("bob", body)
-    leader = cluster_representatives(dense)
-    assert torch.equal(leader[leader], leader)
-    assert len(dense) / CLUSTER_SIZE <= len(leader.unique()) < len(dense) / 5
-    apart = (dense.rest_strands[:, 0] - dense.rest_strands[leader, 0]).norm(dim=-1)
-    assert apart.max() < CLUSTER_RADIUS
-    packets = strand_blocks(dense, body, torch.zeros(dense.rest_strands.shape[:2]))
-    assert torch.equal(torch.from_numpy(packets.leading.strand.flatten()[packets.leader]), leader[packets.strand].int())
+    _, representative = cluster_representatives(dense, SHAPE.cluster_size, SHAPE.cluster_radius)
+    assert torch.equal(representative[representative], representative)
+    assert len(dense) / SHAPE.cluster_size <= len(representative.unique()) < len(dense) / 5
+    apart = (dense.rest_strands[:, 0] - dense.rest_strands[representative, 0]).norm(dim=-1)
+    assert apart.max() < SHAPE.cluster_radius
+    blocks = prepared(dense, body).blocks
+    assert torch.equal(
+        torch.from_numpy(blocks.representatives.strand.flatten()[blocks.representative]),
+        representative[blocks.strands.strand].int(),
+    )
 
 
-def test_strands_far_apart_lead_themselves(body: BodyModel) -> None:
+def test_strands_far_apart_represent_themselves(body: BodyModel) -> None:
     sparse = make_groom("bob", body).select(torch.arange(0, 2400, 150))
-    assert (cluster_representatives(sparse) == torch.arange(len(sparse))).float().mean() > 0.9
+    _, representative = cluster_representatives(sparse, SHAPE.cluster_size, SHAPE.cluster_radius)
+    assert (representative == torch.arange(len(sparse))).float().mean() > 0.9
 
 
 def test_roots_off_the_scalp_are_refused(groom: Groom, body: BodyModel) -> None:
     toe = body.faces[:, 0].new_full((len(groom),), int(body.rest_vertices[body.faces[:, 0], 2].argmin()))
     with pytest.raises(InputError, match="roots on the scalp"):
-        strand_blocks(replace(groom, root_faces=toe), body, torch.zeros(groom.rest_strands.shape[:2]))
+        rest_strands(replace(groom, root_faces=toe), body)
 
 
 def test_strands_that_meet_nothing_are_those_of_the_twin(groom: Groom, bodies: BodyBatch) -> None:
-    body, arguments = bodies.body, (bodies.body_pose, bodies.body_shape)
-    margin = ALL_FREE.expand(len(groom), 24)
-    compiled = initial_shape(strand_blocks(groom, body, margin), head_frame_body(body, *arguments), MATERIAL)
-    expected = initial_shape_reference(
-        groom, body, head_frame_body_reference(body, *arguments), MATERIAL, margin, cluster_representatives(groom)
-    )
+    ready = prepared(groom, bodies.body, ALL_FREE.expand(len(groom), 24))
+    compiled, expected = initial_shape(ready, bodies), expected_shape(ready, bodies)
     for one, other in zip(compiled, expected):
-        # What a strand sees changes fast where it is deep inside.
-        torch.testing.assert_close(one, other, atol=1e-4 if one is not compiled.told else 1e-3, rtol=0)
+        # Local features change fast where a strand is deep inside.
+        torch.testing.assert_close(one, other, atol=1e-4 if one is not compiled.features else 1e-3, rtol=0)
 
 
 def test_threads_make_no_difference(model: Quaffure, groom: Groom, bodies: BodyBatch) -> None:
@@ -131,30 +161,22 @@ def test_two_vertices_in_one_place_stay_there(model: Quaffure, groom: Groom, bod
 @pytest.mark.parametrize("every", [30, 8])
 def test_compiled_start_is_that_of_the_twin(bodies: BodyBatch, every: int) -> None:
     groom = make_groom("bob", bodies.body).select(torch.arange(0, 2400, every))
-    body, arguments = bodies.body, (bodies.body_pose, bodies.body_shape)
-    margin = initial_clearance(groom, rest_state(groom.rest_strands, MATERIAL), MATERIAL, body)
-    compiled = initial_shape(strand_blocks(groom, body, margin), head_frame_body(body, *arguments), MATERIAL)
-    expected = initial_shape_reference(
-        groom, body, head_frame_body_reference(body, *arguments), MATERIAL, margin, cluster_representatives(groom)
-    )
+    ready = prepared(groom, bodies.body)
+    compiled, expected = initial_shape(ready, bodies), expected_shape(ready, bodies)
     torch.testing.assert_close(compiled.roots, expected.roots, atol=2e-6, rtol=0)
-    # Views amplify what rounding there is: a strand that stands on its root bends to either side.
+    # Local features amplify what rounding there is: a strand that stands on its root bends to either side.
     for one, other in zip(compiled[1:], expected[1:]):
         assert (one - other).abs().quantile(0.99) < 1e-4
         assert (one - other).abs().max() < 5e-3
-    assert 0 < margin[:, 12].min() < MATERIAL.collision_margin + THICKNESS
+    assert 0 < ready.margin[:, 12].min() < MATERIAL.collision_margin + SHAPE.layer_thickness
 
 
 def test_edges_without_length_push_nothing(groom: Groom, bodies: BodyBatch) -> None:
-    body, arguments = bodies.body, (bodies.body_pose, bodies.body_shape)
     strands = groom.rest_strands.clone()
     strands[::3, 12] = strands[::3, 11]
     groom = replace(groom, rest_strands=strands)
-    margin = torch.full(strands.shape[:2], 0.01)
-    compiled = initial_shape(strand_blocks(groom, body, margin), head_frame_body(body, *arguments), MATERIAL)
-    expected = initial_shape_reference(
-        groom, body, head_frame_body_reference(body, *arguments), MATERIAL, margin, cluster_representatives(groom)
-    )
+    ready = prepared(groom, bodies.body, torch.full(strands.shape[:2], 0.01))
+    compiled, expected = initial_shape(ready, bodies), expected_shape(ready, bodies)
     lengths = groom.rest_strands.diff(dim=1).norm(dim=-1) > 0
     apart = (compiled.edges - expected.edges).norm(dim=-1)[:, lengths]
     assert apart.quantile(0.99) < 1e-4
@@ -162,9 +184,8 @@ def test_edges_without_length_push_nothing(groom: Groom, bodies: BodyBatch) -> N
 
 
 def test_edges_comply_with_the_weight_that_they_carry(groom: Groom, bodies: BodyBatch) -> None:
-    view = head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape)
-    sagged, slid = (
-        initial_shape(strand_blocks(groom, bodies.body, margin), view, MATERIAL)
+    free, deflected = (
+        initial_shape(prepared(groom, bodies.body, margin), bodies)
         for margin in (ALL_FREE.expand(len(groom), 24), torch.full((len(groom), 24), 0.02))
     )
     rest = rest_state(groom.rest_strands, MATERIAL)
@@ -172,21 +193,20 @@ def test_edges_comply_with_the_weight_that_they_carry(groom: Groom, bodies: Body
     beyond = 1 - (rest.rest_length.cumsum(1) - rest.rest_length / 2) / rest.rest_length.sum(1, keepdim=True)
     expected = rest.rest_length * weight[:, None] * (beyond + 0.2) / MATERIAL.k_cosserat
     assert 0.1 < (expected < 1).float().mean() < 1
-    torch.testing.assert_close(sagged.compliance, expected.clamp(max=1).expand(3, -1, -1), rtol=1e-3, atol=1e-5)
-    more = slid.compliance - sagged.compliance
-    turned = (slid.edges - sagged.edges).norm(dim=-1)
+    torch.testing.assert_close(free.compliance, expected.clamp(max=1).expand(3, -1, -1), rtol=1e-3, atol=1e-5)
+    more = deflected.compliance - free.compliance
+    turned = (deflected.edges - free.edges).norm(dim=-1)
     assert turned.max() > 0.1
-    torch.testing.assert_close(more, torch.minimum(turned, 1 - sagged.compliance), rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(more, torch.minimum(turned, 1 - free.compliance), rtol=1e-3, atol=1e-3)
 
 
-def test_what_the_network_is_told_is_rounded_to_nearest(groom: Groom, bodies: BodyBatch) -> None:
-    view = head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape)
-    packets = strand_blocks(groom, bodies.body, torch.full(groom.rest_strands.shape[:2], 0.004))
-    exact = initial_shape(packets, view, MATERIAL)
-    rounded = exact._replace(told=torch.zeros(3, len(groom), 200, dtype=torch.bfloat16))
-    fill_initial_shape(packets, packets.strand, view, mls_points(view.surface), MATERIAL, rounded)
-    assert torch.equal(rounded.told[..., :184], exact.told.bfloat16())
-    assert rounded.told[..., 184:].count_nonzero() == 0
+def test_features_are_rounded_to_nearest(groom: Groom, bodies: BodyBatch) -> None:
+    ready = prepared(groom, bodies.body, torch.full(groom.rest_strands.shape[:2], 0.004))
+    exact = initial_shape(ready, bodies)
+    rounded = exact._replace(features=torch.zeros(3, len(groom), 200, dtype=torch.bfloat16))
+    fill_initial_shape(ready.blocks, ready.blocks.strands.strand, compiled_body(bodies), MATERIAL, SHAPE, rounded)
+    assert torch.equal(rounded.features[..., :184], exact.features.bfloat16())
+    assert rounded.features[..., 184:].count_nonzero() == 0
 
 
 def test_a_folded_doubling_is_a_doubling_and_a_convolution() -> None:
@@ -200,7 +220,7 @@ def test_a_folded_doubling_is_a_doubling_and_a_convolution() -> None:
 
 @pytest.mark.parametrize("is_fused", [True, False])
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-5), (torch.bfloat16, 0.03)])
-def test_the_network_laid_out_for_speed_answers_the_same(
+def test_the_network_laid_out_for_speed_is_the_same(
     network: DirectionNetwork, dtype: torch.dtype, tolerance: float, is_fused: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if is_fused and not fused(dtype):
@@ -208,15 +228,17 @@ def test_the_network_laid_out_for_speed_answers_the_same(
     monkeypatch.setattr(activated_layers, "fused", lambda dtype: is_fused)
     torch.manual_seed(1)
     inputs = NetworkInputs(torch.randn(16), torch.randperm(4096)[:50], torch.randn(2, 91 + FEATURE_COUNT))
-    seen = 0.1 * torch.randn(2, 50, 184)
-    fast = InferenceNetwork(network, dtype)
-    textures = fast.textures(torch.cat([inputs.groom_code.expand(2, -1), inputs.pose_code], dim=1))
-    for sample, expected in enumerate(network(inputs, seen)):
-        room = fast.inputs(50)
-        room[:, :184] = seen[sample]
-        answers = fast.answers(textures[sample], texel_rows(inputs.texels, 64), room)
+    features = 0.1 * torch.randn(2, 50, 184)
+    fast = network.for_inference(dtype == torch.bfloat16)
+    assert isinstance(fast, InferenceNetwork)
+    encoded = fast.encode(inputs.groom_code.expand(2, -1), inputs.pose_code)
+    texels = StrandTexels(inputs.texels, texture_rows(inputs.texels, 64))
+    for sample, expected in enumerate(network(inputs, features)):
+        memory = torch.empty(50, fast.columns, dtype=fast.dtype)
+        memory[:, :184] = features[sample]
+        changes = fast.changes(encoded[sample], texels, memory)
         assert expected.abs().mean() > 0.05
-        torch.testing.assert_close(answers.float(), expected.flatten(1), atol=tolerance, rtol=tolerance)
+        torch.testing.assert_close(changes.float(), expected.flatten(1), atol=tolerance, rtol=tolerance)
 
 
 def test_a_torch_without_fused_layers_does_without(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,7 +247,8 @@ def test_a_torch_without_fused_layers_does_without(monkeypatch: pytest.MonkeyPat
 
 
 def test_operations_are_those_of_the_layers(network: DirectionNetwork) -> None:
-    fast, (first, second, third) = InferenceNetwork(network, torch.float32), network.decoder.stages
+    fast, (first, second, third) = network.for_inference(bf16=False), network.decoder.stages
+    assert isinstance(fast, InferenceNetwork)
     dense = sum(layer.weight.numel() for layer in network.decoder.dense if isinstance(layer, torch.nn.Linear))
     convolutions = 64 * (first[1].weight.numel() + first[3].weight.numel())
     convolutions += 256 * (4 * second[1].weight.numel() // 9 + second[3].weight.numel())

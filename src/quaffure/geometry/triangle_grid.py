@@ -2,8 +2,9 @@
 
 A grid of small cells lists the faces that a point in each cell could be under, or close above, as far as each face
 reaches. Unlike a tree it answers most points at once, that nothing is near; unlike stored distances it is exact, but
-for points that are outside the prisms over all faces, at ridges and in hollows (`EDGE_TOLERANCE`). Faces are listed only round the points that the
-grid is made for, which costs less than a drape. Distances without bounds are in `quaffure.geometry.signed_distance`.
+for points that are outside the prisms over all faces, at ridges and in hollows (`EDGE_TOLERANCE`). Faces are listed
+only round the points that the grid is made for, which costs less than a drape. Distances without bounds are in
+`quaffure.geometry.signed_distance`.
 Shapes cannot be checked at run time inside compiled code, hence `no_type_check`.
 """
 
@@ -23,8 +24,8 @@ CELL_SIZE, CELLS = 0.0125, 80
 CORNER = (-0.5, -0.5, -0.75)
 """Of the grid, from its centre [m]: hair hangs down."""
 EDGE_TOLERANCE = 0.001
-"""How far outside the prism over a face a point may be and still count as under it [m]: at a ridge or in a hollow a point can be outside all
-faces, and finds none. More would let faces beyond a ridge claim points that are outside."""
+"""How far outside the prism over a face a point may be and still count as under it [m]: at a ridge or in a hollow a
+point can be outside all prisms, and finds no face. More would let faces beyond a ridge claim points that are outside."""
 IN_BLOCK = 8
 """Faces that are compared without a branch; as long as a list's blocks."""
 NONE, OUT_OF_BAND = -1, -2

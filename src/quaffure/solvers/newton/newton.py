@@ -96,7 +96,7 @@ class NewtonDraper:
     def _settled(self, energy: HairEnergy, sample: Scene, system: NewtonSystem) -> tuple[Float[Tensor, "s n 3"], float]:
         """Vertices of a single sample [m], and the relative norm of the gradient.
 
-        Newton lowers the energy with rounded concave edges. Where the exact one has risen on the way, the start is kept.
+        Newton lowers the energy with rounded concave edges. Where the exact one has risen meanwhile, the start is kept.
         """
         lbfgs = LbfgsDraper(self.material, evaluations=LBFGS_EVALUATIONS)
         drapers = (XpbdDraper(self.material), XpbdDraper(self.material, PATIENT), lbfgs)

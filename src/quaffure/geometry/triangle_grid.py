@@ -25,7 +25,7 @@ CORNER = (-0.5, -0.5, -0.75)
 """Of the grid, from its centre [m]: hair hangs down."""
 EDGE_TOLERANCE = 0.001
 """How far outside the prism over a face a point may be and still count as under it [m]: at a ridge or in a hollow a
-point can be outside all prisms, and finds no face. More would let faces beyond a ridge claim points that are outside."""
+point can be outside all prisms, and finds no face. More would let faces beyond a ridge claim points outside."""
 IN_BLOCK = 8
 """Faces that are compared without a branch; as long as a list's blocks."""
 NONE, OUT_OF_BAND = -1, -2

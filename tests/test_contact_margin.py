@@ -82,7 +82,7 @@ def test_energy_and_gradient_are_those_of_the_formula(margin: float, least: floa
         energies.append(formula(at))
         gradients.append(torch.autograd.grad(energies[-1].sum(), at)[0][:, :, 1:])
     torch.testing.assert_close(energies[0], energies[1], rtol=5e-5, atol=0)
-    assert (gradients[0] - gradients[1]).norm() < 5e-5 * gradients[1].norm()
+    assert (gradients[0] - gradients[1]).norm() < 1e-4 * gradients[1].norm()
 
 
 @pytest.mark.parametrize("margin", MARGINS)
@@ -117,18 +117,18 @@ def test_newton_has_the_same_contact(margin: float) -> None:
 
 @pytest.mark.parametrize("margin", MARGINS)
 def test_xpbd_and_adam_leave_hair_at_the_same_equilibrium(margin: float) -> None:
-    groom = sphere_groom(strands=8)
+    groom = sphere_groom(strands=24)
     material = HairMaterial(k_cosserat=1e-8, k_self_collision=0.0, collision_margin=margin, collision_ramp=1.0)
     scene = scene_of(groom)
     setting = XpbdSetting(steps=200, iterations=50, first_time_step=0.1, last_time_step=0.002, refresh=10)
     settled, report = XpbdDraper(material, setting).solve(scene)
     adam, expected = AdamDraper(material, steps=600).solve(scene)
-    by_xpbd, by_adam = (x[0, :, 8:].norm(dim=-1) - 0.1 for x in (settled, adam))
+    by_xpbd, by_adam = (x[0, :, 4:].norm(dim=-1) - 0.1 for x in (settled, adam))
     # Hair rests at a distance where cells are free, pushed by the margin alone.
     resting = (by_adam > 0.6 * margin) & (by_adam < margin)
-    assert resting.sum() > 10
-    assert (by_xpbd - by_adam)[resting].abs().mean() < 0.05 * margin
-    assert report.energy == pytest.approx(expected.energy, abs=0.02)
+    assert resting.sum() > 50
+    assert (by_xpbd - by_adam)[resting].abs().mean() < 0.01 * margin
+    assert report.energy == pytest.approx(expected.energy, rel=0.02)
 
 
 def test_training_accepts_margins_up_to_5_cm() -> None:

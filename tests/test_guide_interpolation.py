@@ -14,10 +14,11 @@ from quaffure.geometry.signed_distance import signed_distance
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import (
+    GuideInterpolation,
     axis_projection,
     groom_of_drape,
+    guide_pairs,
     interpolation_of,
-    strands_reference,
     with_strands,
 )
 from quaffure.hair.guide_triangles import spread_places, togetherness, triangulate
@@ -263,3 +264,16 @@ def test_strands_of_a_real_groom_stay_out_of_the_body(body: BodyModel, shared_da
     assert (distance < -2e-3).float().mean() < 1e-4
     ratio = lengths(strands) / (interpolation.weights * lengths(rest)[interpolation.guides]).sum(1)
     assert np.abs(ratio - 1).mean() < 0.02
+
+
+def strands_reference(interpolation: GuideInterpolation, guides: np.ndarray, body_vertices: np.ndarray) -> np.ndarray:
+    """Slow twin of `GuideInterpolation.strands`, in the precision of its input."""
+    relative = guides - guides[:, :1]
+    axes = axis_projection(guides.shape[1]).astype(guides.dtype) @ relative
+    finer = (relative - axes)[interpolation.guides[:, 0]]
+    shares = interpolation.weights.astype(guides.dtype)
+    shares[:, 1:] *= togetherness(axes, interpolation.guide_lengths, guide_pairs(interpolation.guides))
+    shares /= shares.sum(1, keepdims=True)
+    mixed = (shares[..., None, None] * axes[interpolation.guides]).sum(1)
+    roots = (interpolation.root_weights[..., None] * body_vertices[interpolation.carriers]).sum(1)
+    return roots[:, None] + mixed + finer

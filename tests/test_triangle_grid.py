@@ -62,7 +62,7 @@ def _ask(points: np.ndarray, grid: TriangleGrid) -> tuple[np.ndarray, np.ndarray
 
 def grid_over(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> TriangleGrid:
     skin, head = collision_skin(bodies.body), head_of(bodies)
-    twice = points.repeat_interleave(2, dim=0)  # every second one is looked at
+    twice = points.repeat_interleave(2, dim=0)  # every second one is used
     return triangle_grid(skin_vertices.numpy(), skin.faces.numpy(), skin.band, head.numpy(), twice.numpy())
 
 
@@ -105,7 +105,7 @@ def test_lists_find_room(
     expected = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))
     rooms = []
     one_try = module._list
-    monkeypatch.setattr(module, "_ROOM", 0.0)
+    monkeypatch.setattr(module, "_BLOCKS_PER_FACE", 0.0)
     monkeypatch.setattr(module, "_list", lambda *all_of: rooms.append(len(all_of[-1])) or one_try(*all_of))
     found = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))
     assert len(rooms) > 1

@@ -86,8 +86,8 @@ class _StrandEnergy(torch.autograd.Function):
         stiffness = np.array(
             [material.k_cosserat, material.k_stretch, STANDARD_GRAVITY, material.k_body_collision], np.float32
         )
-        fields = (director.detach().contiguous(), rest.rest_length, rest.mass, rest.collision_margin)
-        strands = _Strands(*(field.numpy() for field in fields), stiffness)
+        directors, margin = director.detach().contiguous().numpy(), rest.collision_margin.numpy()
+        strands = _Strands(directors, rest.rest_length.numpy(), rest.mass.numpy(), margin, stiffness)
         arrays, threads = surface.arrays, get_num_threads()
         _strands(positions.detach().numpy(), strands, arrays, threads, per_strand, gradient.numpy())
         ctx.save_for_backward(gradient)

@@ -1,15 +1,15 @@
 """Cells of space round a point that hold no part of a closed surface, nor come near it, and lie outside.
 
-Most hair hangs free: one look into such a cell spares it the search for its nearest face. A cell is called clear only
+Most hair hangs free: one such look-up spares it the search for its nearest face. A cell is called clear only
 if it is reached, through cells that no face comes near, from one that is known to be outside; whatever is not reached
 is searched, so the answer is exact.
 
 Cells that faces do come near are split into 4 x 4 x 4 small ones, one bit each. The flood goes on through small cells
 that no face touches. Where it arrives a point is outside, so that faces beyond its margin need not be looked for;
-and where besides no face comes near, it needs no search at all.
+and where moreover no face comes near, it needs no search at all.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Float, UInt64
@@ -29,7 +29,7 @@ ORIGIN = np.array([-0.64, -0.64, -0.80], np.float32)
 MOST_SPLIT = 16384
 """Cells that may be split; points in further ones are searched."""
 FREE, OUTSIDE, UNKNOWN = 0, 1, 2
-"""What `classify` answers."""
+"""Results of `classify`."""
 _SPLIT = 4
 _SMALL = CELL_SIZE / _SPLIT
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -52,14 +52,14 @@ _RUNS = _runs()
 
 
 class OccupancyGrid(NamedTuple):
-    """What is known of space round a posed surface, or round each of a batch with one more axis in front.
+    """Occupancy of space round a posed surface, or round each of a batch with one more axis in front.
 
     Attributes:
         origin: corner of the grid [m].
         clear: 1 where a cell is clear.
-        slot: of a split cell its place in `outside` and `free`; -1 elsewhere.
+        slot: of a split cell its index in `outside` and `free`; -1 elsewhere.
         outside: bit 16 x + 4 y + z of a split cell is set where its small cell (x, y, z) is outside.
-        free: the same, where besides it is at least `FREE_DISTANCE` from the surface.
+        free: the same, where moreover it is at least `FREE_DISTANCE` from the surface.
     """
 
     origin: np.ndarray
@@ -137,6 +137,7 @@ def _mark_near(corners: np.ndarray, origin: np.ndarray, near: np.ndarray) -> Non
                     near[ix, iy, iz] = 1
 
 
+@no_type_check
 @njit(cache=True)
 def _is_outside(x: float, y: float, z: float, corners: np.ndarray, normals: np.ndarray, tree: Bvh) -> bool:
     """Whether a point is outside, by the exact signed distance."""
@@ -186,8 +187,8 @@ def split_near_cells(corners: np.ndarray, space: OccupancyGrid) -> None:
     open_cells, far = space.outside, space.free
     open_cells[: len(cells)] = _ALL
     far[: len(cells)] = _ALL
-    _take_out(corners, origin, slot, _ROUNDING, open_cells)
-    _take_out(corners, origin, slot, FREE_DISTANCE, far)
+    _clear_touched(corners, origin, slot, _ROUNDING, open_cells)
+    _clear_touched(corners, origin, slot, FREE_DISTANCE, far)
     reached = _flood(cells, space.clear, slot, open_cells)
     for index in range(len(cells)):
         space.outside[index] = reached[index]
@@ -226,7 +227,7 @@ def _small_range(face: np.ndarray, origin: np.ndarray, growth: float, low: np.nd
 
 
 @njit(cache=True)
-def _take_out(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray, growth: float, words: np.ndarray) -> None:
+def _clear_touched(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray, growth: float, words: np.ndarray) -> None:
     """Clear the bits of all small cells that the box of a face, grown by `growth` [m], meets."""
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for face in range(len(corners)):
@@ -253,7 +254,7 @@ def _flood(cells: np.ndarray, clear: np.ndarray, slot: np.ndarray, open_cells: n
     top = count
     for index in range(count):
         for side in range(6):
-            jx, jy, jz = _beside(cells[index], side)
+            jx, jy, jz = _neighbour(cells[index], side)
             if _on_grid(jx, jy, jz) and clear[jx, jy, jz] == 1:
                 reached[index] |= _across(_ALL, side ^ 1) & open_cells[index]
     while top > 0:
@@ -264,7 +265,7 @@ def _flood(cells: np.ndarray, clear: np.ndarray, slot: np.ndarray, open_cells: n
             continue
         reached[index] = _spread(reached[index], open_cells[index])
         for side in range(6):
-            jx, jy, jz = _beside(cells[index], side)
+            jx, jy, jz = _neighbour(cells[index], side)
             other = slot[jx, jy, jz] if _on_grid(jx, jy, jz) else -1
             if other < 0:
                 continue
@@ -279,7 +280,7 @@ def _flood(cells: np.ndarray, clear: np.ndarray, slot: np.ndarray, open_cells: n
 
 
 @njit(cache=True, inline="always")
-def _beside(cell: np.ndarray, side: int) -> tuple[int, int, int]:
+def _neighbour(cell: np.ndarray, side: int) -> tuple[int, int, int]:
     """The cell at a side: 0 and 1 are +x and -x, 2 and 3 along y, 4 and 5 along z."""
     step, axis = 1 - 2 * (side & 1), side >> 1
     return (
@@ -296,7 +297,7 @@ def _on_grid(ix: int, iy: int, iz: int) -> bool:
 
 @njit(cache=True, inline="always")
 def _across(bits: np.uint64, side: int) -> np.uint64:
-    """What the small cells along a side of a cell become in the cell beside it."""
+    """What the small cells along a side of a cell become in the neighbour there."""
     axis = side >> 1
     stride = np.uint64((_SPLIT - 1) * _STRIDES[axis])
     if side & 1 == 0:

@@ -32,7 +32,7 @@ class ClosestPoints:
 
 
 def closest_points(points: Float[Tensor, "b p 3"], surface: Surface) -> ClosestPoints:
-    """Feet of `points` [m] on the surface of the same sample. Compiled search on the CPU, the twin elsewhere."""
+    """Closest points to `points` [m] on the same sample's surface. Compiled search on the CPU, the twin elsewhere."""
     if points.device.type != "cpu":
         return closest_points_reference(points, surface)
     samples = []

@@ -106,7 +106,7 @@ def interpolation_of(groom: Groom, body: BodyModel, count: int, seed: int = 0) -
     guides, shares = np.take_along_axis(guides, order, 1), np.take_along_axis(shares, order, 1)
     faces, root_weights = _roots(groom, body, guides, shares)
     axes = axis_projection(rest.shape[1]) @ (rest - rest[:, :1])
-    pairs = _pairs(guides)
+    pairs = guide_pairs(guides)
     lengths = groom.strand_lengths.numpy()
     shares[:, 1:] *= togetherness(axes, lengths, pairs)
     weights = shares / shares.sum(axis=1, keepdims=True)
@@ -136,7 +136,7 @@ def _roots(
     return faces, weights
 
 
-def _pairs(guides: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "m 2 2"]:
+def guide_pairs(guides: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "m 2 2"]:
     """The nearest guide of every strand with each of the other two."""
     return np.stack([np.repeat(guides[:, :1], 2, axis=1), guides[:, 1:]], axis=-1)
 
@@ -184,21 +184,6 @@ def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:
     rest = (posed - posed[:, :1]) @ rest_from_world.mT + roots[:, None]
     name, licence = (str(sequence.meta.get(key, "")) for key in ("groom", "licence"))
     return Groom(name or "drape", rest, faces, weights, body.scalp.uv_at(faces, weights), licence)
-
-
-def strands_reference(
-    interpolation: GuideInterpolation, guides: Float[np.ndarray, "s n 3"], body_vertices: Float[np.ndarray, "v 3"]
-) -> Float[np.ndarray, "m n 3"]:
-    """Slow twin of `GuideInterpolation.strands`, in the precision of its input."""
-    relative = guides - guides[:, :1]
-    axes = axis_projection(guides.shape[1]).astype(guides.dtype) @ relative
-    finer = (relative - axes)[interpolation.guides[:, 0]]
-    shares = interpolation.weights.astype(guides.dtype)
-    shares[:, 1:] *= togetherness(axes, interpolation.guide_lengths, _pairs(interpolation.guides))
-    shares /= shares.sum(1, keepdims=True)
-    mixed = (shares[..., None, None] * axes[interpolation.guides]).sum(1)
-    roots = (interpolation.root_weights[..., None] * body_vertices[interpolation.carriers]).sum(1)
-    return roots[:, None] + mixed + finer
 
 
 @no_type_check

@@ -223,8 +223,8 @@ def excess_and_mobility(
             continue
         ranges = np.empty((9, 2), np.int64)
         found = cell_columns(cell, shape, start, ranges)
-        for place in range(start[cell], start[cell + 1]):
-            px, py, pz = x[place], y[place], z[place]
+        for row in range(start[cell], start[cell + 1]):
+            px, py, pz = x[row], y[row], z[row]
             total, spread = np.float32(0.0), np.float32(0.0)
             gx, gy, gz = np.float32(0.0), np.float32(0.0), np.float32(0.0)
             for column in range(found):
@@ -242,5 +242,5 @@ def excess_and_mobility(
                     gx += slope * dx
                     gy += slope * dy
                     gz += slope * dz
-            excess[place] = total * scale - rest_density[place]
-            mobility[place] = per_metre * per_metre * (spread + inverse[place] * (gx * gx + gy * gy + gz * gz))
+            excess[row] = total * scale - rest_density[row]
+            mobility[row] = per_metre * per_metre * (spread + inverse[row] * (gx * gx + gy * gy + gz * gz))

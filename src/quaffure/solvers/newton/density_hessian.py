@@ -53,45 +53,45 @@ def _padded(pairs: PressedPairs, step: Float[np.ndarray, "p 3"]) -> Float[np.nda
 @njit(cache=True, parallel=True, fastmath=True)
 def _force(pairs: PressedPairs, pressure: np.ndarray, force: np.ndarray) -> None:
     first, others, gradients, _, _, mass, _ = pairs
-    for place in prange(len(force)):
+    for row in prange(len(force)):
         fx, fy, fz = 0.0, 0.0, 0.0
-        own_mass, own_pressure = mass[place], pressure[place]
-        for at in range(first[place], first[place + 1]):
+        own_mass, own_pressure = mass[row], pressure[row]
+        for at in range(first[row], first[row + 1]):
             other = others[at]
             push = own_pressure * mass[other] + pressure[other] * own_mass
             fx += push * gradients[at, 0]
             fy += push * gradients[at, 1]
             fz += push * gradients[at, 2]
-        force[place, 0], force[place, 1], force[place, 2] = fx, fy, fz
+        force[row, 0], force[row, 1], force[row, 2] = fx, fy, fz
 
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _change(pairs: PressedPairs, step: np.ndarray, change: np.ndarray) -> None:
     first, others, gradients, _, _, mass, stiffness = pairs
-    for place in prange(len(mass)):
-        change[place] = 0.0
-        if stiffness[place] <= 0.0:
+    for row in prange(len(mass)):
+        change[row] = 0.0
+        if stiffness[row] <= 0.0:
             continue
         total = 0.0
-        sx, sy, sz = step[place, 0], step[place, 1], step[place, 2]
-        for at in range(first[place], first[place + 1]):
+        sx, sy, sz = step[row, 0], step[row, 1], step[row, 2]
+        for at in range(first[row], first[row + 1]):
             other = others[at]
             total += mass[other] * (
                 gradients[at, 0] * (sx - step[other, 0])
                 + gradients[at, 1] * (sy - step[other, 1])
                 + gradients[at, 2] * (sz - step[other, 2])
             )
-        change[place] = total
+        change[row] = total
 
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _multiply(pairs: PressedPairs, change: np.ndarray, step: np.ndarray, product: np.ndarray) -> None:
     first, others, gradients, across, along, mass, _ = pairs
-    for place in prange(len(product)):
+    for row in prange(len(product)):
         fx, fy, fz = 0.0, 0.0, 0.0
-        sx, sy, sz = step[place, 0], step[place, 1], step[place, 2]
-        own_mass, own_change = mass[place], change[place]
-        for at in range(first[place], first[place + 1]):
+        sx, sy, sz = step[row, 0], step[row, 1], step[row, 2]
+        own_mass, own_change = mass[row], change[row]
+        for at in range(first[row], first[row + 1]):
             other = others[at]
             dx, dy, dz = sx - step[other, 0], sy - step[other, 1], sz - step[other, 2]
             gx, gy, gz = gradients[at, 0], gradients[at, 1], gradients[at, 2]
@@ -100,29 +100,29 @@ def _multiply(pairs: PressedPairs, change: np.ndarray, step: np.ndarray, product
             fx += push * gx + across[at] * dx
             fy += push * gy + across[at] * dy
             fz += push * gz + across[at] * dz
-        product[place, 0], product[place, 1], product[place, 2] = fx, fy, fz
+        product[row, 0], product[row, 1], product[row, 2] = fx, fy, fz
 
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _blocks(pairs: PressedPairs, blocks: np.ndarray) -> None:
     first, others, gradients, across, along, mass, stiffness = pairs
-    for place in prange(len(blocks)):
+    for row in prange(len(blocks)):
         block = np.zeros((3, 3))
         ox, oy, oz = 0.0, 0.0, 0.0
-        for at in range(first[place], first[place + 1]):
+        for at in range(first[row], first[row + 1]):
             other = others[at]
             gx, gy, gz = gradients[at, 0], gradients[at, 1], gradients[at, 2]
             ox += mass[other] * gx
             oy += mass[other] * gy
             oz += mass[other] * gz
-            weight = stiffness[other] * mass[place] * mass[place] + along[at]
+            weight = stiffness[other] * mass[row] * mass[row] + along[at]
             block[0, 0] += weight * gx * gx + across[at]
             block[0, 1] += weight * gx * gy
             block[0, 2] += weight * gx * gz
             block[1, 1] += weight * gy * gy + across[at]
             block[1, 2] += weight * gy * gz
             block[2, 2] += weight * gz * gz + across[at]
-        own = stiffness[place]
+        own = stiffness[row]
         block[0, 0] += own * ox * ox
         block[0, 1] += own * ox * oy
         block[0, 2] += own * ox * oz
@@ -130,4 +130,4 @@ def _blocks(pairs: PressedPairs, blocks: np.ndarray) -> None:
         block[1, 2] += own * oy * oz
         block[2, 2] += own * oz * oz
         block[1, 0], block[2, 0], block[2, 1] = block[0, 1], block[0, 2], block[1, 2]
-        blocks[place] = block
+        blocks[row] = block

@@ -111,8 +111,8 @@ def _count(
             continue
         ranges = np.empty((9, 2), np.int64)
         found = cell_columns(cell, shape, others.start, ranges)
-        for place in range(rows.start[cell], rows.start[cell + 1]):
-            px, py, pz, own = rows.x[place], rows.y[place], rows.z[place], own_stiffness[place]
+        for row in range(rows.start[cell], rows.start[cell + 1]):
+            px, py, pz, own = rows.x[row], rows.y[row], rows.z[row], own_stiffness[row]
             count = 0
             for column in range(found):
                 near_by = slice(ranges[column, 0], ranges[column, 1])
@@ -120,7 +120,7 @@ def _count(
                 for other in range(len(xs)):
                     dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
                     count += (dx * dx + dy * dy + dz * dz < support) & (own + theirs[other] > 0.0)
-            counts[place] += count
+            counts[row] += count
 
 
 @njit(cache=True, parallel=True, fastmath=True)
@@ -147,8 +147,8 @@ def _list_cell(
     for column in range(found):
         candidates += ranges[column, 1] - ranges[column, 0]
     kept = np.empty(candidates, np.int32)
-    for place in range(rows.start[cell], rows.start[cell + 1]):
-        px, py, pz, own = rows.x[place], rows.y[place], rows.z[place], state.own_stiffness[place]
+    for row in range(rows.start[cell], rows.start[cell + 1]):
+        px, py, pz, own = rows.x[row], rows.y[row], rows.z[row], state.own_stiffness[row]
         count = 0
         for column in range(found):
             for other in range(ranges[column, 0], ranges[column, 1]):
@@ -156,7 +156,7 @@ def _list_cell(
                 # No branch: most are too far away, and which cannot be foreseen.
                 kept[count] = other
                 count += (dx * dx + dy * dy + dz * dz < support) & (own + stiffness[other] > 0.0)
-        at, mass = state.cursor[place], rows.weight[place]
+        at, mass = state.cursor[row], rows.weight[row]
         for other in kept[:count]:
             dx, dy, dz = px - near_by.x[other], py - near_by.y[other], pz - near_by.z[other]
             squared = dx * dx + dy * dy + dz * dz
@@ -172,11 +172,11 @@ def _list_cell(
                 unit * dy,
                 unit * dz,
             )
-            push = state.own_pressure[place] * near_by.weight[other] + state.pressure[other] * mass
+            push = state.own_pressure[row] * near_by.weight[other] + state.pressure[other] * mass
             across = exactness * push * unit
             bend = exactness * bend + (1.0 - exactness) * REPULSION * max(bend, 0.0)
             # A vertex is its own neighbour too, at no distance.
             pairs.across[at] = across if squared > 0.0 else 0.0
             pairs.along[at] = (push * bend - across) / max(steepness * steepness, 1e-30) if squared > 0.0 else 0.0
             at += 1
-        state.cursor[place] = at
+        state.cursor[row] = at

@@ -23,7 +23,7 @@ class DensityParticles(NamedTuple):
     Attributes:
         x, y, z: positions [m].
         mass: [kg].
-        order: place in the groom of every vertex.
+        order: index in the groom of every vertex.
         start: where each cell starts.
         grid: the cells.
         smoothing_length: h [m].
@@ -88,8 +88,8 @@ def _densities(rows: Particles, others: Particles, shape: tuple[int, int, int], 
             continue
         ranges = np.empty((9, 2), np.int64)
         found = cell_columns(cell, shape, others.start, ranges)
-        for place in range(rows.start[cell], rows.start[cell + 1]):
-            px, py, pz = rows.x[place], rows.y[place], rows.z[place]
+        for row in range(rows.start[cell], rows.start[cell + 1]):
+            px, py, pz = rows.x[row], rows.y[row], rows.z[row]
             total = 0.0
             for column in range(found):
                 near_by = slice(ranges[column, 0], ranges[column, 1])
@@ -98,7 +98,7 @@ def _densities(rows: Particles, others: Particles, shape: tuple[int, int, int], 
                     dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
                     q = np.sqrt(dx * dx + dy * dy + dz * dz) * inverse
                     total += masses[other] * kernel_value(q)
-            density[place] = total * scale
+            density[row] = total * scale
 
 
 @njit(cache=True, parallel=True, fastmath=True)
@@ -111,9 +111,9 @@ def _gradient(
             continue
         ranges = np.empty((9, 2), np.int64)
         found = cell_columns(cell, shape, rows.start, ranges)
-        for place in range(rows.start[cell], rows.start[cell + 1]):
-            px, py, pz = rows.x[place], rows.y[place], rows.z[place]
-            own_pressure, own_mass = scale * pressure[place], scale * rows.weight[place]
+        for row in range(rows.start[cell], rows.start[cell + 1]):
+            px, py, pz = rows.x[row], rows.y[row], rows.z[row]
+            own_pressure, own_mass = scale * pressure[row], scale * rows.weight[row]
             gx, gy, gz = 0.0, 0.0, 0.0
             for column in range(found):
                 near_by = slice(ranges[column, 0], ranges[column, 1])
@@ -128,4 +128,4 @@ def _gradient(
                     gx += push * dx
                     gy += push * dy
                     gz += push * dz
-            gradient[place, 0], gradient[place, 1], gradient[place, 2] = gx, gy, gz
+            gradient[row, 0], gradient[row, 1], gradient[row, 2] = gx, gy, gz

@@ -84,7 +84,7 @@ class NewtonDraper:
         """Draped vertices [m] and where the solver stopped. Every sample is solved by itself.
 
         The relative gradient of the report is that of `tolerance`: the whole gradient of the energy with rounded
-        creases, in double precision, before the drape is cast to float32, which moves vertices by up to 0.1 um
+        concave edges, in double precision, before the drape is cast to float32, which moves vertices by up to 0.1 um
         (`quaffure.solvers.stopping` says what that does to the gradient). Its energy is the exact one of the drape as
         returned. Its iterations are Newton's evaluations of one sample, without those of the three starts; its seconds
         are those of the starts too.
@@ -111,7 +111,7 @@ class NewtonDraper:
     ) -> tuple[Float[Tensor, "s n 3"], float]:
         """Vertices of a single sample [m], and the relative norm of the gradient.
 
-        Newton lowers the energy with rounded creases. Where the exact one has risen on the way, the start is kept.
+        Newton lowers the energy with rounded concave edges. Where the exact one has risen meanwhile, the start is kept.
         """
         lbfgs = LbfgsDraper(self.material, evaluations=LBFGS_EVALUATIONS)
         drapers = (XpbdDraper(self.material), XpbdDraper(self.material, PATIENT), lbfgs)

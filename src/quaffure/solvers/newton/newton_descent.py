@@ -3,8 +3,8 @@
 Each step solves a model of the energy by conjugate gradients, preconditioned by the block-tridiagonal factors of the
 strands (Nocedal and Wright 2006, section 7.1). The model lies between a convex one and the exact one, the nearer to
 that the better it predicts. Edges turn along arcs, so that a long step does not stretch them. Where single strands
-meet what the model did not predict, a crease of the body or other hair, they alone take a shorter step. No step is
-taken that raises the energy.
+meet what the model did not predict, a concave edge of the body or other hair, they alone take a shorter step. No step
+is taken that raises the energy.
 """
 
 from dataclasses import dataclass

@@ -45,7 +45,7 @@ class Point(NamedTuple):
 
 
 class NewtonSystem:
-    """`HairEnergy` of one sample of a scene, in float64 and with the body's creases rounded (`rounded_contact`).
+    """`HairEnergy` of one sample of a scene, in float64 and with the body's concave edges rounded (`rounded_contact`).
 
     Attributes:
         evaluations: of the energy or its derivatives by this system, so far; with some of the strands in proportion.

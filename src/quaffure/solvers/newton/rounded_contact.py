@@ -1,4 +1,4 @@
-"""Signed distance to the body with its creases rounded, and its second derivatives, in double precision.
+"""Signed distance to the body with its concave edges rounded, and its second derivatives, in double precision.
 
 Where two faces of a hollow are equally near, the distance to the nearest of them has a kink, and contact holds hair in
 just such places: there the energy has a minimum, but no gradient that vanishes. The smooth minimum
@@ -19,7 +19,7 @@ from quaffure.geometry.surface import Surface, SurfaceArrays, bvh_of, occupancy_
 from quaffure.geometry.triangle import ON_SURFACE, closest_on_triangle, signed_distance_from_offset, squared_distance
 
 ROUNDING_WIDTH = 2e-5
-"""w, over which creases are rounded [m]."""
+"""w, over which concave edges are rounded [m]."""
 _BAND = 20 * ROUNDING_WIDTH  # a face this much farther weighs 2e-9
 _FLOAT32_ERROR = 1e-6  # of distances in float32 [m]
 _MAX_FEET = 256

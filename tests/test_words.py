@@ -64,20 +64,22 @@ WORDS = {
     # In sentences these words are common; in names they had a private sense.
     r"(?:soft_body|soft_surface|wide_tree|face_tree|clear_cells|face_grid)s?": "MLS body, BVH, grid",
     r"(?:foot_points|head_view|hair_skin)s?": "closest points, body in the frame of the head, skin for contact",
-    r"strand_packets|pressing_particles|density_crowd|starting_margin|strand_weights|fitted_groom": "SIMD blocks and so on",
+    r"strand_packets|starting_margin|strand_weights|fitted_groom": "blocks, clearance, clipping, prepared groom",
+    r"pressing_particles|density_crowd": "active particles",
     r"beside_\w+|\w+_beside": "neighbors",
     r"following_\w+|\w+_following": "parallel-transported frames",
     r"turns_of|edge_turns|\w+_turns": "rotations",
 }
 CLASSES = {
-    r"Undeformed\w*|LedPackets|HeadView|SpaceMap|FaceGrid|FootPoints": "initial shape, blocks, body in the head's frame, grid",
+    r"Undeformed\w*|LedPackets|HeadView": "initial shape, blocks, body in the frame of the head",
+    r"SpaceMap|FaceGrid|FootPoints": "occupancy grid, triangle grid, closest points",
     r"Crowd|Forecast|FittedGroom|Garden|Growing": "active particles, prediction, prepared groom, cache, sample",
     r"Trust\b(?=\(|:|\[| =)|SIGHT|ALONE|MEMORY": "trust-region state, kernel radius, single process, EMA decay",
     # A docstring that begins with "Of" has its object before its verb.
     r"(?<=\"\"\")Of\b": "subject, verb, object",
 }
 ALLOWED = (
-    r"[\"']slides[\"']|--(?:no-)?slides|slides: bool|config\.slides",  # a key of weights files and its option
+    r"[\"']slides[\"']|--(?:no-)?slides",  # a key of weights files and its option
 )
 
 

@@ -34,7 +34,7 @@ WORDS = {
     r"feels?|felt": "estimates the contact force",
     r"leaders?|leader_of": "cluster representative",
     r"handed_back|(?<!-)handed": "propagated from tip to root, passed",
-    r"slides?|slid|slid_twice": "contact resolution",
+    r"slides|slid|slid_twice": "contact resolution",
     r"sees": "reads, evaluates",
     r"looks|looked(?! up)": "evaluates, appears, searches",
     r"faint": "kernel cutoff",

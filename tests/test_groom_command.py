@@ -11,7 +11,7 @@ import torch
 from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import writer_for
 from quaffure.apps.cli.style_settings import ABOVE_ZERO, with_settings
-from quaffure.apps.render import before_after, pictures, video
+from quaffure.apps.render import pictures, video
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.errors import InputError
 from quaffure.io.groom_file import read_groom, write_groom
@@ -42,7 +42,7 @@ def drape(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures of 64 pixels: a software rasteriser takes a second for a large one."""
-    for module, name in ((before_after, "write_before_after"), (pictures, "write_picture"), (video, "write_video")):
+    for module, name in ((pictures, "write_before_after"), (pictures, "write_picture"), (video, "write_video")):
         monkeypatch.setattr(module, name, partial(getattr(module, name), tile=64))
 
 

@@ -99,10 +99,12 @@ class ImportGroom:
             console.print(f"{left_out} strands share their texel with another and are not in the file: hair that roots")
             console.print("closely together, such as a tail, is thinned the most")
         if self.picture is not None:
-            from quaffure.apps.render.before_after import Subject, write_before_after
+            from quaffure.apps.render.pictures import Subject, write_before_after
 
-            head = None if mesh is None else (_in_our_axes(mesh.vertices, report), mesh.faces)
-            before = Subject(_in_our_axes(_even(strands), report), *(head or (None, None)))
+            own = _in_our_axes(_resampled(strands), report)
+            before = (
+                Subject(own, _in_our_axes(mesh.vertices, report), mesh.faces) if mesh else Subject.without_mesh(own)
+            )
             after = Subject(guides.rest_strands.numpy(), body.rest_vertices.numpy(), body.faces.numpy())
             write_before_after(self.picture, before, after)
             console.print(f"{self.picture}: as it came on the left, on our body on the right")
@@ -124,7 +126,7 @@ def _summary(groom: Groom) -> str:
     return f"{len(groom)} strands of {low:.1f} to {high:.1f} cm, {mean:.1f} cm in the mean"
 
 
-def _even(strands: Strands) -> np.ndarray:
+def _resampled(strands: Strands) -> np.ndarray:
     return resample_by_arc_length(without_degenerate(strands)[0], VERTICES_PER_STRAND)
 
 

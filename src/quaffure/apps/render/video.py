@@ -8,6 +8,7 @@ import av
 import numpy as np
 from jaxtyping import UInt8
 
+from quaffure.apps.output_path import check_output
 from quaffure.apps.render.camera import Camera
 from quaffure.apps.render.framing import drawn_strands, facing_deg, frame_hair
 from quaffure.apps.render.scene import CHESTNUT, StrandRenderer
@@ -19,7 +20,7 @@ from quaffure.io.atomic import replacing
 Picture = UInt8[np.ndarray, "h w 3"]
 VIEWS = (Camera.front, Camera.side)
 TILE = 512
-# Motion hides what a still would show: fewer samples a pixel than in a picture.
+# Fewer samples a pixel than in a still picture: motion hides the difference.
 SUPERSAMPLING = 3
 CONSTANT_RATE_FACTOR = 20
 
@@ -34,7 +35,7 @@ def write_video(
 ) -> None:
     """Write front and side views next to each other (.mp4, H.264).
 
-    The camera stands still, facing where the body faces half way.
+    The camera does not move; it faces the body as it stands in the middle frame.
 
     Args:
         hair_colour: albedo in linear RGB.
@@ -63,17 +64,16 @@ def write_video(
 def encode_video(
     path: Path, pictures: Iterable[Picture], fps: float, constant_rate_factor: int = CONSTANT_RATE_FACTOR
 ) -> None:
-    """Write pictures of one size as a video (.mp4, H.264), each as it comes.
+    """Write pictures of one size as a video (.mp4, H.264), one at a time.
 
     Args:
         pictures: sRGB, even in height and width; at least one.
-        constant_rate_factor: of x264, 0 to 51: higher is smaller and worse.
+        constant_rate_factor: of x264, 0 to 51: a higher one makes a smaller file of lower quality.
 
     Raises:
         InputError: not an .mp4, not writable, no pictures, or an odd number of pixels.
     """
-    if path.suffix.lower() != ".mp4":
-        raise InputError(path, "a video's name ending in .mp4", f"{path.suffix or 'no suffix'}")
+    check_output(path, ".mp4")
     with (
         replacing(path) as temporary,
         av.open(str(temporary), "w", format="mp4", options={"movflags": "+faststart"}) as container,

@@ -1,32 +1,33 @@
-"""What every `quaffure benchmark` leaves: a .json file, and a plot beside it where matplotlib is installed."""
+"""Output files of `quaffure benchmark`: a .json file, and a plot next to it if matplotlib is installed."""
 
 import importlib.util
-import json
 from collections.abc import Callable
 from pathlib import Path
 
-from quaffure.apps.cli.outputs import check_out
-from quaffure.io.atomic import replacing
+from quaffure.apps.cli.console import write_json
+from quaffure.apps.output_path import check_output
 
 
-def check_benchmark_out(out: Path) -> None:
-    """Refuse the .json file or the plot beside it before the work.
+def check_benchmark_output(out: Path) -> None:
+    """Refuse the .json file or the plot next to it, before the work.
 
     Raises:
         InputError: another suffix, no folder to write into, or a folder of one of these names.
     """
-    check_out(out, ".json")
-    check_out(out.with_suffix(".png"), ".png")
+    check_output(out, ".json")
+    check_output(out.with_suffix(".png"), ".png")
 
 
-def write_benchmark(out: Path, written: dict[str, object], plot: Callable[[Path], None]) -> str:
-    """Write the file and the plot; returns what to say of it.
+def write_benchmark(out: Path, content: dict[str, object], plot: Callable[[Path], None]) -> str:
+    """Write the file and the plot.
 
     Args:
         plot: writes the picture; imports matplotlib only when it is called.
+
+    Returns:
+        A message that names the written files.
     """
-    with replacing(out) as beside:
-        beside.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
+    write_json(out, content)
     if importlib.util.find_spec("matplotlib") is None:
         return f"written: {out}; no plot without matplotlib: pip install 'quaffure\\[docs]'"
     picture = out.with_suffix(".png")

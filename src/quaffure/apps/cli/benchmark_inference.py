@@ -1,14 +1,13 @@
-"""`quaffure benchmark inference`: what a drape by the network costs."""
+"""`quaffure benchmark inference`: time and memory of a drape by the network."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import tyro
-from rich.progress import Progress, TimeElapsedColumn
 
-from quaffure.apps.cli.benchmark_file import check_benchmark_out, write_benchmark
-from quaffure.apps.cli.console import console, print_json, print_rows, progress_columns
+from quaffure.apps.cli.benchmark_file import check_benchmark_output, write_benchmark
+from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar
 from quaffure.benchmark.inference_benchmark import (
     COUNTS,
     QUICK_COUNTS,
@@ -28,47 +27,44 @@ from quaffure.model.quaffure_model import Quaffure, load_model
 
 @dataclass(frozen=True)
 class InferenceCommand:
-    """Drape ever more hairstyles by the network; print, write and plot time and memory, and what each part takes."""
+    """Drape more and more grooms by the network; print, write and plot time and memory, and the time of each part."""
 
     out: Path
-    """The .json file to write; a plot goes beside it as .png."""
+    """The .json file to write; a plot is written next to it as .png."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """A bundled groom or a file; may be given several times, and they are taken in turn. Without it, long_straight."""
+    """A bundled groom or a file; may be given several times, to be used in turn. Without it, long_straight."""
     weights: Path | None = None
     """A checkpoint; without it, the shipped one."""
     quick: bool = False
-    """Only a few grooms: some seconds."""
+    """Only a few grooms: takes some seconds."""
     json: bool = False
-    """Print the file's content instead of a table."""
+    """Print the content of the file instead of a table."""
 
     def run(self) -> None:
-        check_benchmark_out(self.out)
+        check_benchmark_output(self.out)
         model = load_model(self.weights)
         if not model.draper.is_compiled(model.body):
             raise InputError(self.weights or "weights", "a network that is compiled to drape", "another configuration")
         grooms = [load_groom(name, model.body) for name in self.groom or ("long_straight",)]
         counts = QUICK_COUNTS if self.quick else COUNTS
-        with Progress(
-            *progress_columns(TimeElapsedColumn()), console=console, transient=True, disable=self.json
-        ) as progress:
-            task = progress.add_task("preparing", total=len(counts))
+        with progress_bar("preparing", len(counts), transient=True, disable=self.json) as update:
 
             def on_count(count: int) -> None:
-                progress.update(task, description=f"{count} grooms", completed=counts.index(count))
+                update(description=f"{count} grooms", completed=counts.index(count))
 
             timings = time_grooms(model, grooms, counts, on_count)
             strands = time_strands(model, grooms[0])
             parts = time_parts(model, grooms[0])
             fitting = time_fitting(model, grooms[0])
             least = floor(model.draper.compiled(), model.draper.packed(grooms[0], model.body))
-        written = report(model, timings, strands, parts, fitting, least)
-        drawn = write_benchmark(self.out, written, lambda picture: _plot(picture, timings, least))
+        content = report(model, timings, strands, parts, fitting, least)
+        message = write_benchmark(self.out, content, lambda picture: _plot(picture, timings, least))
         if self.json:
-            print_json(written)
+            print_json(content)
             return
         _print(model, timings + strands, parts, least)
         console.print(f"once for a new groom: {1000 * fitting:.0f} ms of processor time")
-        console.print(drawn)
+        console.print(message)
 
 
 def _plot(picture: Path, timings: Sequence[Timing], least: Floor) -> None:
@@ -80,7 +76,7 @@ def _plot(picture: Path, timings: Sequence[Timing], least: Floor) -> None:
 def _print(model: Quaffure, timings: Sequence[Timing], parts: dict[str, float], least: Floor) -> None:
     print_rows([_row(timing) for timing in timings], f"drapes in {model.draper.compiled().network.dtype}")
     whole = sum(parts.values())
-    rows: list[dict[str, object]] = [
+    rows = [
         {"part of a drape": name.replace("_", " "), "CPU ms": 1000 * seconds, "share %": 100 * seconds / whole}
         for name, seconds in parts.items()
     ]
@@ -93,12 +89,7 @@ def _print(model: Quaffure, timings: Sequence[Timing], parts: dict[str, float], 
 
 
 def _row(timing: Timing) -> dict[str, object]:
-    return {
-        "grooms": timing.grooms,
-        "strands": timing.strands,
-        "wall s": timing.seconds,
-        "CPU s": timing.cpu_seconds,
-        "wall ms a groom": 1000 * timing.seconds / timing.grooms,
-        "CPU ms a groom": 1000 * timing.cpu_seconds / timing.grooms,
-        "peak MB": timing.peak_megabytes,
-    }
+    """The measured values by column, and the times of one groom."""
+    values = {name.replace("_", " "): value for name, value in asdict(timing).items()}
+    seconds = {"ms a groom": timing.seconds, "CPU ms a groom": timing.cpu_seconds}
+    return values | {column: 1000 * value / timing.grooms for column, value in seconds.items()}

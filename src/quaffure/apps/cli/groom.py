@@ -9,8 +9,8 @@ import torch
 import tyro
 
 from quaffure.apps.cli.console import console
-from quaffure.apps.cli.outputs import check_out
 from quaffure.apps.cli.style_settings import with_settings
+from quaffure.apps.output_path import check_output
 from quaffure.body.body_model import load_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
@@ -47,7 +47,7 @@ class NewGroom:
     """Of all that is random: another seed, other strands of the same style."""
 
     def run(self) -> None:
-        check_out(self.out, ".npz")
+        check_output(self.out, ".npz")
         if self.style not in STYLES:
             raise InputError("--style", f"one of {', '.join(sorted(STYLES))}", repr(self.style))
         if not 0 <= self.seed < 2**63:
@@ -80,9 +80,9 @@ class ImportGroom:
     """Terms of the groom, kept in the file."""
 
     def run(self) -> None:
-        check_out(self.out, ".npz")
+        check_output(self.out, ".npz")
         if self.picture is not None:
-            check_out(self.picture, ".png")
+            check_output(self.picture, ".png")
         if not self.files:
             raise InputError("FILE", "at least one file of strands", "none")
         body = load_body()

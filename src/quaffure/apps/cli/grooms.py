@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from quaffure.apps.cli.console import console, print_json, print_rows
-from quaffure.apps.cli.outputs import check_out
+from quaffure.apps.output_path import check_output
 from quaffure.body.body_model import load_body
 from quaffure.hair.clearance import rest_surface
 from quaffure.procedural.generator import LICENCE, make_groom
@@ -24,7 +24,7 @@ class GroomsCommand:
     def run(self) -> None:
         # Growing takes a while: what cannot be written is refused before.
         if self.out is not None:
-            check_out(self.out, ".png")
+            check_output(self.out, ".png")
             _draw(self.out)
         rows = [_row(name, size) for name, size in style_sizes().items()]
         print_json(rows) if self.json else print_rows(rows, "bundled grooms")

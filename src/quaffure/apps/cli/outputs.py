@@ -1,42 +1,28 @@
-"""Which writer a suffix picks; each loads its library only when it is asked for."""
+"""Writers of drapes by suffix of the file; each imports its library only when it is called."""
 
 from collections.abc import Callable
 from pathlib import Path
 
+from quaffure.apps.output_path import check_output
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation, with_strands
-from quaffure.io.atomic import check_folder_of
 
 Writer = Callable[[Path, DrapeSequence, GuideInterpolation | None], None]
 
 MOST_BYTES = 4e9
-"""Of strands that a file is written from at once."""
+"""Limit of the strands in memory that a file is written from."""
 
 
 def writer_for(path: Path) -> Writer:
-    """The function that writes a drape to files of this suffix: the strands between its guides where it is given an
-    interpolation, else the guides. An .npz, which keeps the drape for other steps, holds the guides in either case.
+    """The function that writes a drape to files of this suffix: with an interpolation the strands between its guides,
+    without one the guides. An .npz, which other commands read, always holds the guides.
 
     Raises:
         InputError: no writer knows the suffix, or the folder does not exist.
     """
-    writer = WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise InputError(path, f"an output of suffix {', '.join(WRITERS)}", f"suffix '{path.suffix}'")
-    check_folder_of(path)
-    return writer
-
-
-def check_out(path: Path, suffix: str) -> None:
-    """Refuse an output before the work and not after it.
-
-    Raises:
-        InputError: another suffix, no folder to write into, or a folder of that name.
-    """
-    if path.suffix.lower() != suffix:
-        raise InputError(path, f"an output of suffix {suffix}", f"suffix '{path.suffix}'")
-    check_folder_of(path)
+    check_output(path, *WRITERS)
+    return WRITERS[path.suffix.lower()]
 
 
 def _write_npz(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:

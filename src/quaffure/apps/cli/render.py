@@ -1,4 +1,4 @@
-"""`quaffure render`: pictures, video and USD of a drape that was kept."""
+"""`quaffure render`: pictures, video and USD of a drape file."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -164,7 +164,7 @@ class StrandRenderer:
 
 
 def samples_of(strands: Float[np.ndarray, "s n 3"]) -> int:
-    """Number of straight parts to draw a segment in, so that curls look round, by the angles in a tenth of the strands."""
+    """Straight parts to draw a segment in, so that curls look round; by the angles in a tenth of the strands."""
     edges = np.diff(strands[::10], axis=1)
     edges /= np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-9)
     angles = np.arccos(np.clip((edges[:, 1:] * edges[:, :-1]).sum(-1), -1.0, 1.0))

@@ -1,6 +1,6 @@
 """Writers of drapes by suffix of the file; each imports its library only when it is called."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from quaffure.apps.output_path import check_output
@@ -14,15 +14,18 @@ MOST_BYTES = 4e9
 """Limit of the strands in memory that a file is written from."""
 
 
-def writer_for(path: Path) -> Writer:
-    """The function that writes a drape to files of this suffix: with an interpolation the strands between its guides,
+def writers_for(paths: Sequence[Path]) -> list[tuple[Path, Writer]]:
+    """Each file with the function that writes a drape to it: with an interpolation the strands between its guides,
     without one the guides. An .npz, which other commands read, always holds the guides.
 
     Raises:
-        InputError: no writer knows the suffix, or the folder does not exist.
+        InputError: no file, no writer for a suffix, or a folder that does not exist.
     """
-    check_output(path, *WRITERS)
-    return WRITERS[path.suffix.lower()]
+    if not paths:
+        raise InputError("--out", "at least one file to write", "none")
+    for path in paths:
+        check_output(path, *WRITERS)
+    return [(path, WRITERS[path.suffix.lower()]) for path in paths]
 
 
 def _write_npz(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:
@@ -35,11 +38,9 @@ def _write_usd(path: Path, sequence: DrapeSequence, interpolation: GuideInterpol
     from quaffure.io.usd import write_usd
 
     if interpolation is not None:
-        bytes_of_strand = 2 * 12 * len(sequence) * interpolation.vertex_count
-        if bytes_of_strand * len(interpolation) > MOST_BYTES:
-            most = int(MOST_BYTES / bytes_of_strand)
-            found = f"{len(interpolation)}"
-            raise InputError("--strands", f"at most {most} for {len(sequence)} frames of USD", found)
+        most = int(MOST_BYTES / (2 * 12 * len(sequence) * interpolation.vertex_count))
+        if len(interpolation) > most:
+            raise InputError("--strands", f"at most {most} for {len(sequence)} frames of USD", f"{len(interpolation)}")
         sequence = with_strands(sequence, interpolation)
     write_usd(path, sequence)
 

@@ -158,9 +158,7 @@ def test_refining_lowers_the_energy(tmp_path: Path, inputs: Path, capfd: pytest.
     assert energies[1] < energies[0]
 
 
-def test_refining_a_clip_warns_of_jitter(
-    tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_refining_a_clip_warns_of_jitter(tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for frames, said in (("40:41", False), ("40:42", True)):
         out = str(tmp_path / "drape.npz")
         main(["drape", str(inputs / "tiny.npz"), "--frames", frames, "--refine", "1", "--out", out])

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from quaffure.apps.cli.main import main
-from quaffure.apps.cli.outputs import writers_for
+from quaffure.apps.cli.outputs import check_outputs
 from quaffure.apps.cli.style_settings import ABOVE_ZERO, with_settings
 from quaffure.apps.render import pictures, video
 from quaffure.body.body_model import BodyModel, load_body
@@ -232,4 +232,4 @@ def test_usd_that_would_not_fit_memory_is_refused(
     monkeypatch.setattr("quaffure.apps.cli.outputs.MOST_BYTES", 1e6)
     line = refused(capfd, "render", drape, "--strands", "900", "--out", tmp_path / "hair.usd")
     assert "--strands: expected at most 868 for 2 frames of USD, found 900" in line
-    assert writers_for([tmp_path / "hair.png"])
+    check_outputs([tmp_path / "hair.png"])

@@ -15,7 +15,8 @@ from rich.table import Table
 
 from quaffure.io.atomic import replacing
 
-# Where the output is not a terminal, rich would wrap tables at 80 columns.
+# If the output is not a terminal, rich would wrap tables at 80 columns. Commands with --json set `quiet`: then only
+# `print_json` writes to the output.
 console = Console() if sys.stdout.isatty() else Console(width=140)
 Update = Callable[..., None]
 

@@ -9,7 +9,7 @@ import tyro
 
 from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar
 from quaffure.apps.cli.inputs import body_shape_of, motion_of
-from quaffure.apps.cli.outputs import writers_for
+from quaffure.apps.cli.outputs import check_outputs, write_output
 from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
 from quaffure.benchmark.metrics import PerFrame, measure
 from quaffure.body.body_model import load_body
@@ -63,44 +63,38 @@ class DrapeCommand:
     """Print the metrics as JSON."""
 
     def run(self) -> None:
-        writers = writers_for(self.out)
+        console.quiet = self.json
+        check_outputs(self.out)
         body = load_body()
         motion = motion_of(self.motion, body).frames(self.frames)
         body_shape = body_shape_of(self.shape)
         if float(body_shape.abs().max()) > LARGEST_COEFFICIENT:
-            self._say(
-                f"shape: beyond the trained and measured +-{LARGEST_COEFFICIENT:g} standard deviations"
-            )
+            console.print(f"shape: beyond the trained and measured +-{LARGEST_COEFFICIENT:g} standard deviations")
         reference = None if self.reference is None else read_drape(self.reference)
         draper = self._draper()
-        self._say(f"reading the groom {self.groom}")
+        console.print(f"reading the groom {self.groom}")
         groom = load_groom(self.groom, body, self.head)
         interpolation = None if self.strands is None else interpolation_of(groom, body, self.strands)
         shape = (len(motion), *groom.rest_strands.shape)
         if reference is not None and reference.strands.shape != shape:
             raise InputError(f"{self.reference}", f"strands {shape}", f"{reference.strands.shape}")
-        self._say(f"draping {len(groom)} strands in {_frames(len(motion))} with {self._row}")
+        console.print(f"draping {len(groom)} strands in {_frames(len(motion))} with {self._row}")
         if self.refine and len(motion) > 1:
-            self._say("refined frame by frame: hair that moves will jitter")
-        with progress_bar("draping", len(motion), transient=True, disable=self.json) as update:
+            console.print("refined frame by frame: hair that moves will jitter")
+        with progress_bar("draping", len(motion), transient=True) as update:
             sequence = drape_motion(draper, groom, body, motion, body_shape, lambda frames: update(advance=frames))
         if self.draper in SOLVERS:  # `--elastic` does not choose the model that a network was trained with
             sequence.meta["elastic"] = self.elastic
-        for path, write in writers:
-            self._say(f"writing {path}")
-            write(path, sequence, interpolation)
-        self._say("measuring")
+        for path in self.out:
+            console.print(f"writing {path}")
+            write_output(path, sequence, interpolation)
+        console.print("measuring")
         self._report(sequence, *measure(sequence, groom, body, reference))
 
     @property
     def _row(self) -> str:
         """The name of the draper in `quaffure evaluate`."""
         return RefinedDraper.name if self.refine else self.draper
-
-    def _say(self, step: str) -> None:
-        """Print a line about the progress, unless the output is JSON for another program."""
-        if not self.json:
-            console.print(step)
 
     def _draper(self) -> Draper:
         """The draper by name; solvers get the material that the weights were trained for, to be comparable."""

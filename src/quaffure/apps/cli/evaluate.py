@@ -112,6 +112,7 @@ class EvaluateCommand:
 
     def run(self) -> None:
         self._check()
+        console.quiet = self.json
         begin = time.perf_counter()
         body, weights = load_body(), self.options.weights_by_row()
         if self.write_cases is not None:
@@ -122,7 +123,7 @@ class EvaluateCommand:
         selection = self._user_cases(body) if self.groom or self.motion else self._set_cases(body)
         draper = self.options.case_draper(body)
         total = selection.frames * len(rows)
-        with progress_bar("loading", total, transient=True, disable=self.json) as update:
+        with progress_bar("loading", total, transient=True) as update:
             by_name = {row.name: _with_progress(row.name, partial(draper.drape, row), update) for row in rows}
             solvers = [row.name for row in rows if row.is_solver]
             compared = compare(self._announced(selection.cases), by_name, solvers, body, material)
@@ -160,7 +161,9 @@ class EvaluateCommand:
         complete = [entry for entry in entries if missing[entry.name] is None]
         skipped = {name: path.name for name, path in missing.items() if path is not None}
         if skipped:
-            self._say(f"{len(skipped)} of {len(entries)} cases left out: no {', '.join(sorted(set(skipped.values())))}")
+            console.print(
+                f"{len(skipped)} of {len(entries)} cases left out: no {', '.join(sorted(set(skipped.values())))}"
+            )
         if not complete:
             raise InputError("the evaluation", "at least one case whose files are there", "none")
         cases = load_cases(complete, evaluation_set, folders, body)
@@ -186,7 +189,7 @@ class EvaluateCommand:
         paths = [write_case(folder, case, version, body, material) for case in cases]
         if self.json:
             print_json([str(path) for path in paths])
-        self._say(f"written: {len(paths)} cases in {folder}")
+        console.print(f"written: {len(paths)} cases in {folder}")
 
     def _write(self, results: Results) -> None:
         assert self.out is not None
@@ -194,18 +197,19 @@ class EvaluateCommand:
         written = [self.out, *(write_report(self.report, results) if self.report is not None else [])]
         if self.json:
             print_json(results)
-            return
         print_summary(results)
-        self._say(f"{results['drapes_made']} drapes made, {results['drapes_fetched']} found in {self.options.cache}")
+        console.print(
+            f"{results['drapes_made']} drapes made, {results['drapes_fetched']} read from {self.options.cache}"
+        )
         if self.report is not None and importlib.util.find_spec("matplotlib") is None:
-            self._say("no picture without matplotlib: pip install 'quaffure\\[docs]'")
-        self._say(f"written: {', '.join(map(str, written))}")
+            console.print("no picture without matplotlib: pip install 'quaffure\\[docs]'")
+        console.print(f"written: {', '.join(map(str, written))}")
 
     def _announced(self, cases: Iterable[EvaluationCase]) -> Iterator[EvaluationCase]:
         """The cases; prints a line for each if no terminal shows a bar."""
         for case in cases:
             if not console.is_terminal:
-                self._say(f"{case.name}: {len(case.frames)} frames")
+                console.print(f"{case.name}: {len(case.frames)} frames")
             yield case
 
     def _print_missing(self, results: Results, rows: list[str]) -> None:
@@ -216,12 +220,7 @@ class EvaluateCommand:
         for row in rows:
             missing = sum(row not in case["figures"] for case in cases)
             if missing:
-                self._say(f"{row} left out of {missing} of {len(cases)} cases: it was not trained on their grooms")
-
-    def _say(self, line: str) -> None:
-        """Print a line about the progress, unless the output is JSON for another program."""
-        if not self.json:
-            console.print(line)
+                console.print(f"{row} left out of {missing} of {len(cases)} cases: it was not trained on their grooms")
 
 
 def print_summary(results: Results) -> None:

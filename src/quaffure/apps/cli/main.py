@@ -11,6 +11,7 @@ from typing import Annotated, NoReturn
 import tyro
 
 from quaffure.apps.cli.benchmark import BenchmarkCommand
+from quaffure.apps.cli.console import console
 from quaffure.apps.cli.drape import DrapeCommand
 from quaffure.apps.cli.evaluate import EvaluateCommand
 from quaffure.apps.cli.groom import GroomCommand
@@ -46,6 +47,7 @@ def main(arguments: list[str] | None = None) -> None:
     if threading.current_thread() is threading.main_thread():
         # By default the process would end without removing the temporary files that it is writing.
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    console.quiet = False  # after a command with --json in the same process
     try:
         _parsed(arguments).run()
     except InputError as error:

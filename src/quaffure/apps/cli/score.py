@@ -34,6 +34,7 @@ class ScoreCommand:
     options: EvaluationOptions = field(default_factory=EvaluationOptions)
 
     def run(self) -> None:
+        console.quiet = self.json
         if not self.answers:
             raise InputError("score", "at least one drape file", "none")
         weights = self.options.weights_by_row()
@@ -74,7 +75,6 @@ class ScoreCommand:
     def _print(self, results: Results) -> None:
         if self.json:
             print_json(results)
-            return
         print_summary(results)
         without = [case["case"] for case in results["cases"] if not case["reference"]]
         if without:

@@ -14,9 +14,8 @@ from quaffure.apps.cli.benchmark import BenchmarkCommand
 from quaffure.apps.cli.console import console
 from quaffure.apps.cli.drape import DrapeCommand
 from quaffure.apps.cli.evaluate import EvaluateCommand
-from quaffure.apps.cli.groom import GroomCommand
+from quaffure.apps.cli.groom import GroomCommand, GroomsCommand
 from quaffure.apps.cli.groomgen import GroomgenDataCommand, TrainGroomgenCommand
-from quaffure.apps.cli.grooms import GroomsCommand
 from quaffure.apps.cli.info import InfoCommand
 from quaffure.apps.cli.render import RenderCommand
 from quaffure.apps.cli.score import ScoreCommand

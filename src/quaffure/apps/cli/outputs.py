@@ -37,11 +37,11 @@ def write_output(path: Path, sequence: DrapeSequence, interpolation: GuideInterp
     elif suffix == ".png":
         from quaffure.apps.render.pictures import write_picture
 
-        write_picture(path, sequence, interpolation=interpolation)
+        write_picture(path, sequence, interpolation)
     elif suffix == ".mp4":
         from quaffure.apps.render.video import write_video
 
-        write_video(path, sequence, interpolation=interpolation)
+        write_video(path, sequence, interpolation)
     else:
         from quaffure.io.usd import write_usd
 

@@ -1,24 +1,14 @@
-"""Content and frame of a picture of a drape: its strands or those between them, with the head, over all frames."""
+"""Frame of a picture of a drape: a box around hair and head, and the direction that the body faces."""
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.hair.guide_interpolation import GuideInterpolation
 
 # A ball of this radius around the mean root contains the face and the chin of any adult head.
 HEAD_RADIUS = 0.24  # m
 MARGIN = 1.12
-
-
-def drawn_strands(
-    seq: DrapeSequence, frame: int, interpolation: GuideInterpolation | None
-) -> Float32[np.ndarray, "m n 3"]:
-    """Strands to draw in a frame [m]: those between its guides, or without interpolation the guides."""
-    if interpolation is None:
-        return seq.strands[frame]
-    return interpolation.strands(seq.strands[frame], seq.body_vertices[frame])
 
 
 def facing_deg(seq: DrapeSequence, frame: int) -> float:

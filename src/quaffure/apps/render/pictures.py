@@ -1,17 +1,17 @@
 """Still pictures: frames of a drape, and a groom before and after registration."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from PIL import Image
 
 from quaffure.apps.output_path import check_output
 from quaffure.apps.render.camera import Camera
-from quaffure.apps.render.framing import MARGIN, drawn_strands, facing_deg, frame_hair, hair_box
-from quaffure.apps.render.scene import CHESTNUT, StrandRenderer
+from quaffure.apps.render.framing import MARGIN, facing_deg, frame_hair, hair_box
+from quaffure.apps.render.scene import StrandRenderer
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.io.atomic import replacing
@@ -41,18 +41,13 @@ class Subject(NamedTuple):
 
 
 def write_picture(
-    path: Path,
-    seq: DrapeSequence,
-    hair_colour: tuple[float, float, float] = CHESTNUT,
-    tile: int = TILE,
-    interpolation: GuideInterpolation | None = None,
+    path: Path, seq: DrapeSequence, interpolation: GuideInterpolation | None = None, tile: int = TILE
 ) -> None:
     """Write a contact sheet (.png): up to four evenly spaced frames, one row each, from front to back of the head.
 
     Args:
-        hair_colour: albedo in linear RGB.
-        tile: width and height of one view [pixels].
         interpolation: of strands between the drape's guides; without it the guides themselves are drawn.
+        tile: width and height of one view [pixels].
 
     Raises:
         InputError: not a .png, not writable, or no OpenGL on this machine.
@@ -60,13 +55,26 @@ def write_picture(
     check_output(path, ".png")
     centre, extent = frame_hair(seq)
     frames = np.unique(np.linspace(0, len(seq) - 1, min(MOST_FRAMES, len(seq))).round().astype(int))
-    rows = []
     with StrandRenderer(tile, tile) as renderer:
+        rows = []
         for f in frames:
-            scene = drawn_strands(seq, f, interpolation), seq.body_vertices[f], seq.body_faces
             cameras = [view(centre, extent, facing_deg(seq, f)) for view in VIEWS]
-            rows.append([renderer.render(*scene, camera, hair_colour) for camera in cameras])
+            rows.append(draw_frame(renderer, seq, f, interpolation, cameras))
     save_tiles(path, rows)
+
+
+def draw_frame(
+    renderer: StrandRenderer,
+    seq: DrapeSequence,
+    frame: int,
+    interpolation: GuideInterpolation | None,
+    cameras: Sequence[Camera],
+) -> list[UInt8[np.ndarray, "h w 3"]]:
+    """Draw a frame by every camera: the strands between its guides, or without interpolation the guides."""
+    strands, body = seq.strands[frame], seq.body_vertices[frame]
+    if interpolation is not None:
+        strands = interpolation.strands(strands, body)
+    return [renderer.render(strands, body, seq.body_faces, camera) for camera in cameras]
 
 
 def write_before_after(path: Path, before: Subject, after: Subject, tile: int = TILE) -> None:

@@ -1,6 +1,6 @@
 """A drape as a video."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,8 +10,9 @@ from jaxtyping import UInt8
 
 from quaffure.apps.output_path import check_output
 from quaffure.apps.render.camera import Camera
-from quaffure.apps.render.framing import drawn_strands, facing_deg, frame_hair
-from quaffure.apps.render.scene import CHESTNUT, StrandRenderer
+from quaffure.apps.render.framing import facing_deg, frame_hair
+from quaffure.apps.render.pictures import draw_frame
+from quaffure.apps.render.scene import StrandRenderer
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
@@ -26,22 +27,15 @@ CONSTANT_RATE_FACTOR = 20
 
 
 def write_video(
-    path: Path,
-    seq: DrapeSequence,
-    hair_colour: tuple[float, float, float] = CHESTNUT,
-    tile: int = TILE,
-    on_frame: Callable[[int], None] | None = None,
-    interpolation: GuideInterpolation | None = None,
+    path: Path, seq: DrapeSequence, interpolation: GuideInterpolation | None = None, tile: int = TILE
 ) -> None:
     """Write front and side views next to each other (.mp4, H.264).
 
     The camera does not move; it faces the body as it stands in the middle frame.
 
     Args:
-        hair_colour: albedo in linear RGB.
-        tile: width and height of one view, even [pixels].
-        on_frame: called with the number of frames written so far.
         interpolation: of strands between the drape's guides; without it the guides themselves are drawn.
+        tile: width and height of one view, even [pixels].
 
     Raises:
         InputError: not an .mp4, not writable, or no OpenGL on this machine.
@@ -51,12 +45,8 @@ def write_video(
 
     def pictures() -> Iterator[Picture]:
         with StrandRenderer(tile, tile, supersampling=SUPERSAMPLING) as renderer:
-            for frame, body in enumerate(seq.body_vertices):
-                strands = drawn_strands(seq, frame, interpolation)
-                views = [renderer.render(strands, body, seq.body_faces, camera, hair_colour) for camera in cameras]
-                yield np.hstack(views)
-                if on_frame is not None:
-                    on_frame(frame + 1)
+            for frame in range(len(seq)):
+                yield np.hstack(draw_frame(renderer, seq, frame, interpolation, cameras))
 
     encode_video(path, pictures(), seq.fps)
 

@@ -19,6 +19,7 @@ from quaffure.io.atomic import replacing
 # `print_json` writes to the output.
 console = Console() if sys.stdout.isatty() else Console(width=140)
 Update = Callable[..., None]
+Text = Callable[[dict[str, float]], str]
 
 
 @contextmanager
@@ -54,6 +55,31 @@ class TimeLeft:
         """Time left when `done` steps of the run are made, whole seconds."""
         seconds_per_step = (time.monotonic() - self._start) / (done - self._before)
         return timedelta(seconds=round(seconds_per_step * (self._total - done)))
+
+
+@contextmanager
+def training_bar(
+    total: int, done: int, bar_text: Text, validation_text: Text, shown: bool = True
+) -> Iterator[Callable[[int, dict[str, float]], None]]:
+    """Show the progress of a training: a bar, and a line for every validation, for logs without a terminal.
+
+    Args:
+        total: steps of the run.
+        done: steps of it that were made before now.
+        bar_text, validation_text: the text of the bar and of the line from the values of a step; empty for no line.
+
+    Yields:
+        A function to call with the number of the step and its values.
+    """
+    left = TimeLeft(total, done)
+    with progress_bar("training", total, done, disable=not shown) as update:
+
+        def report(step: int, values: dict[str, float]) -> None:
+            update(completed=step, description=bar_text(values))
+            if text := validation_text(values):
+                console.print(f"step {step} of {total}: {text}; {left.at(step)} left")
+
+        yield report
 
 
 def print_rows(rows: Sequence[Mapping[str, object]], title: str) -> None:

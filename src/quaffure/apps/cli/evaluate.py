@@ -124,7 +124,7 @@ class EvaluateCommand:
         draper = self.options.case_draper(body)
         total = selection.frames * len(rows)
         with progress_bar("loading", total, transient=True) as update:
-            by_name = {row.name: _with_progress(row.name, partial(draper.drape, row), update) for row in rows}
+            by_name = {row.name: partial(_drape, row.name, partial(draper.drape, row), update) for row in rows}
             solvers = [row.name for row in rows if row.is_solver]
             compared = compare(self._announced(selection.cases), by_name, solvers, body, material)
         about = {
@@ -236,14 +236,11 @@ def _transposed(rows: list[dict[str, object]]) -> list[dict[str, object]]:
     return [{"metric": key} | {str(row["draper"]): row[key] for row in rows} for key in metrics]
 
 
-def _with_progress(name: str, drape_frame: DrapeFrame, update: Update) -> DrapeFrame:
-    def with_progress(case: EvaluationCase, frame: int) -> TimedDrape | None:
-        update(description=f"{name} on {case.name}, frame {case.frames[frame]}")
-        drape = drape_frame(case, frame)
-        update(advance=1)
-        return drape
-
-    return with_progress
+def _drape(name: str, drape_frame: DrapeFrame, update: Update, case: EvaluationCase, frame: int) -> TimedDrape | None:
+    update(description=f"{name} on {case.name}, frame {case.frames[frame]}")
+    drape = drape_frame(case, frame)
+    update(advance=1)
+    return drape
 
 
 def _frames(motion: Motion, wanted: str) -> tuple[tuple[int, ...], Motion]:

@@ -2,14 +2,13 @@
 
 import re
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from quaffure.apps.cli.console import TimeLeft, Update, console, progress_bar
+from quaffure.apps.cli.console import TimeLeft, console, progress_bar, training_bar
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.body.body_model import load_body
 from quaffure.errors import InputError
@@ -96,23 +95,18 @@ class TrainGroomgenCommand:
         training = GroomGenTraining(self.config, folder, drapes, self.out)
         if training.resume():
             console.print(f"resuming from step {training.step}")
-        with progress_bar("training", self.config.steps, training.step) as update:
-            train(training, _report(training, update))
+        with training_bar(self.config.steps, training.step, _bar_text, _validation_text) as report:
+            train(training, report)
         if training.optimizer.skipped:
             console.print(f"{training.optimizer.skipped} updates skipped: gradients that were not finite")
 
 
-def _report(training: GroomGenTraining, update: Update) -> Callable[[int, dict[str, float]], None]:
-    """Advances the bar at every step and prints a line at every validation, for logs without a terminal."""
-    last = training.config.steps
-    left = TimeLeft(last, training.step)
+def _bar_text(values: dict[str, float]) -> str:
+    return f"training, {values['train_rms_mm']:.2f} mm rms"
 
-    def report(step: int, figures: dict[str, float]) -> None:
-        update(completed=step, description=f"training, {figures['train_rms_mm']:.2f} mm rms")
-        if "distance_mm" in figures:
-            console.print(
-                f"step {step} of {last}: {figures['distance_mm']:.2f} mm from the solver on poses not trained on "
-                f"(posed: {figures['posed_distance_mm']:.2f} mm); {left.at(step)} left"
-            )
 
-    return report
+def _validation_text(values: dict[str, float]) -> str:
+    if "distance_mm" not in values:
+        return ""
+    posed = f"(posed: {values['posed_distance_mm']:.2f} mm)"
+    return f"{values['distance_mm']:.2f} mm from the solver on poses not trained on {posed}"

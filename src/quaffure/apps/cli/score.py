@@ -25,7 +25,7 @@ from quaffure.hair.drape_sequence import DrapeSequence
 class ScoreCommand:
     """Measure drape files for the cases of `quaffure evaluate --write-cases`, next to the rows already draped."""
 
-    answers: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE...")]
+    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE...")]
     """Drape files (.npz), one a case."""
     name: str = "answer"
     """Name of the method."""
@@ -35,24 +35,24 @@ class ScoreCommand:
 
     def run(self) -> None:
         console.quiet = self.json
-        if not self.answers:
+        if not self.files:
             raise InputError("score", "at least one drape file", "none")
         weights = self.options.weights_by_row()
         rows = methods((*ROWS, *weights), weights)
         if self.name in [row.name for row in rows]:
             raise InputError("--name", "a name that no other row has", f"'{self.name}'")
         material = rows[0].draper.material
-        files = self._read(material)
+        drapes = self._read(material)
         evaluation_set, body = load_evaluation_set(), load_body()
         draper = self.options.case_draper(body)
 
         @cache
         def frames(case: EvaluationCase) -> list[TimedDrape]:
-            return answered_frames(*files[case.name], case, body)
+            return answered_frames(*drapes[case.name], case, body)
 
         by_name: dict[str, DrapeFrame] = {self.name: lambda case, frame: frames(case)[frame]}
         by_name |= {row.name: partial(draper.known, row) for row in rows}
-        entries = [entry for entry in evaluation_set.cases if entry.name in files]
+        entries = [entry for entry in evaluation_set.cases if entry.name in drapes]
         cases = load_cases(entries, evaluation_set, self.options.folders, body)
         compared = compare(cases, by_name, [row.name for row in rows if row.is_solver], body, material)
         about = {"evaluation_set": evaluation_set.version, "drapes_fetched": draper.fetched}
@@ -61,16 +61,16 @@ class ScoreCommand:
     def _read(self, material: HairMaterial) -> dict[str, tuple[Path, DrapeSequence]]:
         """File and drape by the name of the case."""
         evaluation_set = load_evaluation_set()
-        files: dict[str, tuple[Path, DrapeSequence]] = {}
-        for path in self.answers:
+        drapes: dict[str, tuple[Path, DrapeSequence]] = {}
+        for path in self.files:
             entry, sequence = read_answer(path, evaluation_set, material)
             missing = self.options.folders.missing(entry, evaluation_set)
             if missing is not None:
                 raise InputError(path, f"{missing}, which its case needs", "no such file")
-            if entry.name in files:
-                raise InputError(path, f"one drape of {entry.name}", f"another in {files[entry.name][0]}")
-            files[entry.name] = path, sequence
-        return files
+            if entry.name in drapes:
+                raise InputError(path, f"one drape of {entry.name}", f"another in {drapes[entry.name][0]}")
+            drapes[entry.name] = path, sequence
+        return drapes
 
     def _print(self, results: Results) -> None:
         if self.json:

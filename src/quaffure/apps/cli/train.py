@@ -1,12 +1,11 @@
 """`quaffure train`: train a network on given grooms, by physics alone."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import tyro
 
-from quaffure.apps.cli.console import TimeLeft, Update, console, progress_bar
+from quaffure.apps.cli.console import console, training_bar
 from quaffure.apps.cli.inputs import motion_of
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.body.body_model import BodyModel, load_body
@@ -69,8 +68,8 @@ class TrainCommand:
                     return
             elif started is not None:
                 training.start_from(started)
-            with progress_bar("training", config.steps, training.step, disable=not worker.is_first) as update:
-                train(training, prior_validation(), _report(training, update))
+            with training_bar(config.steps, training.step, _bar_text, _validation_text, worker.is_first) as report:
+                train(training, prior_validation(), report)
 
     def _check(self) -> None:
         """Refuse options that are wrong whatever the files hold."""
@@ -113,19 +112,12 @@ class TrainCommand:
         return network
 
 
-def _report(training: DecoderTraining, update: Update) -> Callable[[int, dict[str, float]], None]:
-    """Advances the bar at every step and prints a line at every validation, for logs without a terminal."""
-    last = training.config.steps
-    left = TimeLeft(last, training.step)
+def _bar_text(values: dict[str, float]) -> str:
+    return f"loss {values['loss']:.3f}, {values['samples_per_second']:.0f} samples/s"
 
-    def report(step: int, figures: dict[str, float]) -> None:
-        rate = figures["samples_per_second"]
-        update(completed=step, description=f"loss {figures['loss']:.3f}, {rate:.0f} samples/s")
-        if "energy" in figures:
-            inside, rotated = figures["body_intersection_percent"], figures["orientation_error_deg"]
-            console.print(
-                f"step {step} of {last}: energy {figures['energy']:.4f}, {inside:.2f} % inside the body, "
-                f"{rotated:.1f} deg from the posed groom; {left.at(step)} left"
-            )
 
-    return report
+def _validation_text(values: dict[str, float]) -> str:
+    if "energy" not in values:
+        return ""
+    inside, rotated = values["body_intersection_percent"], values["orientation_error_deg"]
+    return f"energy {values['energy']:.4f}, {inside:.2f} % inside the body, {rotated:.1f} deg from the posed groom"

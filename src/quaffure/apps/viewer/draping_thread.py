@@ -22,7 +22,7 @@ class DrapingThread:
         self._on_error = on_error
         self._jobs: dict[str, Job] = {}
         self._changed = threading.Condition()
-        self._busy = self._stopped = False
+        self._stopped = False
         self._thread = threading.Thread(target=self._run, name="quaffure-view", daemon=True)
         self._thread.start()
 
@@ -31,43 +31,30 @@ class DrapingThread:
         with self._changed:
             self._jobs.pop(kind, None)
             self._jobs[kind] = job
-            self._changed.notify_all()
-
-    def wait_until_idle(self, seconds: float) -> bool:
-        """Whether all requested jobs finish within this time."""
-        with self._changed:
-            return self._changed.wait_for(lambda: not self._jobs and not self._busy, seconds)
+            self._changed.notify()
 
     def stop(self, seconds: float = 10.0) -> None:
         """Drop the waiting jobs and end after the running one, but wait no longer than this for it."""
         with self._changed:
             self._stopped = True
             self._jobs.clear()
-            self._changed.notify_all()
+            self._changed.notify()
         self._thread.join(seconds)
 
     def _run(self) -> None:
         while (job := self._next()) is not None:
             try:
-                self._do(job)
-            finally:
-                with self._changed:
-                    self._busy = False
-                    self._changed.notify_all()
+                job()
+            except Exception as error:
+                self._report(error)
 
-    def _do(self, job: Job) -> None:
+    def _report(self, error: Exception) -> None:
         try:
-            job()
-        except Exception as error:
-            try:
-                self._on_error(error)
-            except Exception as another:
-                traceback.print_exception(another, file=sys.stderr)
+            self._on_error(error)
+        except Exception as another:
+            traceback.print_exception(another, file=sys.stderr)
 
     def _next(self) -> Job | None:
         with self._changed:
             self._changed.wait_for(lambda: self._jobs or self._stopped)
-            if self._stopped:
-                return None
-            self._busy = True
-            return self._jobs.pop(next(iter(self._jobs)))
+            return None if self._stopped else self._jobs.pop(next(iter(self._jobs)))

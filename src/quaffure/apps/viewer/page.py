@@ -135,15 +135,14 @@ class Page:
 
     def _connect_buttons(self) -> None:
         panel, session = self.panel, self.session
-        handlers = {
-            panel.play: lambda: self._play(not self._playback.playing),
-            panel.reset_pose: self._reset_pose,
-            panel.reset_shape: self._reset_shape,
-            panel.measure: lambda: session.ask(session.measure),
-            panel.save: lambda: session.ask(session.save),
-            panel.settle: self._settle,
-        }
-        for button, handle in handlers.items():
+        for button, handle in (
+            (panel.play, lambda: self._play(not self._playback.playing)),
+            (panel.reset_pose, self._reset_pose),
+            (panel.reset_shape, self._reset_shape),
+            (panel.measure, lambda: session.ask(session.measure)),
+            (panel.save, lambda: session.ask(session.save)),
+            (panel.settle, self._settle),
+        ):
             button.on_click(partial(self._run_and_report, handle))
         panel.view.on_click(lambda event: self._run_and_report(lambda: self._move_camera(event)))
 

@@ -9,7 +9,7 @@ import moderngl
 import numpy as np
 
 from quaffure.apps.render.camera import look_at
-from quaffure.apps.render.shaders import assign, build_program
+from quaffure.apps.render.shaders import Uniforms, assign, build_program
 
 BODY_MAP_SIZE, HAIR_MAP_SIZE = 1024, 512
 HEAD_OF_HAIR = 8.0
@@ -61,11 +61,16 @@ class KeyLight:
             strands, vertices: number of strands, and of vertices on each.
         """
         texel = 2.0 * self.radius / HAIR_MAP_SIZE
-        thickness = HAIR_EXTINCTION * HEAD_OF_HAIR / max(strands, FEWEST_ON_A_HEAD) / texel
+        uniforms: Uniforms = {
+            "clip_from_world": self.key_from_world,
+            "points": 0,
+            "strand_vertices": vertices,
+            "first_hair": self.FIRST_UNIT,
+            "key_depth_range": 2.0 * self.radius,
+            "thickness": HAIR_EXTINCTION * HEAD_OF_HAIR / max(strands, FEWEST_ON_A_HEAD) / texel,
+        }
         for lines in (self._first_lines, self._thickness_lines):
-            assign(lines.program, points=0, strand_vertices=vertices, clip_from_world=self.key_from_world)
-        uniforms = {"first_hair": self.FIRST_UNIT, "key_depth_range": 2.0 * self.radius, "thickness": thickness}
-        assign(self._thickness_lines.program, **uniforms)
+            assign(lines.program, **uniforms)
         assign(body.program, eye=self.eye, clip_from_world=self.key_from_world)
         self._gl.enable(moderngl.DEPTH_TEST)
         self._body_map.use()
@@ -92,14 +97,19 @@ class KeyLight:
         self._gl.disable(moderngl.BLEND)
         self._thickness.build_mipmaps()
 
-    def set_uniforms(self, program: moderngl.Program) -> None:
-        """Set the light and its maps in a program."""
+    def use(self) -> Uniforms:
+        """Bind the maps; returns the uniforms of the light."""
         self._body_depth.use(self.BODY_UNIT)
         self._first_hair.use(self.FIRST_UNIT)
         self._thickness.use(self.THICKNESS_UNIT)
-        assign(program, body_depth=self.BODY_UNIT, first_hair=self.FIRST_UNIT, hair_thickness=self.THICKNESS_UNIT)
-        assign(program, key_from_world=self.key_from_world, key_depth_range=2.0 * self.radius)
-        assign(program, key_direction=self.direction)
+        return {
+            "body_depth": self.BODY_UNIT,
+            "first_hair": self.FIRST_UNIT,
+            "hair_thickness": self.THICKNESS_UNIT,
+            "key_from_world": self.key_from_world,
+            "key_depth_range": 2.0 * self.radius,
+            "key_direction": self.direction,
+        }
 
 
 def _depth_texture(gl: moderngl.Context, size: int) -> moderngl.Texture:

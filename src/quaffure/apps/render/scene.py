@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from quaffure.apps.render.camera import Camera
 from quaffure.apps.render.framing import hair_box
 from quaffure.apps.render.key_light import KeyLight
-from quaffure.apps.render.shaders import assign, build_program
+from quaffure.apps.render.shaders import Uniforms, assign, build_program
 from quaffure.errors import InputError
 
 CHESTNUT = (0.15, 0.062, 0.025)
@@ -90,10 +90,12 @@ class StrandRenderer:
                 self._uploaded.pop().release()
             self._upload_strands(strands)
             self._upload_body(body_vertices, body_faces, strands[:, 0])
-            for program in (self._hair[COLOUR], self._body[COLOUR]):
-                assign(program, hair_colour=hair_colour, body_colour=CLAY)
-            self._light(camera, lowest.astype(np.float64), highest.astype(np.float64))
-            self._draw_picture(camera, 1.1 * float(reach))
+            lights = self._light(camera, lowest.astype(np.float64), highest.astype(np.float64))
+            # After the shadow maps, which are drawn by the camera of the key light.
+            uniforms = lights | self._camera_uniforms(camera, 1.1 * float(reach))
+            for program in (*self._hair, *self._body):
+                assign(program, hair_colour=hair_colour, body_colour=CLAY, **self._strand_uniforms, **uniforms)
+            self._draw_picture()
             return self._read_pixels()
 
     def _upload_strands(self, strands: np.ndarray) -> None:
@@ -101,13 +103,17 @@ class StrandRenderer:
         rows = -(-count * vertices // POINTS_PER_ROW)
         packed = np.zeros((rows * POINTS_PER_ROW, 3), dtype=np.float32)
         packed[: count * vertices] = strands.reshape(-1, 3)
-        self._points = self._gl.texture((POINTS_PER_ROW, rows), 3, packed, dtype="f4")
-        self._points.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        self._uploaded.append(self._points)
+        points = self._gl.texture((POINTS_PER_ROW, rows), 3, packed, dtype="f4")
+        points.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        points.use(0)
+        self._uploaded.append(points)
         self._strands, self._vertices, self._samples = count, vertices, (vertices - 1) * samples_of(strands) + 1
-        width = self.strand_width or width_of(count)
-        for program in self._hair:
-            assign(program, points=0, strand_vertices=vertices, samples=self._samples, strand_width=width)
+        self._strand_uniforms: Uniforms = {
+            "points": 0,
+            "strand_vertices": vertices,
+            "samples": self._samples,
+            "strand_width": self.strand_width or width_of(count),
+        }
 
     def _upload_body(self, vertices: np.ndarray, faces: np.ndarray, roots: np.ndarray) -> None:
         cover = hair_cover(vertices, roots)[:, None]
@@ -120,23 +126,21 @@ class StrandRenderer:
         ]
         self._uploaded += [buffer, indices, *self._body_arrays]
 
-    def _light(self, camera: Camera, lowest: np.ndarray, highest: np.ndarray) -> None:
-        """Place the lights with the camera: key at its upper left, fill right, rim behind."""
+    def _light(self, camera: Camera, lowest: np.ndarray, highest: np.ndarray) -> Uniforms:
+        """Place the lights with the camera, key at its upper left, fill right, rim behind, and draw the shadow maps."""
         world_from_camera = camera.camera_from_world[:3, :3].T
         key, fill, rim = (world_from_camera @ _unit(light) for light in (KEY_LIGHT, FILL_LIGHT, RIM_LIGHT))
         self._key.place(key, lowest - SHADOW_MARGIN, highest + SHADOW_MARGIN)
-        self._points.use(0)
         self._key.draw_maps(self._body_arrays[DEPTH], self._strands, self._vertices)
-        for program in (self._hair[COLOUR], self._body[COLOUR]):
-            self._key.set_uniforms(program)
-            assign(program, fill_direction=fill, rim_direction=rim)
+        return {**self._key.use(), "fill_direction": fill, "rim_direction": rim}
 
-    def _draw_picture(self, camera: Camera, reach: float) -> None:
-        target, eye = self._picture, np.array(camera.eye)
-        clip_from_world = camera.clip_from_world(self.width, self.height, reach)
+    def _camera_uniforms(self, camera: Camera, reach: float) -> Uniforms:
         angle = 2.0 * math.tan(0.5 * camera.field_of_view) / (self.supersampling * min(self.width, self.height))
-        for program in self._hair:
-            assign(program, sample_angle=LEAST_SAMPLES_ACROSS * angle)
+        clip_from_world = camera.clip_from_world(self.width, self.height, reach)
+        return {"eye": camera.eye, "clip_from_world": clip_from_world, "sample_angle": LEAST_SAMPLES_ACROSS * angle}
+
+    def _draw_picture(self) -> None:
+        target = self._picture
         target.use()
         target.depth_mask, target.color_mask = True, (True, True, True, True)
         target.clear()
@@ -145,15 +149,12 @@ class StrandRenderer:
         self._gl.enable(moderngl.DEPTH_TEST)
         # Dozens of strands cover a pixel. Depth comes first, so that only the nearest is shaded: several times faster.
         target.color_mask = False, False, False, False
-        self._draw_surfaces(DEPTH, eye, clip_from_world)
+        self._draw_surfaces(DEPTH)
         target.depth_mask, target.color_mask = False, (True, True, True, True)
         self._gl.depth_func = "<="
-        self._draw_surfaces(COLOUR, eye, clip_from_world)
+        self._draw_surfaces(COLOUR)
 
-    def _draw_surfaces(self, kind: int, eye: np.ndarray, clip_from_world: np.ndarray) -> None:
-        for program in (self._hair[kind], self._body[kind]):
-            assign(program, eye=eye, clip_from_world=clip_from_world)
-        self._points.use(0)
+    def _draw_surfaces(self, kind: int) -> None:
         self._body_arrays[kind].render(moderngl.TRIANGLES)
         self._hair_arrays[kind].render(moderngl.TRIANGLE_STRIP, vertices=2 * self._samples, instances=self._strands)
 

@@ -6,13 +6,16 @@ from importlib.resources import files
 import moderngl
 import numpy as np
 
+Value = int | float | tuple[float, ...] | np.ndarray
+Uniforms = dict[str, Value]
+
 
 def build_program(gl: moderngl.Context, vertex: str, fragment: str) -> moderngl.Program:
     """Compile `<vertex>_vertex.glsl` with `<fragment>_fragment.glsl`."""
     return gl.program(_source(f"{vertex}_vertex.glsl"), fragment_shader=_source(f"{fragment}_fragment.glsl"))
 
 
-def assign(program: moderngl.Program, **uniforms: int | float | tuple[float, ...] | np.ndarray) -> None:
+def assign(program: moderngl.Program, **uniforms: Value) -> None:
     """Set uniforms by name; matrices in rows, as numpy stores them."""
     for name, value in uniforms.items():
         if name in program:  # the compiler drops what a shader does not use

@@ -96,7 +96,7 @@ def test_controls_that_must_be_positive_exist() -> None:
 
 
 @pytest.mark.parametrize(
-    ("setting", "said"),
+    ("setting", "message"),
     [
         ("length", "expected control=value"),
         ("lenght=1", "expected one of the controls length, "),
@@ -117,11 +117,11 @@ def test_controls_that_must_be_positive_exist() -> None:
         ("ties.0.radius=0.01", "expected a part of this style"),
     ],
 )
-def test_bad_settings_are_named(setting: str, said: str) -> None:
+def test_bad_settings_are_named(setting: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         with_settings(HairStyle(), (setting,))
     assert str(caught.value).startswith(f"--set {setting}: ")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_bad_new_grooms(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -157,9 +157,9 @@ def test_import_registers_and_shows(
     out, picture = tmp_path / "theirs.npz", tmp_path / "theirs.png"
     files = [str(foreign / "a.npz"), str(foreign / "b.npz")]
     main(["groom", "import", *files, "--out", str(out), "--picture", str(picture), "--licence", "CC-BY 4.0"])
-    said = " ".join(capfd.readouterr().out.split())
-    assert "read in cm with +y up" in said
-    assert "mm from the scalp in the median" in said
+    message = " ".join(capfd.readouterr().out.split())
+    assert "read in cm with +y up" in message
+    assert "mm from the scalp in the median" in message
     groom = read_groom(out, body)
     assert (groom.name, groom.licence) == ("theirs", "CC-BY 4.0")
     assert len(groom) > 300

@@ -23,7 +23,7 @@ def three_small_styles(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contact_sheet, "SUPERSAMPLING", 1)
 
 
-def test_the_sheet_is_written_beside_the_list(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_sheet_is_written_next_to_the_list(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "grooms.png"
     main(["grooms", "--json", "--out", str(out)])
     rows = json.loads(capfd.readouterr().out)

@@ -199,7 +199,7 @@ def test_frame_holds_hair_and_head() -> None:
     assert extent < 0.3
 
 
-def test_machine_without_opengl_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_machine_without_opengl_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     def no_library(**options: object) -> None:
         raise Exception("libEGL.so.1 not loaded\ndetails")
 

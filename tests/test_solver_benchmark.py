@@ -72,7 +72,7 @@ def test_a_part_of_a_run_is_extrapolated_and_the_best_has_no_excess() -> None:
     assert whole.excess_energy == part.excess_energy == 0
 
 
-def test_mistakes_are_told_in_one_line_before_the_work(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_are_printed_in_one_line_before_the_work(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "bench.json")
     assert "'magic'" in refused(capfd, "--out", out, "--solver", "magic")
     assert "'magic'" in refused(capfd, "--out", out, "--solver", "magic", "--quick")

@@ -162,7 +162,7 @@ def test_a_stage_drapes_as_the_model_does(state: ViewState, model: Quaffure) -> 
     assert drape.sequence.meta["frame"] == 20
 
 
-def test_posed_hair_has_no_network_and_its_own_figures(state: ViewState, catalogue: Catalogue) -> None:
+def test_posed_hair_has_no_network_and_its_own_metrics(state: ViewState, catalogue: Catalogue) -> None:
     drape = replace(state, draper=catalogue.draper("posed")).drape()
     assert drape.network_milliseconds is None
     draped, posed = drape.metrics()
@@ -227,13 +227,13 @@ def test_the_draping_thread_forgets_what_is_stale_and_survives_errors() -> None:
     thread.stop()
 
 
-def test_the_draping_thread_survives_an_error_that_cannot_be_told(capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_draping_thread_survives_an_error_that_cannot_be_reported(capfd: pytest.CaptureFixture[str]) -> None:
     done: list[str] = []
 
-    def untold(error: Exception) -> None:
+    def failing_report(error: Exception) -> None:
         raise ConnectionError("no browser")
 
-    thread = DrapingThread(untold)
+    thread = DrapingThread(failing_report)
     thread.request("broken", lambda: [][1])
     assert finishes(thread)
     thread.request("after", lambda: done.append("after"))
@@ -348,9 +348,9 @@ def test_bad_input_is_refused_before_a_page_is_served(
     with pytest.raises(SystemExit) as stop:
         main(["view", *arguments])
     assert stop.value.code == 2
-    said = capfd.readouterr().err
-    assert complaint in said
-    assert said.count("\n") == 1
+    message = capfd.readouterr().err
+    assert complaint in message
+    assert message.count("\n") == 1
 
 
 def test_a_port_that_is_taken_is_refused() -> None:
@@ -565,7 +565,9 @@ def test_play_moves_the_frame_and_pause_stops_it(browser: Browser, page: Page, c
     assert settled(page).frame == frame
 
 
-def test_an_error_is_told_and_the_page_goes_on(browser: Browser, page: Page, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_error_is_shown_and_the_page_goes_on(
+    browser: Browser, page: Page, capfd: pytest.CaptureFixture[str]
+) -> None:
     page.session.ask_edit("frame", lambda state: replace(state, frame=-1))
     browser.tab.get_by_text("frame: expected 0 to").wait_for()
     page.session.ask_edit("frame", lambda state: [][1])

@@ -248,7 +248,7 @@ def test_answers_from_elsewhere_are_scored_like_our_own(
     assert "roots within 1 mm" in refused("score", answer("millimetres", strands=1000 * strands))
     assert "the body_pose of the case" in refused("score", answer("turned", body_pose=arrays["body_pose"] + 0.1))
     assert "hair of" in refused("score", answer("soft", meta={"material": {}}))
-    assert "one answer to tiny-bow-a" in refused("score", path, answer("twice"))
+    assert "one drape of tiny-bow-a" in refused("score", path, answer("twice"))
     assert "no such file" in refused("score", tmp_path / "none.npz")
     assert "--name" in refused("score", path, "--name", "xpbd")
     assert "13_26.bvh" in refused("score", answer("far", meta={"case": "tiny-13_26-a"}))

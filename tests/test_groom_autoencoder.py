@@ -250,7 +250,12 @@ def test_the_command_grows_trains_and_measures(
 ) -> None:
     trained = ["bob", "afro"]
     few = {name: STYLES[name] for name in (*trained, HELD_OUT[0])}
-    for name, value in {"STYLES": few, "TRAINED": trained, "ANEW": range(50, 51), "UNSEEN_DRAWS": range(1)}.items():
+    for name, value in {
+        "STYLES": few,
+        "TRAINED": trained,
+        "NEW_SEEDS": range(50, 51),
+        "UNSEEN_SAMPLES": range(1),
+    }.items():
         monkeypatch.setattr(train_code, name, value)
     write_groom(tmp_path / "own.npz", replace(grooms["afro"], name="bob"))
     own, run = str(tmp_path / "own.npz"), str(tmp_path / "run")

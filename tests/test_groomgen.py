@@ -382,7 +382,7 @@ def test_from_drapes_to_an_evaluation(
     main(["train-groomgen", str(data), "--out", str(run), "--steps", "2", *OPTIONS])
     main(["train-groomgen", str(data), "--out", str(run), "--steps", "4", *OPTIONS])
     printed = capfd.readouterr().out
-    assert "carrying on from step 2" in printed
+    assert "resuming from step 2" in printed
     assert "step 4 of 4" in printed
     weights = run / "best.safetensors"
     draped = tmp_path / "draped.npz"

@@ -50,7 +50,7 @@ def test_benchmark_writes_prints_and_plots(tmp_path: Path, capfd: pytest.Capture
 
 
 def test_a_table_without_a_plot_where_matplotlib_is_missing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    with mock.patch("quaffure.apps.cli.benchmark_file.importlib.util.find_spec", return_value=None):
+    with mock.patch("quaffure.apps.cli.benchmark.importlib.util.find_spec", return_value=None):
         bench(tmp_path / "bench.json", "--solver", "posed", "--frames", "3:5", "--motion", "nod")
     printed = capfd.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["bench.json"]
@@ -71,7 +71,7 @@ def test_a_part_of_a_run_is_extrapolated_and_the_best_has_no_excess() -> None:
     assert whole.excess_energy == part.excess_energy == 0
 
 
-def test_mistakes_are_told_in_one_line_before_the_work(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_are_printed_in_one_line_before_the_work(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "bench.json")
     assert "'magic'" in refused(capfd, "--out", out, "--solver", "magic")
     assert "'magic'" in refused(capfd, "--out", out, "--solver", "magic", "--quick")

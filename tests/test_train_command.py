@@ -70,7 +70,7 @@ def test_a_run_from_the_shipped_weights_takes_their_network(
     assert "the options of their network" in capsys.readouterr().err
 
 
-def test_the_command_trains_on_a_body_of_ones_own(
+def test_the_command_trains_on_another_body(
     tiny_groom_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with np.load(str(files("quaffure") / "assets" / "body.npz"), allow_pickle=False) as shipped:
@@ -113,9 +113,9 @@ def test_what_cannot_be_trained_is_refused_in_one_line(
     with pytest.raises(SystemExit) as stop:
         main(["train", "--out", str(tmp_path / "run"), "--steps", "1", *TINY_OPTIONS, *options])
     assert stop.value.code == 2
-    told = capsys.readouterr().err
-    assert complaint in told
-    assert told.count("\n") == 1
+    errors = capsys.readouterr().err
+    assert complaint in errors
+    assert errors.count("\n") == 1
 
 
 def test_a_held_out_groom_under_another_name_is_refused(

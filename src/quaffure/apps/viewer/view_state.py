@@ -1,4 +1,4 @@
-"""What the live page shows, as plain state that can be draped without a browser."""
+"""State of the live page, as plain data that can be draped without a browser."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -22,18 +22,18 @@ from quaffure.model.neural import NeuralDraper
 from quaffure.types import BodyPose, Bool, Float
 
 Degrees = tuple[float, float, float]
-NO_TURN: Degrees = (0.0, 0.0, 0.0)
+NO_ROTATION: Degrees = (0.0, 0.0, 0.0)
 MEAN_SHAPE = (0.0,) * SHAPE_COUNT
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
-    """A groom on a body in one frame of a clip, and what settles it there.
+class ViewState:
+    """A groom on a body in one frame of a clip, and the draper for it.
 
     Attributes:
         motion: the clip.
-        frame: of the clip.
-        joint_turns: rotation vectors about the axes of the rest pose, by joint, on top of the clip's pose [degrees].
+        frame: index in the clip.
+        joint_rotations: rotation vectors about the axes of the rest pose, by joint, applied after the clip [degrees].
         body_shape: beta [standard deviations].
 
     Raises:
@@ -45,7 +45,7 @@ class Stage:
     motion: Motion
     draper: Draper
     frame: int = 0
-    joint_turns: Mapping[str, Degrees] = field(default_factory=dict)
+    joint_rotations: Mapping[str, Degrees] = field(default_factory=dict)
     body_shape: tuple[float, ...] = MEAN_SHAPE
 
     def __post_init__(self) -> None:
@@ -53,41 +53,41 @@ class Stage:
             raise InputError("frame", f"0 to {len(self.motion) - 1} of {self.motion.name}", f"{self.frame}")
         if len(self.body_shape) != SHAPE_COUNT:
             raise InputError("body shape", f"{SHAPE_COUNT} coefficients", f"{len(self.body_shape)}")
-        for joint in self.joint_turns:
+        for joint in self.joint_rotations:
             if joint not in self.body.joint_names:
                 raise InputError("joint", f"one of {', '.join(self.body.joint_names)}", f"'{joint}'")
 
-    def at(self, frame: int) -> "Stage":
-        """Another frame; clips go round."""
+    def at(self, frame: int) -> "ViewState":
+        """The state with another frame; clips repeat."""
         return replace(self, frame=frame % len(self.motion))
 
-    def playing(self, motion: Motion) -> "Stage":
-        """Another clip, from its start."""
+    def playing(self, motion: Motion) -> "ViewState":
+        """The state with another clip, from its start."""
         return replace(self, motion=motion, frame=0)
 
-    def turned(self, joint: str, degrees: Degrees) -> "Stage":
-        """Another turn of one joint."""
-        return replace(self, joint_turns={**self.joint_turns, joint: degrees})
+    def rotated(self, joint: str, degrees: Degrees) -> "ViewState":
+        """The state with another rotation of one joint."""
+        return replace(self, joint_rotations={**self.joint_rotations, joint: degrees})
 
-    def shaped(self, index: int, coefficient: float) -> "Stage":
-        """Another value of one shape coefficient."""
+    def shaped(self, index: int, coefficient: float) -> "ViewState":
+        """The state with another value of one shape coefficient."""
         shape = (*self.body_shape[:index], coefficient, *self.body_shape[index + 1 :])
         return replace(self, body_shape=shape)
 
     def body_pose(self) -> BodyPose:
-        """Theta of the frame with the turns on top, [1, 81] [rad]."""
+        """Theta of the frame with the joint rotations, [1, 81] [rad]."""
         clip_pose = self.motion.body_pose[self.frame][None]
         body_pose, rotations = clip_pose.clone(), joint_matrices(clip_pose)
-        for joint, degrees in self.joint_turns.items():
-            if degrees != NO_TURN:
+        for joint, degrees in self.joint_rotations.items():
+            if degrees != NO_ROTATION:
                 index = self.body.joint_names.index(joint)
-                turn = matrix_from_axis_angle(torch.tensor(degrees, dtype=rotations.dtype) * (math.pi / 180))
-                rotations[:, index] = turn @ rotations[:, index]
+                rotation = matrix_from_axis_angle(torch.tensor(degrees, dtype=rotations.dtype) * (math.pi / 180))
+                rotations[:, index] = rotation @ rotations[:, index]
                 body_pose[:, 3 * index : 3 * index + 3] = pose_from_matrices(rotations)[:, 3 * index : 3 * index + 3]
         return body_pose
 
     def drape(self) -> "Drape":
-        """The hair at rest on this stage. Takes as long as the draper takes."""
+        """Drape the groom. Takes as long as the draper takes."""
         pose = Motion(self.body_pose(), self.motion.fps, self.motion.name)
         with network_clock(self.draper) as network_times:
             sequence = drape_motion(self.draper, self.groom, self.body, pose, torch.tensor(self.body_shape))
@@ -97,14 +97,14 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class Drape:
-    """What came of a stage.
+    """A drape of a state.
 
     Attributes:
-        sequence: one frame, as files and measurements take it.
+        sequence: of one frame, for files and metrics.
         network_milliseconds: wall time of the network alone, None for drapers without one.
     """
 
-    stage: Stage
+    state: ViewState
     sequence: DrapeSequence
     network_milliseconds: float | None
 
@@ -123,21 +123,21 @@ class Drape:
         """Wall time from pose in to strands out."""
         return float(self.sequence.meta["milliseconds"])
 
-    def figures(self) -> tuple[dict[str, float], dict[str, float]]:
-        """Figures of merit by name, of the drape and of the groom as it was merely posed."""
-        draped, posed = measure(self.sequence, self.stage.groom, self.stage.body)
-        return _of_one_frame(draped), _of_one_frame(posed)
+    def metrics(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Metrics by name, of the drape and of the posed groom."""
+        draped, posed = measure(self.sequence, self.state.groom, self.state.body)
+        return _first_frame(draped), _first_frame(posed)
 
     def inside(self, strands: Float[np.ndarray, "m n 3"]) -> Bool[np.ndarray, "m n"]:
         """Which vertices of these strands are inside the body; roots, which lie on the skin, are not."""
-        surface = bodies_of(self.sequence, self.stage.body).surface
+        surface = bodies_of(self.sequence, self.state.body).surface
         points = torch.from_numpy(strands[:, 1:].reshape(1, -1, 3))
         below = (signed_distance(points, surface) < 0).numpy().reshape(len(strands), -1)
         return np.pad(below, ((0, 0), (1, 0)))
 
 
-def _of_one_frame(figures: Mapping[str, torch.Tensor]) -> dict[str, float]:
-    return {name: float(figure[0]) for name, figure in figures.items()}
+def _first_frame(metrics: Mapping[str, torch.Tensor]) -> dict[str, float]:
+    return {name: float(values[0]) for name, values in metrics.items()}
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from quaffure.scene import Scene
 from quaffure.solvers.by_name import SOLVERS, solver
 from quaffure.solvers.refined import RefinedDraper
 from quaffure.training.pose_sampler import LARGEST_COEFFICIENT
-from quaffure.types import Positions
+from quaffure.types import Float, Positions, Tensor
 
 NEURAL, GROOMGEN = "neural", GroomGenDraper.name
 

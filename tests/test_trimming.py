@@ -10,12 +10,12 @@ from quaffure.procedural.hair_style import Clipping, Fringe, HairStyle
 from quaffure.procedural.trimming import (
     SHORTEST,
     clipped_share,
-    trim_above,
-    trim_below,
-    trim_heights,
-    trim_around_ears,
     in_fringe,
     strand_lengths,
+    trim_above,
+    trim_around_ears,
+    trim_below,
+    trim_heights,
 )
 
 PLAIN = HairStyle(length=0.2, length_variation=0.0)

@@ -9,7 +9,7 @@ guides. Where guides part in a drape, round a shoulder, strands between them lea
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 import torch
@@ -79,11 +79,8 @@ class GuideInterpolation:
             out = np.empty((len(self), self.vertex_count, 3), np.float32)
         axes, finer = np.empty_like(guides), np.empty_like(guides)
         _split(np.ascontiguousarray(guides), axis_projection(self.vertex_count), axes, finer)
-        vertices = np.ascontiguousarray(body_vertices)
-        _mix(
-            axes, finer, self.guides, self.weights, self.guide_lengths, vertices, self.carriers, self.root_weights,
-            first_told(self.vertex_count), out,
-        )  # fmt: skip
+        mixture = _Mixture(self.guides, self.weights, self.guide_lengths, self.carriers, self.root_weights)
+        _mix(axes, finer, mixture, np.ascontiguousarray(body_vertices), first_told(self.vertex_count), out)
         return out
 
 
@@ -219,20 +216,22 @@ def _split(guides: np.ndarray, projection: np.ndarray, axes: np.ndarray, finer: 
                 finer[strand, vertex, axis] = guides[strand, vertex, axis] - guides[strand, 0, axis] - total
 
 
+class _Mixture(NamedTuple):
+    """Fields of `GuideInterpolation`, as the kernel reads them."""
+
+    guides: np.ndarray
+    weights: np.ndarray
+    lengths: np.ndarray
+    carriers: np.ndarray
+    root_weights: np.ndarray
+
+
 @no_type_check
 @njit(cache=True, parallel=True, fastmath=True)
 def _mix(
-    axes: np.ndarray,
-    finer: np.ndarray,
-    guides: np.ndarray,
-    weights: np.ndarray,
-    lengths: np.ndarray,
-    body_vertices: np.ndarray,
-    carriers: np.ndarray,
-    root_weights: np.ndarray,
-    first: int,
-    strands: np.ndarray,
+    axes: np.ndarray, finer: np.ndarray, mixture: _Mixture, body_vertices: np.ndarray, first: int, strands: np.ndarray
 ) -> None:
+    guides, weights, lengths, carriers, root_weights = mixture
     count = strands.shape[1]
     for strand in prange(len(strands)):
         a, b, c = guides[strand]

@@ -256,7 +256,7 @@ def test_bad_input_is_named(body: BodyModel, parted: Groom) -> None:
         with pytest.raises(InputError, match=f"strands: expected 1 to 1000000, found {count}"):
             interpolation_of(parted, body, count)
     for few in (torch.arange(2), torch.arange(4)):  # the first four roots lie in one row
-        with pytest.raises(InputError, match="grown: expected three guides or more, not on a line"):
+        with pytest.raises(InputError, match="sample: expected three guides or more, not on a line"):
             interpolation_of(parted.select(few), body, 10)
     interpolation = interpolation_of(parted, body, 10)
     with pytest.raises(InputError, match=r"guides: expected .* found \(9, 24, 3\)"):

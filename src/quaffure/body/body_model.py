@@ -47,7 +47,7 @@ class PosedBody:
     Attributes:
         vertices: surface vertices [m].
         joint_rotations: `world_from_joint`; the identity in the rest pose, whatever the bone's direction.
-        joint_positions: where each joint is [m].
+        joint_positions: [m].
     """
 
     vertices: Float[Tensor, "b v 3"]
@@ -60,8 +60,8 @@ class BodyModel:
     """A family of bodies: rest surface and skeleton, linear in the shape, skinned to 27 joints.
 
     At rest the body stands in an A pose on the ground z = 0 (mean shape), facing -y, its left on +x. Poses are
-    axis-angles in world-aligned rest frames: joint j turns by R_j relative to its parent, `G_j = G_parent R_j`,
-    about its own rest position J_j; the root Hips stays at its rest place. There is no global translation.
+    axis-angles in world-aligned rest frames: joint j rotates by R_j relative to its parent, `G_j = G_parent R_j`,
+    about its own rest position J_j; the root Hips stays at its rest position. There is no global translation.
 
     Attributes:
         rest_vertices: surface of the mean shape [m].
@@ -72,7 +72,7 @@ class BodyModel:
         skin_joints, skin_weights: joints that move each vertex, and their shares, which sum to 1.
         faces: triangles of the closed surface, normals outwards.
         ear_vertices: the vertices of both ears.
-        scalp: where hair grows.
+        scalp: the part of the surface with hair.
         meta: source, licence, seed and units, as JSON.
     """
 
@@ -211,7 +211,7 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def _check_size(archive: zipfile.ZipFile, name: str, path: Path) -> None:
-    """Hold an array's header to the bytes that are there, before anything of that size is allocated."""
+    """Compare an array's header with the stored bytes before anything of that size is allocated."""
     member = archive.getinfo(f"{name}.npy")
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)

@@ -11,7 +11,7 @@ from quaffure.benchmark.fingerprint import fingerprint
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import made_folder, replacing
-from quaffure.io.npz_strands import read_npz
+from quaffure.npz_file import read_npz
 from quaffure.types import Float, Tensor
 
 SAME_GROOM = 1e-5

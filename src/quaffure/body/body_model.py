@@ -1,7 +1,5 @@
 """The body: ten shape coefficients and 27 joint rotations to a posed surface, by linear blend skinning."""
 
-import math
-import zipfile
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from importlib.resources import files
@@ -17,6 +15,7 @@ from quaffure.body.scalp import ScalpChart
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
 from quaffure.geometry.surface import SurfaceTopology, surface_topology
+from quaffure.npz_file import read_complete_npz
 from quaffure.types import BodyPose, BodyShape, MeshFaces
 
 JOINT_COUNT, SHAPE_COUNT = 27, 10
@@ -165,7 +164,7 @@ def load_body(path: Path | None = None) -> BodyModel:
     """
     if path is None:
         path = Path(str(files("quaffure") / "assets" / "body.npz"))
-    arrays = _read_arrays(path)
+    arrays = read_complete_npz(path, FILE_ARRAYS, "body file (.npz)")
     _check_contents(arrays, path)
     scales = arrays["shape_direction_scales"][:, None, None]
     return BodyModel(
@@ -190,37 +189,6 @@ def load_body(path: Path | None = None) -> BodyModel:
 def shipped_body() -> BodyModel:
     """The body that the package ships, loaded once."""
     return load_body()
-
-
-def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            missing = sorted(set(FILE_ARRAYS) - {name.removesuffix(".npy") for name in archive.namelist()})
-            if missing:
-                raise InputError(path, "a body file", f"no array {', '.join(missing)}")
-            for name in FILE_ARRAYS:
-                _check_size(archive, name, path)
-        with np.load(path, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in FILE_ARRAYS}
-    except FileNotFoundError as error:
-        raise InputError(path, "a body file (.npz)", "no such file") from error
-    except InputError:
-        raise
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(path, "a body file (.npz)", str(error) or type(error).__name__) from error
-
-
-def _check_size(archive: zipfile.ZipFile, name: str, path: Path) -> None:
-    """Compare an array's header with the stored bytes before anything of that size is allocated."""
-    member = archive.getinfo(f"{name}.npy")
-    with archive.open(member) as stream:
-        version = np.lib.format.read_magic(stream)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read_header(stream)
-        header = stream.tell()
-    expected, stored = math.prod(shape) * dtype.itemsize, member.file_size - header
-    if member.compress_type != zipfile.ZIP_STORED or expected != stored:
-        raise InputError(path, f"{name} uncompressed, {expected} bytes by its header", f"{stored} bytes, or compressed")
 
 
 def _check_contents(arrays: dict[str, np.ndarray], path: Path) -> None:

@@ -26,7 +26,7 @@ from quaffure.body.retargeting import (
 )
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
-from quaffure.io.npz_strands import read_npz
+from quaffure.npz_file import read_npz
 
 # SMPL's body joints, in the order of `poses`, and each one's parent.
 SMPL_JOINTS = (

@@ -1,10 +1,6 @@
 """The drape file: a `DrapeSequence` as one `.npz`, readable without this package."""
 
 import json
-import math
-import struct
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +10,7 @@ import numpy as np
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.io.atomic import replacing
+from quaffure.npz_file import read_complete_npz
 
 # F frames, S strands, N vertices of a strand, E = N - 1, V body vertices, K body faces.
 SHAPES = {
@@ -26,8 +23,6 @@ SHAPES = {
     "body_shape": (10,),
     "fps": (),
 }
-# Deflate never packs tighter than this; a member that claims more is a forged header.
-LARGEST_COMPRESSION = 1032
 
 
 def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] | None = None) -> None:
@@ -53,17 +48,7 @@ def read_drape(path: Path) -> DrapeSequence:
     Raises:
         InputError: no such file, not a drape file, or a broken one.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            missing = [name for name in (*SHAPES, "meta") if name not in names]
-            if missing:
-                raise InputError(path, f"the arrays {', '.join((*SHAPES, 'meta'))}", f"no {', '.join(missing)}")
-            found = {name: _read_member(archive, names[name], path) for name in (*SHAPES, "meta")}
-    except FileNotFoundError as error:
-        raise InputError(path, "a drape file (.npz)", "no such file") from error
-    except (OSError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
-        raise InputError(path, "a drape file (.npz)", f"no readable archive ({error})") from error
+    found = read_complete_npz(path, (*SHAPES, "meta"), "drape file (.npz)")
     meta = _parse_meta(found.pop("meta"), path)
     arrays = {name: _numbers(array, name, path) for name, array in found.items()}
     _check_contract(arrays, path)
@@ -73,25 +58,6 @@ def read_drape(path: Path) -> DrapeSequence:
 
 def _dtype(name: str) -> np.dtype:
     return np.dtype({"body_faces": "i4", "fps": "f8"}.get(name, "f4"))
-
-
-def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> np.ndarray:
-    if info.file_size > LARGEST_COMPRESSION * max(info.compress_size, 1):
-        raise InputError(path, f"an honest size of {info.filename}", f"{info.file_size} bytes in {info.compress_size}")
-    try:
-        with archive.open(info) as member:
-            version = np.lib.format.read_magic(member)
-            read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-            if version not in read_header:
-                raise ValueError(f"version {version} of the npy format")
-            shape, _, dtype = read_header[version](member)
-            size = math.prod(shape) * dtype.itemsize
-        if size >= info.file_size:
-            raise ValueError(f"shape {shape} in {info.file_size} bytes")
-        with archive.open(info) as member:
-            return np.lib.format.read_array(member, allow_pickle=False)
-    except (ValueError, TypeError, SyntaxError, struct.error) as error:
-        raise InputError(path, f"a plain array {info.filename}", str(error)) from error
 
 
 def _numbers(array: np.ndarray, name: str, path: Path) -> np.ndarray:

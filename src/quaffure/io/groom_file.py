@@ -1,6 +1,5 @@
 """The groom file: a registered `Groom` as one `.npz`, readable without this package."""
 
-import math
 import zipfile
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import replacing
+from quaffure.npz_file import read_complete_npz
 
 NUMBERS: dict[str, tuple[tuple[str | int, ...], str]] = {
     "rest_strands": (("S", "N", 3), "f"),
@@ -19,7 +19,6 @@ NUMBERS: dict[str, tuple[tuple[str | int, ...], str]] = {
     "root_uv": (("S", 2), "f"),
 }
 TEXTS = ("name", "licence")
-LARGEST_COMPRESSION = 1032  # deflate never packs tighter; a member that claims more is forged
 ROOT_SLACK = 2e-3  # m: between a strand's first vertex and its place on the scalp
 LONGEST_STRAND = 3.0  # m
 BARYCENTRIC_SLACK = 1e-3
@@ -54,37 +53,11 @@ def read_groom(path: Path, body: BodyModel) -> Groom:
     Raises:
         InputError: no such file, not a groom file, a broken one, or one for another body.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            missing = [name for name in (*NUMBERS, *TEXTS) if f"{name}.npy" not in archive.namelist()]
-            if missing:
-                raise InputError(path, f"the arrays {', '.join((*NUMBERS, *TEXTS))}", f"no {', '.join(missing)}")
-            arrays = {name: _read_member(archive, name, path) for name in (*NUMBERS, *TEXTS)}
-    except FileNotFoundError as error:
-        raise InputError(path, "a groom file (.npz)", "no such file") from error
-    except InputError:
-        raise
-    # On damaged bytes zipfile, zlib and numpy's header parser raise many unrelated types between them.
-    except Exception as error:
-        raise InputError(path, "an undamaged groom file (.npz)", str(error) or type(error).__name__) from error
+    arrays = read_complete_npz(path, (*NUMBERS, *TEXTS), "groom file (.npz)")
     _check_arrays(arrays, path, body)
     tensors = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in NUMBERS if name != "root_faces"}
     faces = torch.from_numpy(arrays["root_faces"].astype(np.int64))
     return Groom(name=str(arrays["name"]), licence=str(arrays["licence"]), root_faces=faces, **tensors)
-
-
-def _read_member(archive: zipfile.ZipFile, name: str, path: Path) -> np.ndarray:
-    info = archive.getinfo(f"{name}.npy")
-    with archive.open(info) as member:
-        version = np.lib.format.read_magic(member)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read(member)
-        size = member.tell() + math.prod(shape) * dtype.itemsize
-    forged = info.file_size > LARGEST_COMPRESSION * max(info.compress_size, 1)
-    if dtype.hasobject or size != info.file_size or forged:
-        raise InputError(path, f"an array {name} of its header's size", f"{shape} {dtype} in {info.file_size} bytes")
-    with archive.open(info) as member:
-        return np.lib.format.read_array(member, allow_pickle=False)
 
 
 def _check_arrays(arrays: dict[str, np.ndarray], path: Path, body: BodyModel) -> None:

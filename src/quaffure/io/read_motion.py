@@ -12,7 +12,7 @@ from quaffure.body.retargeting import retarget_bvh
 from quaffure.errors import InputError
 from quaffure.io.amass import read_amass
 from quaffure.io.bvh import read_bvh
-from quaffure.io.npz_strands import read_npz
+from quaffure.npz_file import read_npz
 
 
 def read_motion(path: Path, body: BodyModel) -> Motion:

@@ -19,9 +19,9 @@ from quaffure.errors import InputError
 from quaffure.geometry.surface import Surface
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import replacing
-from quaffure.io.npz_strands import read_npz
 from quaffure.model import groom_texture
 from quaffure.model.groom_texture import TEXTURE_CHANNELS, GroomSample, sample_of
+from quaffure.npz_file import read_npz
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import STYLES, HairStyle
 from quaffure.procedural.style_family import sample_style

@@ -27,7 +27,7 @@ from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import made_folder, replacing
 from quaffure.io.groom_file import read_groom, write_groom
-from quaffure.io.npz_strands import read_npz
+from quaffure.npz_file import read_npz
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training.run_folder import body_digest, code_version
 from quaffure.types import BodyPose, Float, Tensor

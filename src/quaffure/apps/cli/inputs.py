@@ -10,8 +10,8 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.clips import CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion, resample
 from quaffure.errors import InputError
-from quaffure.io.npz_strands import read_npz
 from quaffure.io.read_motion import read_motion
+from quaffure.npz_file import read_npz
 from quaffure.training.pose_sampler import FPS
 from quaffure.types import Float, Tensor
 

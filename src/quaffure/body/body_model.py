@@ -150,7 +150,7 @@ class BodyModel:
     def dense_skin_weights(self) -> Float[Tensor, "v 27"]:
         """Share of every joint in every vertex.
 
-        One product of matrices blends all vertices faster than gathering each one's joints.
+        One matrix product blends all vertices faster than indexing the joints of each.
         """
         dense = self.skin_weights.new_zeros(len(self.skin_weights), JOINT_COUNT)
         return dense.scatter_add_(1, self.skin_joints, self.skin_weights)

@@ -23,7 +23,7 @@ FLIP_SECONDS = 0.1
 FLIP_RETURN_SHARE = 0.3
 # Nine hours at 30 fps: beyond it, a file's frame time is a mistake and not a motion.
 MAX_FRAMES = 1_000_000
-LARGEST_ANGLE = 100.0  # rad; continuous angles pass 2 pi, sixteen turns are a mistake
+LARGEST_ANGLE = 100.0  # rad; continuous angles pass 2 pi, 16 revolutions are a mistake
 
 _FRAMES = re.compile(r"(\d*):(\d*)(?::(\d+))?|(?P<one>\d+)")
 
@@ -90,15 +90,15 @@ def joint_matrices(body_pose: Float[Tensor, "f 81"]) -> Float[Tensor, "f 27 3 3"
 def pose_from_matrices(rotations: Float[Tensor, "f *batch 27 3 3"]) -> Float[Tensor, "f *batch 81"]:
     """Axis-angles [rad] of joint rotations, each continuous from frame to frame (the first axis).
 
-    Two vectors of at most a full turn represent the same rotation; each frame takes the one nearer to the previous
-    frame, so that a joint that passes half a turn does not jump to the opposite vector.
+    Two vectors of length up to 2 pi represent the same rotation; each frame takes the one nearer to the previous
+    frame, so that a joint that passes pi does not jump to the opposite vector.
     """
     short = axis_angle_from_matrix(rotations)
     angle = short.norm(dim=-1, keepdim=True)
-    # Below 1e-6 rad the axis is rounding, and a full turn about it would be anything.
+    # Below 1e-6 rad the axis is rounding, and 2 pi minus it would be arbitrary.
     long = torch.where(angle > 1e-6, short * (1 - 2 * torch.pi / angle.clamp(min=1e-6)), short)
     leaves = (long[1:] - short[:-1]).norm(dim=-1) < (short[1:] - short[:-1]).norm(dim=-1)
-    # Few joints pass half a turn; only these need the sequential loop over the frames.
+    # Few joints pass pi; only these need the sequential loop over the frames.
     passing = leaves.any(dim=0)
     short[:, passing] = _continuous(short[:, passing], long[:, passing])
     return short.flatten(-2).float()
@@ -128,10 +128,10 @@ def resample(motion: Motion, fps: float) -> Motion:
     intervals = motion.seconds * fps + 1e-3
     if not intervals < MAX_FRAMES:
         raise InputError(motion.name, f"at most {MAX_FRAMES} frames at {fps:g} fps", f"{intervals:.0f}")
-    place = (torch.arange(int(intervals) + 1, dtype=torch.float64) * (motion.fps / fps)).clamp(max=len(motion) - 1)
-    before = place.long().clamp(max=len(motion) - 2)
+    position = (torch.arange(int(intervals) + 1, dtype=torch.float64) * (motion.fps / fps)).clamp(max=len(motion) - 1)
+    before = position.long().clamp(max=len(motion) - 2)
     rotations = joint_matrices(motion.body_pose)
-    share = (place - before)[:, None].expand(-1, 27)
+    share = (position - before)[:, None].expand(-1, 27)
     between = interpolate_rotations(rotations[before], rotations[before + 1], share)
     return Motion(pose_from_matrices(between), fps, motion.name)
 

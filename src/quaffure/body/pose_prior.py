@@ -76,11 +76,11 @@ class PosePrior:
     def _quantile(self, score: Float[Tensor, "*b 81"]) -> Float[Tensor, "*b 81"]:
         """Linear interpolation in each column's table."""
         spacing = self.scores[1] - self.scores[0]
-        place = ((score - self.scores[0]) / spacing).clamp(0, len(self.scores) - 1)
-        below = place.long().clamp(max=len(self.scores) - 2)
+        position = ((score - self.scores[0]) / spacing).clamp(0, len(self.scores) - 1)
+        below = position.long().clamp(max=len(self.scores) - 2)
         columns = torch.arange(81, device=below.device).expand_as(below)
         low, high = self.quantiles[below, columns], self.quantiles[below + 1, columns]
-        return torch.lerp(low, high, place - below)
+        return torch.lerp(low, high, position - below)
 
 
 def load_pose_prior() -> PosePrior:

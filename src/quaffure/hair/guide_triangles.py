@@ -81,8 +81,8 @@ def coherence(
     first = first_direction_vertex(axes.shape[1])
     share = np.linspace(0, 1, axes.shape[1])[first:]
     gap = np.linalg.norm(np.diff(axes[pairs][..., first:, :], axis=-3)[..., 0, :, :], axis=-1)
-    way = lengths[pairs].mean(axis=-1)[..., None] * share
-    apart = ((gap / way).max(axis=-1) - COHERENT) / (DIVERGED - COHERENT)
+    length_along = lengths[pairs].mean(axis=-1)[..., None] * share
+    apart = ((gap / length_along).max(axis=-1) - COHERENT) / (DIVERGED - COHERENT)
     apart = np.clip(apart, 0, 1)
     return 1 - apart * apart * (3 - 2 * apart)
 

@@ -50,7 +50,7 @@ def curled(
     tied: Float[Tensor, " s"],
     generator: torch.Generator,
 ) -> Float[Tensor, "s n 3"]:
-    """Helices about the axes, of growing radius from the length `tied` [m] on, with frizz."""
+    """Helices about the axes, of increasing radius from the length `tied` [m] on, with frizz."""
     strands, count, _ = axes.shape
     length = (arc_lengths(axes) - tied[:, None]).clamp(min=0)
     centre = clump_centres(axes[:, 0], controls.clump_spacing)

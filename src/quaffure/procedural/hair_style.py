@@ -71,8 +71,8 @@ class Tie:
 class HairStyle:
     """The shape of a hairstyle. Lengths in metres; the head is that of the mean body, upright.
 
-    The direction of growth on the scalp is a sum of tangents: sideways from the parting, outwards from the crown,
-    backwards, downwards and round the crown, each with its weight.
+    The direction of hair on the scalp is a sum of tangents: sideways from the parting, outwards from the crown,
+    backwards, sideways and around the crown, each with its weight.
     """
 
     length: float = 0.30
@@ -102,21 +102,21 @@ class HairStyle:
     parting_to_nape: bool = False
     """Whether the parting extends behind the crown."""
     from_parting: float = 1.0
-    """Weight of the growth sideways from the parting; negative combs to it, as for a crest [-]."""
+    """Weight of the direction sideways from the parting; negative combs to it, as for a crest [-]."""
     from_crown: float = 0.6
-    """Weight of the growth outwards from the crown [-]."""
+    """Weight of the direction outwards from the crown [-]."""
     backwards: float = 0.6
-    """Weight of the growth to the back; negative combs to the front [-]."""
+    """Weight of the direction to the back; negative combs to the front [-]."""
     sideways: float = 0.0
-    """Weight of the growth to the body's left [-]."""
+    """Weight of the direction to the body's left [-]."""
     whorl: float = 0.0
-    """Weight of the growth round the crown [-]."""
+    """Weight of the direction around the crown [-]."""
     lift_deg: float = 25.0
     """Angle between root and scalp [degrees]."""
     direction_variation_deg: float = 3.0
-    """Random part of the direction of growth [degrees]."""
+    """Random part of the root direction [degrees]."""
     set_length: float = 0.05
-    """Length over which a strand keeps its direction of growth before gravity bends it down [m]."""
+    """Length over which a strand keeps its root direction before gravity bends it down [m]."""
     fall: float = 1.0
     """Share of gravity in the final direction: 0 none, 1 straight down; negative makes hair stand up [-]."""
     hold: float = 0.0
@@ -124,7 +124,7 @@ class HairStyle:
     shoulder_split: float = 0.2
     """Slope at which hair of the back of the head falls backwards, and hair of the front forwards [-]."""
     stiffness_length: float = 0.025
-    """Length over which a strand can turn [m]."""
+    """Length over which a strand can bend [m]."""
     layer_thickness: float = 0.014
     """Distance from the skin that hair of the crown keeps beyond hair of the nape [m]."""
     face_opening: float = 1.0

@@ -24,7 +24,7 @@ JAW, JAW_FADE = -0.035, 0.02
 SHOULDER_HEIGHT, SHOULDER_BEFORE, SHOULDER_BEHIND = -0.13, -0.05, 0.07
 # ... deflected there from this height above it on [m], by at most this slope, and towards the neck by this one.
 SHOULDER_APPROACH, STEEPEST_SPLIT, TO_NECK = 0.04, 1.2, 0.06
-# Where it touches the shoulder anyway, this slope leads it off; it touches within this distance of its layer [m].
+# Where it touches the shoulder anyway, it slides off at this slope; it touches within this distance of its layer [m].
 OFF_SHOULDER, TOUCH = 0.7, 0.008
 # Share of the sideways part that is removed from the push off a shoulder; the rest has at least this normal part.
 ALONG_SHOULDER, LEAST_RISE = 0.85, 0.3
@@ -36,7 +36,7 @@ EAR_CENTRE, EAR_AXES = (0.045, 0.0, 0.025), (0.054, 0.062, 0.125)
 HELD_EAR_CENTRE, HELD_EAR_AXES = (0.078, 0.0, 0.018), (0.022, 0.026, 0.042)
 # Hair with its roots above the ears, from this height above the Head joint on, covers them [m]. It reaches its full
 # distance from them after this length [m].
-EAR_TOP, EAR_TOP_FADE, EAR_WAY = 0.04, 0.005, 0.08
+EAR_TOP, EAR_TOP_FADE, EAR_LENGTH = 0.04, 0.005, 0.08
 
 
 @dataclass(frozen=True)
@@ -99,10 +99,10 @@ def trace_strands(
 ) -> Float[Tensor, "s n 3"]:
     """Axes of `steps` steps, smoothed.
 
-    A step turns towards a target: the root direction at first, gravity later; then it is projected out of obstacles.
+    A step rotates towards a target: the root direction at first, gravity later; then it is projected out of obstacles.
     """
     point, direction, root_direction = inputs.start, inputs.root_direction, inputs.root_direction
-    turn = (inputs.step / controls.stiffness_length).clamp(max=1)[:, None]
+    blend = (inputs.step / controls.stiffness_length).clamp(max=1)[:, None]
     over_ears = torch.sigmoid((inputs.start[:, 2] - head[2] - EAR_TOP) / EAR_TOP_FADE)
     points, support, behind = [point], torch.zeros_like(inputs.step), torch.ones_like(inputs.step)
     for index in range(steps):
@@ -112,7 +112,7 @@ def trace_strands(
         behind = torch.where(local[:, 2] > JAW, torch.where(local[:, 1] >= inputs.shoulder_line, 1.0, -1.0), behind)
         hanging = inputs.hanging_direction + _shoulder_deflection(local, support, behind)
         target = normalize((1 - fall) * root_direction + fall * hanging, dim=-1)
-        direction = normalize(direction + turn * (target - direction), dim=-1)
+        direction = normalize(direction + blend * (target - direction), dim=-1)
         moved = point + inputs.step[:, None] * direction
         distance, normal = distances_and_normals(moved, surface)
         lowest = torch.minimum(inputs.clearance, CLEARANCE_RAMP * length)
@@ -121,7 +121,7 @@ def trace_strands(
         push = (lowest - distance).clamp(min=0)[:, None] * _push_direction(normal, 1 - on_head)
         moved = _out_of_face(moved + push - attraction[:, None] * normal, head, inputs)
         if not controls.cut_around_ears:
-            moved = out_of_ears(moved, head, over_ears * (length / EAR_WAY).clamp(max=1), controls.hold > 0)
+            moved = out_of_ears(moved, head, over_ears * (length / EAR_LENGTH).clamp(max=1), controls.hold > 0)
         # The root direction of held hair follows the curvature of the head.
         across = controls.hold * (root_direction * normal).sum(-1, keepdim=True)
         root_direction = normalize(root_direction - across * normal, dim=-1)
@@ -143,7 +143,7 @@ def smoothed(axes: Float[Tensor, "s n 3"]) -> Float[Tensor, "s n 3"]:
 def _shoulder_deflection(
     local: Float[Tensor, "s 3"], support: Float[Tensor, " s"], behind: Float[Tensor, " s"]
 ) -> Float[Tensor, "s 3"]:
-    """Change of the hanging direction towards the front or the back of a shoulder in the way.
+    """Change of the hanging direction towards the front or the back of a shoulder below.
 
     Args:
         local: points relative to the Head joint [m].

@@ -15,9 +15,9 @@ from quaffure.procedural.strand_tracing import TraceInputs, out_of_ears, smoothe
 from quaffure.types import Float, Int, Tensor
 
 # Hair lies on the hair below it: the layer reaches its thickness over this length along the scalp [m].
-LAYER_WAY = 0.15
+LAYER_LENGTH = 0.15
 # Hair with its root next to the ear is clear of it after this length [m].
-LIFT_WAY = 0.04
+LIFT_LENGTH = 0.04
 # Slope of the lower limit of tied hair: lower at the temples, higher on the back of the head.
 LIMIT_SLOPE = 0.5
 # A hanging tail widens by this share of the fan in which it leaves the band.
@@ -99,10 +99,10 @@ def _to_band(
     for index in range(steps):
         moved = point + (bundle.crossings - point) / (steps - index)
         distance, normal = distances_and_normals(moved, surface)
-        clearance = CLEARANCE + thickness * (length / LAYER_WAY).clamp(max=1)
+        clearance = CLEARANCE + thickness * (length / LAYER_LENGTH).clamp(max=1)
         lowest = torch.minimum(clearance, CLEARANCE_RAMP * (length + CLEARANCE))
         moved = moved + (lowest - distance).clamp(min=0)[:, None] * normal
-        moved = out_of_ears(moved, bundle.roots.head, (length / LIFT_WAY).clamp(max=1), held=True)
+        moved = out_of_ears(moved, bundle.roots.head, (length / LIFT_LENGTH).clamp(max=1), held=True)
         length = length + (moved - point).norm(dim=-1)
         point = moved
         points.append(point)
@@ -135,7 +135,7 @@ def _tail(
 def _bun(
     tie: Tie, bundle: StrandBundle, radius: float, steps: int, generator: torch.Generator
 ) -> Float[Tensor, "s n 3"]:
-    """Beyond the band up through the core of a ball and round it as a spiral, down to its rim."""
+    """Beyond the band up through the core of a ball and down around it as a spiral to its rim."""
     core = BUN_CORE + (1 - BUN_CORE) * torch.rand(len(bundle.share), generator=generator).sqrt()
     centre = bundle.centre + BUN_RISE * radius * bundle.axis
     share = torch.linspace(0, 1, steps + 1)

@@ -102,9 +102,9 @@ def trim_where(axes: Float[Tensor, "s n 3"], depth: Float[Tensor, "s n"]) -> Flo
     before, after = (depth.gather(1, (first - back)[:, None])[:, 0] for back in (1, 0))
     last = first - torch.where(cut, after / (after - before).clamp(min=1e-6), 0.0).clamp(0, 1)
     shortest = (count - 1) * (SHORTEST / axes.diff(dim=1).norm(dim=-1).sum(1)).clamp(max=1)
-    place = torch.linspace(0, 1, count) * last.maximum(shortest)[:, None]
-    left = place.long().clamp(max=count - 2)
-    return interpolate_vertices(axes, left, place - left)
+    position = torch.linspace(0, 1, count) * last.maximum(shortest)[:, None]
+    left = position.long().clamp(max=count - 2)
+    return interpolate_vertices(axes, left, position - left)
 
 
 def interpolate_vertices(

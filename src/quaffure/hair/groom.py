@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 
@@ -59,4 +60,5 @@ class Groom:
 
     def _map_tensors(self, function: Callable[[Tensor], Tensor]) -> "Groom":
         names = ("rest_strands", "root_faces", "root_barycentric", "root_uv")
-        return replace(self, **{name: function(getattr(self, name)) for name in names})
+        changes: dict[str, Any] = {name: function(getattr(self, name)) for name in names}
+        return replace(self, **changes)

@@ -1,6 +1,7 @@
 """Strand roots distributed evenly over the scalp, with smooth normals."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch.nn.functional import normalize
@@ -45,8 +46,9 @@ class ScalpRoots:
 
     def select(self, strands: Int[Tensor, " m"]) -> "ScalpRoots":
         """Some of the roots, in the given order."""
-        arrays = (self.faces, self.barycentric, self.uv, self.points, self.normals)
-        return ScalpRoots(*(array[strands] for array in arrays), head=self.head)
+        names = ("faces", "barycentric", "uv", "points", "normals")
+        changes: dict[str, Any] = {name: getattr(self, name)[strands] for name in names}
+        return replace(self, **changes)
 
 
 def spread_roots(body: BodyModel, rows: int, generator: torch.Generator) -> ScalpRoots:

@@ -18,8 +18,7 @@ from quaffure.solvers.adam import AdamDraper
 from quaffure.solvers.newton.newton_system import NewtonSystem
 from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting
 from quaffure.training.train_config import TrainConfig
-from tests.scenes import sphere_groom, sphere_mesh
-from tests.test_xpbd import scene_of
+from tests.scenes import posed_scene, sphere_groom, sphere_mesh
 
 MARGINS = (0.02, 0.05)
 GROOM = sphere_groom(strands=30)
@@ -104,7 +103,7 @@ def test_gradient_agrees_with_central_differences(margin: float) -> None:
 
 @pytest.mark.parametrize("margin", MARGINS)
 def test_newton_has_the_same_contact(margin: float) -> None:
-    scene = scene_of(GROOM, surface=surface_partly_off_the_grid())
+    scene = posed_scene(GROOM, surface=surface_partly_off_the_grid())
     energy, x = HairEnergy(GROOM, HairMaterial(collision_margin=margin)), positions(0.01, 0.04)
     found = NewtonSystem(energy, scene, 0).point(x[0].double().numpy())
     expected = energy.without("self_collision").total(x, scene)
@@ -119,7 +118,7 @@ def test_newton_has_the_same_contact(margin: float) -> None:
 def test_xpbd_and_adam_leave_hair_at_the_same_equilibrium(margin: float) -> None:
     groom = sphere_groom(strands=24)
     material = HairMaterial(k_cosserat=1e-8, k_self_collision=0.0, collision_margin=margin, collision_ramp=1.0)
-    scene = scene_of(groom)
+    scene = posed_scene(groom)
     setting = XpbdSetting(steps=200, iterations=50, first_time_step=0.1, last_time_step=0.002, refresh=10)
     settled, report = XpbdDraper(material, setting).solve(scene)
     adam, expected = AdamDraper(material, steps=600).solve(scene)

@@ -45,7 +45,7 @@ class PosedBody:
     Attributes:
         vertices: surface vertices [m].
         joint_rotations: `world_from_joint`; the identity in the rest pose, whatever the bone's direction.
-        joint_positions: where each joint is [m].
+        joint_positions: [m].
     """
 
     vertices: Float[Tensor, "b v 3"]
@@ -58,8 +58,8 @@ class BodyModel:
     """A family of bodies: rest surface and skeleton, linear in the shape, skinned to 27 joints.
 
     At rest the body stands in an A pose on the ground z = 0 (mean shape), facing -y, its left on +x. Poses are
-    axis-angles in world-aligned rest frames: joint j turns by R_j relative to its parent, `G_j = G_parent R_j`,
-    about its own rest position J_j; the root Hips stays at its rest place. There is no global translation.
+    axis-angles in world-aligned rest frames: joint j rotates by R_j relative to its parent, `G_j = G_parent R_j`,
+    about its own rest position J_j; the root Hips stays at its rest position. There is no global translation.
 
     Attributes:
         rest_vertices: surface of the mean shape [m].
@@ -70,7 +70,7 @@ class BodyModel:
         skin_joints, skin_weights: joints that move each vertex, and their shares, which sum to 1.
         faces: triangles of the closed surface, normals outwards.
         ear_vertices: the vertices of both ears.
-        scalp: where hair grows.
+        scalp: the part of the surface with hair.
         meta: source, licence, seed and units, as JSON.
     """
 
@@ -154,7 +154,7 @@ class BodyModel:
     def dense_skin_weights(self) -> Float[Tensor, "v 27"]:
         """Share of every joint in every vertex.
 
-        One product of matrices blends all vertices faster than gathering each one's joints.
+        One matrix product blends all vertices faster than indexing the joints of each.
         """
         dense = self.skin_weights.new_zeros(len(self.skin_weights), JOINT_COUNT)
         return dense.scatter_add_(1, self.skin_joints, self.skin_weights)

@@ -18,10 +18,10 @@ from quaffure.body.motion import Motion, filter_flips, resample
 from quaffure.body.retargeting import (
     BODY_FROM_Y_UP,
     RETARGET_FPS,
-    JointSource,
     align_bone,
     body_bone,
     local_pose,
+    read_rig,
     source_rotation,
 )
 from quaffure.errors import InputError
@@ -42,32 +42,7 @@ Y_UP_COSINE = 0.8
 REST_ARM_DIRECTION = {"Left": (1.0, 0.0, 0.0), "Right": (-1.0, 0.0, 0.0)}
 
 
-def _sided(side: str) -> dict[str, JointSource]:
-    source = side.lower()
-    return {
-        f"{side[0]}HipJoint": JointSource(("pelvis",)),
-        f"{side}UpLeg": JointSource((f"{source}_hip",)),
-        f"{side}Leg": JointSource((f"{source}_knee",)),
-        f"{side}Foot": JointSource((f"{source}_ankle",)),
-        f"{side}ToeBase": JointSource((f"{source}_foot",)),
-        f"{side}Shoulder": JointSource((f"{source}_collar",)),
-        f"{side}Arm": JointSource((f"{source}_shoulder",), (f"{side}ForeArm", f"{source}_elbow")),
-        f"{side}ForeArm": JointSource((f"{source}_elbow",), (f"{side}Hand", f"{source}_wrist")),
-        f"{side}Hand": JointSource((f"{source}_wrist",), (f"{side}FingerBase", f"{source}_wrist")),
-    }
-
-
-SMPL_BODY: dict[str, JointSource] = {
-    "Hips": JointSource(("pelvis",)),
-    "LowerBack": JointSource(("spine1",)),
-    "Spine": JointSource(("spine2",)),
-    "Spine1": JointSource(("spine3",)),
-    "Neck": JointSource(("spine3", "neck")),
-    "Neck1": JointSource(("neck",)),
-    "Head": JointSource(("head",)),
-    **_sided("Left"),
-    **_sided("Right"),
-}
+SMPL_BODY = read_rig("smpl")
 
 
 def read_amass(path: Path, body: BodyModel) -> Motion:

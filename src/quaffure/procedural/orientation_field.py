@@ -1,4 +1,4 @@
-"""Where hair is combed: the direction of growth at every root, and the way that loose hair falls."""
+"""The orientation field: the direction of hair at every root, and the direction in which loose hair hangs."""
 
 import math
 
@@ -11,36 +11,36 @@ from quaffure.procedural.hair_style import HairStyle
 from quaffure.procedural.trimming import clipped_share
 from quaffure.types import Bool, Float, Tensor
 
-# The parting ends this far before the crown, and fades out over this distance [m].
+# Distance from the crown to the end of the parting, and width of its transition [m].
 PARTING_END, PARTING_FADE = 0.015, 0.012
-# Beside the parting and round the crown hair lies flat: of its lift this share is left there, over this distance [m].
-FLAT_LIFT, FLAT_REACH = 0.3, 0.04
-# Hair that grows behind this line, seen from the Head joint, falls backwards, the rest forwards; it fades over [m].
-FALL_LINE, FALL_FADE = -0.005, 0.02
-# Hair before the shoulders hangs steeper than hair behind them.
-FORWARDS = 0.15
-# Loose hair draws in towards the neck by this slope.
-INWARDS = 0.1
-# Where the crown is, between the forehead's and the nape's rim of the chart.
+# Near the parting and the crown hair lies flat: this share of its lift remains there; width of the region [m].
+FLAT_LIFT, FLAT_WIDTH = 0.3, 0.04
+# Hair with roots behind this line, relative to the Head joint, falls backwards, the rest forwards; transition [m].
+HANGING_LINE, HANGING_FADE = -0.005, 0.02
+# Relative slope of hair before the shoulders, which hangs steeper than hair behind them.
+FORWARD_SLOPE = 0.15
+# Slope of loose hair towards the neck.
+INWARD_SLOPE = 0.1
+# Position of the crown on the scalp chart, from forehead to nape.
 CROWN_V = 0.47
-# Clipped hair leans on the scalp by this angle [degrees].
+# Angle between clipped hair and the scalp [degrees].
 CLIPPED_LIFT_DEG = 35.0
-# A fringe leaves the scalp flatter than the rest.
+# Lift of a fringe relative to the rest.
 FRINGE_LIFT = 0.5
 
 
-def growth_directions(
+def root_directions(
     controls: HairStyle,
     roots: ScalpRoots,
     fringe: Bool[Tensor, " s"],
     body: BodyModel,
     generator: torch.Generator,
 ) -> Float[Tensor, "s 3"]:
-    """Unit directions of growth: combed tangents, lifted off the scalp."""
-    tangents = torch.where(fringe[:, None], _fringe_tangents(controls, roots), growth_tangents(controls, roots, body))
+    """Unit directions at the roots: combed tangents, lifted off the scalp."""
+    tangents = torch.where(fringe[:, None], _fringe_tangents(controls, roots), root_tangents(controls, roots, body))
     lift = torch.full((len(roots),), math.radians(controls.lift_deg))
-    # Hair that stands up anyway hides where it divides.
-    lift = lift * (1 - (1 - FLAT_LIFT) * torch.cos(lift) * _where_hair_divides(controls, roots, body))
+    # Upright hair covers the parting.
+    lift = lift * (1 - (1 - FLAT_LIFT) * torch.cos(lift) * _divergence(controls, roots, body))
     clipped = clipped_share(controls, roots)
     lift = torch.where(fringe, FRINGE_LIFT * lift, lift)
     lift = (lift + clipped * (math.radians(CLIPPED_LIFT_DEG) - lift))[:, None]
@@ -49,21 +49,21 @@ def growth_directions(
     return normalize(directions + noise, dim=-1)
 
 
-def _where_hair_divides(controls: HairStyle, roots: ScalpRoots, body: BodyModel) -> Float[Tensor, " s"]:
-    """1 on the parting and on the crown that hair grows away from, fading to 0 beside them."""
-    divides = torch.zeros(len(roots))
+def _divergence(controls: HairStyle, roots: ScalpRoots, body: BodyModel) -> Float[Tensor, " s"]:
+    """1 on the parting and on the crown, from which directions diverge, fading to 0 next to them."""
+    divergence = torch.zeros(len(roots))
     if controls.parting is not None and controls.from_parting > 0:
-        aside = (roots.points[:, 0] - controls.parting) / FLAT_REACH
-        divides = _on_parting(controls, roots, body) * torch.exp(-aside.square())
+        aside = (roots.points[:, 0] - controls.parting) / FLAT_WIDTH
+        divergence = _on_parting(controls, roots, body) * torch.exp(-aside.square())
     if controls.from_crown > 0:
-        from_crown = (roots.points - _crown(body)).norm(dim=1) / FLAT_REACH
-        divides = torch.maximum(divides, torch.exp(-from_crown.square()))
-    return divides
+        from_crown = (roots.points - _crown(body)).norm(dim=1) / FLAT_WIDTH
+        divergence = torch.maximum(divergence, torch.exp(-from_crown.square()))
+    return divergence
 
 
-def growth_tangents(controls: HairStyle, roots: ScalpRoots, body: BodyModel) -> Float[Tensor, "s 3"]:
-    """Unit directions of growth in the scalp's tangent planes."""
-    # The parting runs into the crown; between the two, hair would grow both ways at once.
+def root_tangents(controls: HairStyle, roots: ScalpRoots, body: BodyModel) -> Float[Tensor, "s 3"]:
+    """Unit directions in the scalp's tangent planes."""
+    # The parting ends at the crown; between the two, opposite directions would meet.
     crown = _crown(body) + torch.tensor([controls.parting or 0.0, 0.0, 0.0])
     outwards = normalize(along_scalp(roots.points - crown, roots.normals), dim=-1)
     field = controls.from_crown * outwards + controls.whorl * torch.linalg.cross(roots.normals, outwards)
@@ -80,27 +80,27 @@ def _crown(body: BodyModel) -> Float[Tensor, "3"]:
 
 
 def _on_parting(controls: HairStyle, roots: ScalpRoots, body: BodyModel) -> Float[Tensor, " s"]:
-    """1 before the end of the parting, 0 behind it."""
+    """1 in front of the end of the parting, 0 behind it."""
     if controls.parting_to_nape:
         return torch.ones(len(roots))
     return torch.sigmoid((_crown(body)[1] - PARTING_END - roots.points[:, 1]) / PARTING_FADE)
 
 
 def _fringe_tangents(controls: HairStyle, roots: ScalpRoots) -> Float[Tensor, "s 3"]:
-    """To the front, down, and to the side that the fringe is swept to."""
+    """Unit directions to the front, down, and to the side of the fringe's sweep."""
     sweep = controls.fringe.sweep if controls.fringe else 0.0
-    # Hair of the temples falls beside the face, that of the middle on the forehead.
+    # Hair of the temples falls next to the face, hair of the middle on the forehead.
     aside = 0.4 * roots.from_head[:, 0] / 0.05
     field = torch.stack([aside + sweep, torch.full_like(aside, -1.0), torch.full_like(aside, -0.5)], dim=1)
     return normalize(along_scalp(field, roots.normals), dim=-1)
 
 
-def falling_directions(controls: HairStyle, roots: ScalpRoots, fringe: Bool[Tensor, " s"]) -> Float[Tensor, "s 3"]:
-    """Where loose hair goes: down, before or behind the shoulders; a fringe down and to its side."""
+def hanging_directions(controls: HairStyle, roots: ScalpRoots, fringe: Bool[Tensor, " s"]) -> Float[Tensor, "s 3"]:
+    """Unit directions of loose hair: down, before or behind the shoulders; of a fringe down and to its side."""
     x, y, _ = roots.from_head.unbind(1)
-    behind = torch.tanh((y - FALL_LINE) / FALL_FADE)
-    behind = torch.where(behind < 0, FORWARDS * behind, behind)
-    inwards = -INWARDS * torch.tanh(x / FALL_FADE)
+    behind = torch.tanh((y - HANGING_LINE) / HANGING_FADE)
+    behind = torch.where(behind < 0, FORWARD_SLOPE * behind, behind)
+    inwards = -INWARD_SLOPE * torch.tanh(x / HANGING_FADE)
     down = torch.stack([inwards, controls.shoulder_split * behind, -torch.ones_like(behind)], dim=1)
     if controls.fringe is not None:
         over_brow = torch.stack([controls.fringe.sweep + 3 * x, 0 * x, -torch.ones_like(x)], dim=1)
@@ -109,5 +109,5 @@ def falling_directions(controls: HairStyle, roots: ScalpRoots, fringe: Bool[Tens
 
 
 def along_scalp(vectors: Float[Tensor, "s 3"], normals: Float[Tensor, "s 3"]) -> Float[Tensor, "s 3"]:
-    """The part of vectors that lies in the scalp's tangent planes."""
+    """Projection of vectors onto the scalp's tangent planes."""
     return vectors - (vectors * normals).sum(-1, keepdim=True) * normals

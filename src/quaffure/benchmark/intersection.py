@@ -4,8 +4,6 @@ For a closed surface the generalized winding number (Jacobson et al. 2013) is a 
 any ray from the point meets: +1 where it leaves through a face, -1 where it enters. Here the ray goes straight up.
 """
 
-from typing import no_type_check
-
 import numpy as np
 from jaxtyping import Float, Int
 from numba import njit, prange
@@ -37,7 +35,6 @@ def winding_numbers(
     return _count(points, vertices, faces, low, width, shape, start, members)
 
 
-@no_type_check
 @njit(cache=True)
 def _columns(
     vertices: np.ndarray, faces: np.ndarray, low: np.ndarray, width: float, shape: np.ndarray
@@ -65,7 +62,6 @@ def _columns(
     return start, members
 
 
-@no_type_check
 @njit(cache=True, parallel=True)
 def _count(
     points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, low: np.ndarray, width: float, shape: np.ndarray,
@@ -83,7 +79,6 @@ def _count(
     return winding
 
 
-@no_type_check
 @njit(cache=True)
 def _crossing(point: np.ndarray, vertices: np.ndarray, face: np.ndarray) -> int:
     """1 where the upward ray leaves through the face, -1 where it enters, 0 where it misses."""
@@ -99,7 +94,6 @@ def _crossing(point: np.ndarray, vertices: np.ndarray, face: np.ndarray) -> int:
     return side_of_first if height > point[2] else 0
 
 
-@no_type_check
 @njit(cache=True)
 def _side(point: np.ndarray, vertices: np.ndarray, a: int, b: int) -> tuple[float, int]:
     """Twice the area that an edge spans with the point, projected along z, and its sign.

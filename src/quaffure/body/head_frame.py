@@ -1,13 +1,12 @@
 """Posed bodies in the head's frame, where a drape is computed: scalp, point-sampled skin and pose features.
 
 Only the vertices that a drape reads are posed, in compiled passes: posing all of them, and rotating strands into the
-head's frame afterwards, would take longer than the network. Shapes cannot be checked at run time inside compiled code,
-hence `no_type_check`.
+head's frame afterwards, would take longer than the network.
 """
 
 import math
 from functools import lru_cache
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -157,7 +156,6 @@ def _skin_to_pose(body: BodyModel, leaves: int, collides: bool) -> _Skin:
     )
 
 
-@no_type_check
 @njit(cache=True)
 def _pose_bodies(
     joints: _WorldJoints, skin: _Skin, frames: _HeadFrame, positions: np.ndarray, normals: np.ndarray
@@ -178,7 +176,6 @@ def _pose_bodies(
     _pose_skin(joints.body_shape, skin, transforms, positions, normals)
 
 
-@no_type_check
 @njit(cache=True)
 def _remove_heading(hips: np.ndarray, swing: np.ndarray) -> None:
     """`without_heading` of the Hips: the swing of their quaternion's swing-twist split about z."""
@@ -194,7 +191,6 @@ def _remove_heading(hips: np.ndarray, swing: np.ndarray) -> None:
     swing[0], swing[1], swing[2] = ratio * x, ratio * y, 0.0
 
 
-@no_type_check
 @njit(cache=True)
 def _write_transforms(
     rest: np.ndarray, rotations: np.ndarray, positions: np.ndarray, frame: np.ndarray, origin: np.ndarray,
@@ -218,7 +214,6 @@ def _write_transforms(
             transforms[joint, i, 3] = coordinate
 
 
-@no_type_check
 @njit(cache=True)
 def _write_features(
     positions: np.ndarray, near: np.ndarray, frame: np.ndarray, origin: np.ndarray, transforms: np.ndarray,
@@ -238,7 +233,6 @@ def _write_features(
             features[3 + 6 * (len(near) - 1) + 3 * index + i] = coordinate / OFFSET_SCALE
 
 
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _pose_skin(
     body_shape: np.ndarray, skin: _Skin, transforms: np.ndarray, positions: np.ndarray, normals: np.ndarray

@@ -1,10 +1,7 @@
-"""Forward kinematics of a batch of bodies: the one place where joint rotations become joint positions.
-
-Shapes cannot be checked at run time inside compiled code, hence `no_type_check`.
-"""
+"""Forward kinematics of a batch of bodies: the one place where joint rotations become joint positions."""
 
 from functools import lru_cache
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -71,7 +68,6 @@ def _skeleton(body: BodyModel) -> _Skeleton | None:
     return _Skeleton(rest, directions, np.array(body.joint_parents))
 
 
-@no_type_check
 @njit(cache=True)
 def _forward_kinematics(
     body_pose: np.ndarray, body_shape: np.ndarray, skeleton: _Skeleton, rest_joints: np.ndarray,

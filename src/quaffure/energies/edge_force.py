@@ -3,15 +3,12 @@
 The constants are float32 numbers that float64 holds exactly too: the precision is that of the arguments.
 """
 
-from typing import no_type_check
-
 import numpy as np
 from numba import njit
 
 _HALF = np.float32(0.5)
 
 
-@no_type_check
 @njit(cache=True, fastmath=True, inline="always")
 def stretch_shear_force(
     edge: float, director: float, inverse_rest_length: float, k_cosserat: float
@@ -27,7 +24,6 @@ def stretch_shear_force(
     return k_cosserat * inverse_rest_length * strain, _HALF * k_cosserat * strain * strain
 
 
-@no_type_check
 @njit(cache=True, fastmath=True, inline="always")
 def stretch_force(length: float, rest_length: float, k_stretch: float) -> tuple[float, float]:
     """Eq. 7: the derivative by the length of an edge [N], k_s (|e| - l), and the energy [J]."""

@@ -26,7 +26,7 @@ def fused_self_collision(positions: Positions, rest: RestState, material: HairMa
         ValueError: a coordinate is not finite.
     """
     check_finite(positions)
-    return _SelfCollision.apply(positions, rest, material)
+    return _SelfCollision.apply(positions, rest, material)  # type: ignore[no-untyped-call]
 
 
 class Particles(NamedTuple):

@@ -67,7 +67,7 @@ def strand_energy(
     check_finite(positions)
     if director.requires_grad or surface.vertices.requires_grad:
         raise ValueError("expected directors and a body without gradient: `Backend.TORCH` differentiates those")
-    return _StrandEnergy.apply(positions, director, rest, material, surface)
+    return _StrandEnergy.apply(positions, director, rest, material, surface)  # type: ignore[no-untyped-call]
 
 
 class _StrandEnergy(torch.autograd.Function):

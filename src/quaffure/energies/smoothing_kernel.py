@@ -4,7 +4,6 @@ The constants are float32 numbers that float64 holds exactly too: the precision 
 """
 
 import math
-from typing import no_type_check
 
 import numpy as np
 import torch
@@ -28,7 +27,6 @@ def kernel_volume(smoothing_length: float) -> float:
     return 4 * math.pi * smoothing_length**3
 
 
-@no_type_check
 @njit(cache=True, fastmath=True, inline="always")
 def kernel_value(q: float) -> float:
     """Eq. 13, W at q = r / h, without a branch."""
@@ -36,7 +34,6 @@ def kernel_value(q: float) -> float:
     return far * far * far - _FOUR * near * near * near
 
 
-@no_type_check
 @njit(cache=True, fastmath=True, inline="always")
 def kernel_slope(q: float) -> float:
     """dW / dq of Eq. 13 at q = r / h, without a branch."""

@@ -9,7 +9,7 @@ that no face touches. Where it arrives a point is outside, so that faces beyond 
 and where moreover no face comes near, it needs no search at all.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt64
@@ -137,7 +137,6 @@ def _mark_near(corners: np.ndarray, origin: np.ndarray, near: np.ndarray) -> Non
                     near[ix, iy, iz] = 1
 
 
-@no_type_check
 @njit(cache=True)
 def _is_outside(x: float, y: float, z: float, corners: np.ndarray, normals: np.ndarray, tree: Bvh) -> bool:
     """Whether a point is outside, by the exact signed distance."""

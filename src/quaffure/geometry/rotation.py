@@ -4,7 +4,6 @@ Every function works on any leading axes and any float dtype. A matrix acts on c
 """
 
 import math
-from typing import no_type_check
 
 import numpy as np
 import torch
@@ -41,7 +40,6 @@ def matrix_from_axis_angle(axis_angle: Float[Tensor, "*batch 3"]) -> Float[Tenso
     return identity + sine_ratio * cross + cosine_ratio * (cross @ cross)
 
 
-@no_type_check
 @njit(cache=True)
 def write_rotation(axis_angle: np.ndarray, matrix: np.ndarray) -> None:
     """Fill the rotation matrix [3, 3] of an axis-angle vector [rad], in double precision (Rodrigues' formula)."""

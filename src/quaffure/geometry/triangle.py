@@ -4,8 +4,6 @@ Every nearest-face search and every contact kernel calls these. Their constants 
 exactly too, so that the precision is that of the arguments. Numba inlines them into the calling loop.
 """
 
-from typing import no_type_check
-
 import numpy as np
 from numba import njit
 
@@ -16,7 +14,6 @@ _TINY = np.float32(1e-30)  # a face without area divides by nothing else
 _ON_SURFACE = np.float32(ON_SURFACE)
 
 
-@no_type_check
 @njit(cache=True, fastmath=True)
 def closest_on_triangle(triangle: np.ndarray, x: float, y: float, z: float) -> tuple[float, float, float, int]:
     """Closest point of a triangle, and its feature: 0 face, 1-3 the edge from corner 0-2, 4-6 corner 0-2.
@@ -58,7 +55,6 @@ def closest_on_triangle(triangle: np.ndarray, x: float, y: float, z: float) -> t
     return ax + v * abx + w * acx, ay + v * aby + w * acy, az + v * abz + w * acz, 0
 
 
-@no_type_check
 @njit(cache=True, fastmath=True, inline="always")
 def squared_distance(triangle: np.ndarray, x: float, y: float, z: float) -> float:
     """Squared distance of a point from a triangle [m^2]."""
@@ -66,7 +62,6 @@ def squared_distance(triangle: np.ndarray, x: float, y: float, z: float) -> floa
     return (x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2
 
 
-@no_type_check
 @njit(cache=True, fastmath=True, inline="always")
 def squared_distance_in_plane(
     u: float, v: float, length: float, cx: float, cy: float, inverse_ac: float, inverse_bc: float
@@ -90,7 +85,6 @@ def squared_distance_in_plane(
     return squared if inside < _ZERO else _ZERO
 
 
-@no_type_check
 @njit(cache=True, fastmath=True, inline="always")
 def signed_distance_from_offset(
     ox: float, oy: float, oz: float, nx: float, ny: float, nz: float

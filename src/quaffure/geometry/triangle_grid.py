@@ -5,10 +5,9 @@ reaches. Unlike a tree it answers most points at once, that nothing is near; unl
 for points that are outside the prisms over all faces, at ridges and in hollows (`EDGE_TOLERANCE`). Faces are listed
 only round the points that the grid is made for, which costs less than a drape. Distances without bounds are in
 `quaffure.geometry.signed_distance`.
-Shapes cannot be checked at run time inside compiled code, hence `no_type_check`.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -129,7 +128,6 @@ def _nearest_of_all(
     return torch.where(key < 1, chosen, 1), torch.where(key < 1, nearest, NONE)
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
 def nearest_triangle_in_band(x: float, y: float, z: float, grid: TriangleGrid, rows: np.ndarray) -> tuple[float, int]:
     """Height of a point above the nearest of the faces that reach it, and that face; 1 and `NONE` or `OUT_OF_BAND`.
@@ -158,7 +156,6 @@ def nearest_triangle_in_band(x: float, y: float, z: float, grid: TriangleGrid, r
     return height, face
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _compare(
     x: float, y: float, z: float, block: int, faces: np.ndarray, records: np.ndarray, rows: np.ndarray
@@ -178,7 +175,6 @@ def _compare(
         rows[IN_BLOCK + lane] = height
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _mark(points: np.ndarray, origin: np.ndarray, marked: np.ndarray) -> None:
     """Mark the regions that every second point is in, and those next to them."""
@@ -197,7 +193,6 @@ def _mark(points: np.ndarray, origin: np.ndarray, marked: np.ndarray) -> None:
                     marked[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2, max(k - 1, 0) : k + 2] = 1
 
 
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _measure(
     vertices: np.ndarray, faces: np.ndarray, reach: np.ndarray, origin: np.ndarray, marked: np.ndarray, threads: int,
@@ -229,7 +224,6 @@ def _measure(
                 box[0], box[1] = 1, 0
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _write_box(corners: np.ndarray, down: np.ndarray, up: np.ndarray, box: np.ndarray) -> None:
     """First and last cell along each axis of a face and how far it reaches down and up each."""
@@ -242,7 +236,6 @@ def _write_box(corners: np.ndarray, down: np.ndarray, up: np.ndarray, box: np.nd
         box[2 * axis + 1] = int(min(max(high, np.float32(-1.0)), last))
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _meets(box: np.ndarray, marked: np.ndarray) -> bool:
     met = False
@@ -253,7 +246,6 @@ def _meets(box: np.ndarray, marked: np.ndarray) -> bool:
     return met
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _write_record(corners: np.ndarray, record: np.ndarray) -> bool:
     """Write all columns but the reach; False for a face without area."""
@@ -281,7 +273,6 @@ def _write_record(corners: np.ndarray, record: np.ndarray) -> bool:
     return length * width > np.float32(2 * _FLAT)
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _write_bounds(record: np.ndarray, bounds: np.ndarray) -> None:
     """Least and greatest height along a record's directions of the centres of cells that its face reaches into."""
@@ -297,7 +288,6 @@ def _write_bounds(record: np.ndarray, bounds: np.ndarray) -> None:
     bounds[2, 0], bounds[2, 1] = bounds[2, 0] - in_plane, bounds[2, 1] + v + in_plane
 
 
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _list(
     records: np.ndarray, boxes: np.ndarray, marked: np.ndarray, threads: int,
@@ -337,7 +327,6 @@ def _list(
     return fits.min() == 1
 
 
-@no_type_check
 @njit(cache=True)
 def _clear(i: int, marked: np.ndarray, first: np.ndarray) -> None:
     """Empty the lists of a plane of cells."""
@@ -347,7 +336,6 @@ def _clear(i: int, marked: np.ndarray, first: np.ndarray) -> None:
             first[begin : begin + _WIDE] = NONE if marked[i // _WIDE, j // _WIDE, region] else OUT_OF_BAND
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
 def _reaches(x: float, y: float, z: float, record: np.ndarray, bounds: np.ndarray) -> bool:
     height = x * record[0] + y * record[1] + z * record[2]

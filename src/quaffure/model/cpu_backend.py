@@ -1,11 +1,8 @@
-"""The five steps of a drape as compiled float32 kernels on the CPU, many grooms in one batch of the network.
-
-Shapes cannot be checked at run time inside compiled code, hence `no_type_check`.
-"""
+"""The five steps of a drape as compiled float32 kernels on the CPU, many grooms in one batch of the network."""
 
 import time
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple, no_type_check
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -136,7 +133,6 @@ class _ShapeRows(NamedTuple):
     strand: np.ndarray
 
 
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _integrate(
     shape: _ShapeRows, changes: np.ndarray, rest_length: np.ndarray, world_from_head: np.ndarray, head: np.ndarray,

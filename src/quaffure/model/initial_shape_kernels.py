@@ -1,11 +1,10 @@
 """The kernels before the network, a block of strands in the lanes of the processor's vectors.
 
 `_estimate_contact_force` resolves contact of the cluster representatives alone, and `_resolve_contact` that of all
-strands under these forces; their torch twin is in `quaffure.model.initial_shape`. Shapes cannot be checked at run time
-inside compiled code, hence `no_type_check`.
+strands under these forces; their torch twin is in `quaffure.model.initial_shape`.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -54,7 +53,6 @@ class ShapeArrays(NamedTuple):
     features: np.ndarray
 
 
-@no_type_check
 @njit(cache=True, error_model="numpy")
 def initial_shape_kernel(
     strands: StrandBlocks, representatives: StrandBlocks, representative: np.ndarray, row_of: np.ndarray,
@@ -76,7 +74,6 @@ def initial_shape_kernel(
     _resolve_contact(strands, body, points, threads, force, representative, row_of, shape)
 
 
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _estimate_contact_force(
     strands: StrandBlocks, body: BodyArrays, points: _Points, threads: int, force: np.ndarray
@@ -112,7 +109,6 @@ def _estimate_contact_force(
             lane.propagate(contact, force[sample, block])
 
 
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _resolve_contact(
     strands: StrandBlocks, body: BodyArrays, points: _Points, threads: int, force: np.ndarray,

@@ -1,9 +1,4 @@
-"""Steps of the kernels of `quaffure.model.initial_shape_kernels` on one block: a strand in each lane of the vectors.
-
-Shapes cannot be checked at run time inside compiled code, hence `no_type_check`.
-"""
-
-from typing import no_type_check
+"""Steps of the kernels of `quaffure.model.initial_shape_kernels` on one block: a strand in each lane of the vectors."""
 
 import numpy as np
 from numba import njit
@@ -41,7 +36,6 @@ ALL_ROWS = _ROUNDED + DIRECTION
 _OUT, _HELD, CONTACT_SIZE = 0, 3 * LANES, 4 * LANES
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def compute_roots(
     corners: np.ndarray, barycentric: np.ndarray, offset: np.ndarray, scalp: np.ndarray, rows: np.ndarray
@@ -66,7 +60,6 @@ def compute_roots(
         rows[_FRAME + 6 * LANES + i], rows[_FRAME + 7 * LANES + i], rows[_FRAME + 8 * LANES + i] = az, tz, nz
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def compute_lengths(rest_edges: np.ndarray, rows: np.ndarray) -> None:
     """Length of whole strands [m], which is also what is beyond their roots."""
@@ -80,7 +73,6 @@ def compute_lengths(rest_edges: np.ndarray, rows: np.ndarray) -> None:
         rows[_WHOLE + i] = rows[_BEYOND + i]
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def aim(
     rest_edges: np.ndarray, down: np.ndarray, weight: float, propagated: float, load: float, force: np.ndarray,
@@ -113,7 +105,6 @@ def aim(
         rows[_LENGTH + i], rows[_BEYOND + i] = length, beyond
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _step(radius: float, rows: np.ndarray) -> None:
     """Positions where the edges would end [radii]."""
@@ -126,7 +117,6 @@ def _step(radius: float, rows: np.ndarray) -> None:
         rows[POSITION + 2 * LANES + i] = (rows[VERTEX + 2 * LANES + i] + length * z) * per_radius
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def evaluate_ends(
     records: np.ndarray, positions: np.ndarray, radius: float, cover: np.ndarray, listed: int,
@@ -147,7 +137,6 @@ def evaluate_ends(
     return listed
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _outside(cover: np.ndarray, rows: np.ndarray) -> bool:
     """Whether any position is outside of a sphere, a centre and a radius; always if that is negative."""
@@ -158,7 +147,6 @@ def _outside(cover: np.ndarray, rows: np.ndarray) -> bool:
     return outside > 0 or cover[3] < np.float32(0.0)
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _farthest(centre: np.ndarray, rows: np.ndarray) -> float:
     """Distance of the farthest position."""
@@ -169,7 +157,6 @@ def _farthest(centre: np.ndarray, rows: np.ndarray) -> float:
     return np.sqrt(farthest)
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _move_centre(centre: np.ndarray, rows: np.ndarray) -> None:
     """Move the centre amid the positions and a little on along the strand in the middle."""
@@ -181,7 +168,6 @@ def _move_centre(centre: np.ndarray, rows: np.ndarray) -> None:
         centre[axis] = np.float32(0.5) * (low + high) + ahead
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def deflect(margin: np.ndarray, radius: float, rows: np.ndarray) -> None:
     """Rotate edges out of the skin."""
@@ -197,7 +183,6 @@ def deflect(margin: np.ndarray, radius: float, rows: np.ndarray) -> None:
         rows[DIRECTION + 2 * LANES + i] = uz * norm
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def record_contact(contact: np.ndarray, rows: np.ndarray) -> None:
     """Write how hard the skin pushes edges that it has deflected, and its normals."""
@@ -213,7 +198,6 @@ def record_contact(contact: np.ndarray, rows: np.ndarray) -> None:
         contact[_HELD + i] = (dx * x + dy * y + dz * z) * strength
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def propagate(contact: np.ndarray, forces: np.ndarray) -> None:
     """Contact forces from tip to root (`propagate_contact_force`)."""
@@ -228,7 +212,6 @@ def propagate(contact: np.ndarray, forces: np.ndarray) -> None:
             own[i], own[LANES + i], own[2 * LANES + i] = x + force * ox, y + force * oy, z + force * oz
 
 
-@no_type_check
 @njit(cache=True)
 def gather(forces: np.ndarray, representative: np.ndarray, own_forces: np.ndarray) -> None:
     """Contact forces of the representatives of a block's strands."""
@@ -239,7 +222,6 @@ def gather(forces: np.ndarray, representative: np.ndarray, own_forces: np.ndarra
                 own_forces[edge, axis * LANES + i] = forces[block, edge, axis * LANES + lane]
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def add_deflection(rows: np.ndarray) -> None:
     """Add to the compliance of edges how far the skin has deflected them; one at most."""
@@ -249,7 +231,6 @@ def add_deflection(rows: np.ndarray) -> None:
         rows[COMPLIANCE + i] = min(rows[COMPLIANCE + i] + np.sqrt(x * x + y * y + z * z), np.float32(1.0))
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def advance(rows: np.ndarray) -> None:
     for i in range(LANES):
@@ -259,7 +240,6 @@ def advance(rows: np.ndarray) -> None:
         rows[VERTEX + 2 * LANES + i] += length * rows[DIRECTION + 2 * LANES + i]
 
 
-@no_type_check
 @njit(cache=True)
 def write_features(rows: np.ndarray, row_of: np.ndarray, edge: int, count: int, features: np.ndarray) -> None:
     """Write the positions of the vertices beyond the edges, and their local features before contact."""
@@ -276,7 +256,6 @@ def write_features(rows: np.ndarray, row_of: np.ndarray, edge: int, count: int, 
         features[row, local + 4] = bits[source + WEIGHT + i]
 
 
-@no_type_check
 @njit(cache=True)
 def _round(bits: np.ndarray) -> None:
     """float32 to bfloat16, to nearest even, in the lower half of each number of `_ROUNDED`."""

@@ -6,7 +6,7 @@ position-based dynamics (Mueller et al. 2007) with lengths kept. Strands without
 and no strand depends on another.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -99,7 +99,6 @@ class _Strands(NamedTuple):
     max_push: np.float32
 
 
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _push_out(strands: _Strands, grid: TriangleGrid, rows: np.ndarray, out: np.ndarray) -> bool:
     """Fill `out`; False where a push has moved hair to where the grid lists no faces."""

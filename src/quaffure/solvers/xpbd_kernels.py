@@ -3,11 +3,10 @@
 Strands are packed in blocks [vertex, axis, lane]: the sweep is sequential along a strand, so the compiler's vector
 lanes run over strands, and a block stays in the nearest cache for all sweeps between two looks at the surroundings.
 float64 there: with long time steps a root's tension moves its vertex by metres, of which micrometres are left.
-Shapes cannot be checked at run time inside compiled code, hence `no_type_check`.
 """
 
 import math
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -63,7 +62,6 @@ class PlaneSearch(NamedTuple):
     leaf: np.ndarray
 
 
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=True)
 def sweep_strands(
     strands: StrandBlocks, contact_stiffness: float, relaxation: float, most_push: float, sweeps: int
@@ -82,7 +80,6 @@ def sweep_strands(
 
 
 # Called, not written out in the parallel loop: numba may drop assignments to fields of a tuple there as dead code.
-@no_type_check
 @njit(cache=True, fastmath=True)
 def _sweep_block(
     block: int, strands: StrandBlocks, contact_stiffness: float, relaxation: float, most_push: float, sweeps: int
@@ -101,7 +98,6 @@ def _sweep_block(
             )  # fmt: skip
 
 
-@no_type_check
 @njit(cache=True, fastmath=True, inline="always")
 def _project_edge(
     x: np.ndarray, tension: np.ndarray, inverse_mass: np.ndarray, edge: np.ndarray, pull: np.ndarray,
@@ -135,7 +131,6 @@ def _project_edge(
         far[2, lane] -= w_far[lane] * dz
 
 
-@no_type_check
 @njit(cache=True, fastmath=True, inline="always")
 def _project_contact(
     x: np.ndarray, contact: np.ndarray, plane: np.ndarray, inverse_mass: np.ndarray, stiffness: float, most_push: float
@@ -155,7 +150,6 @@ def _project_contact(
         x[2, lane] = fz + push * nz
 
 
-@no_type_check
 @njit(cache=True, parallel=True)
 def find_planes(
     positions: np.ndarray, roots: np.ndarray, margin: np.ndarray, surface: SurfaceArrays, last: PlaneSearch,
@@ -172,7 +166,6 @@ def find_planes(
         _find_planes_of_strand(strand, positions, roots, margin, surface, last, plane)
 
 
-@no_type_check
 @njit(cache=True)
 def _find_planes_of_strand(
     strand: int, positions: np.ndarray, roots: np.ndarray, margin: np.ndarray, surface: SurfaceArrays,
@@ -207,7 +200,6 @@ def _find_planes_of_strand(
         out[3] = margin[strand, vertex] - distance + height
 
 
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=True)
 def excess_and_mobility(
     particles: Particles, inverse: np.ndarray, rest_density: np.ndarray, shape: tuple[int, int, int], h: np.float32,

@@ -4,8 +4,8 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, NamedTuple
-from zipfile import BadZipFile, ZipFile
+from typing import Any, NamedTuple
+from zipfile import BadZipFile, ZipExtFile, ZipFile
 
 import numpy as np
 
@@ -116,7 +116,7 @@ def _header(archive: ZipFile, name: str, path: Path) -> Header:
     return header
 
 
-def _parse_header(file: IO[bytes]) -> Header:
+def _parse_header(file: ZipExtFile) -> Header:
     version = np.lib.format.read_magic(file)
     # Version 3 exists only for field names beyond Latin-1, and plain numbers have no fields.
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

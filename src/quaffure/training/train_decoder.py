@@ -56,17 +56,19 @@ class DecoderRecipe(Recipe):
         validation: Validation,
         worker: Worker = SINGLE_PROCESS,
         terms: Terms | None = None,
+        network: QuaffureNetwork | None = None,
     ) -> None:
         """
         Args:
             grooms: registered to `body`, at most one strand a texel.
             worker: this process among those that share the run.
             terms: of the energy; those of `config.elastic` where none are given.
+            network: a new one of `config.network` where none is given.
         """
         torch.manual_seed(config.seed)
         self.config, self.sampler, self.validation, self.worker = config, sampler, validation, worker
         self.body, self.grooms = body.to(worker.device), tuple(groom.to(worker.device) for groom in grooms)
-        self.network: QuaffureNetwork = build_network(config.network).to(worker.device)
+        self.network = (network or build_network(config.network)).to(worker.device)
         self.network.encoder.load_state_dict(load_groom_encoder().state_dict())
         self.draper = NeuralDraper(self.network, config.material, config.bf16)
         terms = terms or hair_terms(config.elastic)

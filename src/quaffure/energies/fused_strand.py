@@ -116,9 +116,8 @@ def _elastic_and_gravity(
     """Eqs. 6, 7 and 9 of a strand; fills its gradient."""
     k_cosserat, k_stretch, gravity = stiffness[0], stiffness[1], stiffness[2]
     shear, stretch, height = 0.0, 0.0, 0.0
+    gradient[:] = 0.0
     for vertex in range(len(mass)):
-        gradient[vertex, 0] = 0.0
-        gradient[vertex, 1] = 0.0
         gradient[vertex, 2] = mass[vertex] * gravity
         height += mass[vertex] * gravity * (x[vertex, 2] - x[0, 2])
     for edge in range(len(rest_length)):
@@ -128,17 +127,13 @@ def _elastic_and_gravity(
         tension, energy = stretch_force(length, rest_length[edge], k_stretch)
         stretch += energy
         along = tension / (length + np.float32(1e-20))
-        fx, energy_x = stretch_shear_force(ex, director[edge, 0], inverse, k_cosserat)
-        fy, energy_y = stretch_shear_force(ey, director[edge, 1], inverse, k_cosserat)
-        fz, energy_z = stretch_shear_force(ez, director[edge, 2], inverse, k_cosserat)
-        shear += energy_x + energy_y + energy_z
-        fx, fy, fz = fx + along * ex, fy + along * ey, fz + along * ez
-        gradient[edge, 0] -= fx
-        gradient[edge, 1] -= fy
-        gradient[edge, 2] -= fz
-        gradient[edge + 1, 0] += fx
-        gradient[edge + 1, 1] += fy
-        gradient[edge + 1, 2] += fz
+        for axis in range(3):
+            component = x[edge + 1, axis] - x[edge, axis]
+            force, energy = stretch_shear_force(component, director[edge, axis], inverse, k_cosserat)
+            shear += energy
+            force += along * component
+            gradient[edge, axis] -= force
+            gradient[edge + 1, axis] += force
     return shear, stretch, height
 
 

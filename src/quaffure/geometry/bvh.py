@@ -250,16 +250,14 @@ def refit_bvh(corners: np.ndarray, tree: Bvh) -> None:
         frame = face_frame(face)
         for row in range(3, _BLOCK_ROWS):
             rows[row] = frame[row - 3]
-    for node in range(levels[1]):
-        for lane in range(LANES):
-            start = (node * LANES + lane) * LANES
-            rows = boxes[node * (_BOX_ROWS * LANES) + lane : (node + 1) * (_BOX_ROWS * LANES) : LANES]
-            _enclose(corners[min(start, len(corners)) : min(start + LANES, len(corners))], rows)
-    for level in range(1, len(levels) - 2):
+    for level in range(len(levels) - 2):
         for node in range(levels[level], levels[level + 1]):
             for lane in range(LANES):
-                child = levels[level - 1] + (node - levels[level]) * LANES + lane
                 rows = boxes[node * (_BOX_ROWS * LANES) + lane : (node + 1) * (_BOX_ROWS * LANES) : LANES]
+                if level == 0:
+                    _enclose(corners[(node * LANES + lane) * LANES : (node * LANES + lane + 1) * LANES], rows)
+                    continue
+                child = levels[level - 1] + (node - levels[level]) * LANES + lane
                 inner = boxes[child * (_BOX_ROWS * LANES) : (child + 1) * (_BOX_ROWS * LANES)]
                 rows[:3], rows[3:6], rows[6:] = np.float32(_FAR), np.float32(-_FAR), np.float32(0.0)
                 if child < levels[level]:

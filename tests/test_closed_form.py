@@ -1,7 +1,8 @@
 import torch
 
+from benchmarks.rods.closed_form import equilibrium_edges
 from quaffure.config import HairMaterial
-from quaffure.energies.closed_form import equilibrium_edges, equilibrium_vectors
+from quaffure.energies.closed_form import equilibrium_vectors
 from quaffure.energies.gravity import energy_gravity
 from quaffure.energies.rest_state import rest_state
 from quaffure.energies.stretch import energy_stretch

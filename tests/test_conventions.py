@@ -46,6 +46,30 @@ def test_files_and_functions_stay_small(path: Path) -> None:
         assert allowed or len(parameters(function)) <= MOST_PARAMETERS, function.name
 
 
+def fields_written(function: ast.FunctionDef | ast.AsyncFunctionDef) -> Iterator[str]:
+    """Fields of tuples whose elements a parallel kernel assigns itself: numba may drop that as dead code."""
+    if not any("parallel=True" in ast.unparse(decorator) for decorator in function.decorator_list):
+        return
+    for node in ast.walk(function):
+        if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store):
+            array: ast.expr = node
+            while isinstance(array, ast.Subscript):
+                array = array.value
+            if isinstance(array, ast.Attribute):
+                yield ast.unparse(array)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(SOURCE)))
+def test_parallel_kernels_leave_fields_of_tuples_to_the_functions_that_they_call(path: Path) -> None:
+    assert [name for function in functions(path) for name in fields_written(function)] == []
+
+
+def test_assignments_to_fields_are_found() -> None:
+    (function,) = ast.parse("@njit(parallel=True)\ndef f(a):\n    a.x[0][1] += 1\n    a.y[2], b = 1, a.z[3]").body
+    assert isinstance(function, ast.FunctionDef)
+    assert sorted(fields_written(function)) == ["a.x", "a.y"]
+
+
 def test_the_list_of_kernels_is_not_out_of_date() -> None:
     for module, names in KERNELS_WITH_MANY_PARAMETERS.items():
         many = {f.name for f in functions(SOURCE / module) if len(parameters(f)) > MOST_PARAMETERS}

@@ -5,10 +5,11 @@ from dataclasses import replace
 import pytest
 import torch
 
+from benchmarks.rods.closed_form import equilibrium_edges
 from quaffure.backend import Backend
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.draper import Draper
-from quaffure.energies.closed_form import equilibrium_edges, equilibrium_vectors
+from quaffure.energies.closed_form import equilibrium_vectors
 from quaffure.energies.cosserat import Cosserat
 from quaffure.energies.energy_term import HairState
 from quaffure.energies.hair_energy import HairEnergy

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.rods.closed_form import equilibrium_edges
 from quaffure.baselines.posed import PosedDraper
 from quaffure.config import HairMaterial
-from quaffure.energies.closed_form import equilibrium_edges
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.solvers.adam import AdamDraper

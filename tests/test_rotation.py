@@ -7,12 +7,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.rods.rod_validation import matrix_from_quaternion
 from quaffure.geometry.rotation import (
     axis_angle_from_matrix,
     cross_product_matrix,
     interpolate_rotations,
     matrix_from_axis_angle,
-    matrix_from_quaternion,
     quaternion_from_matrix,
     quaternion_multiply,
     shortest_arc,

@@ -8,9 +8,9 @@ import pytest
 import torch
 from scipy.spatial import ConvexHull
 
+from benchmarks.rods.closed_form import equilibrium_edges
 from quaffure.backend import Backend
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.energies.closed_form import equilibrium_edges
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.polyline import edges
 from quaffure.geometry.surface import Surface, posed_surface, surface_topology

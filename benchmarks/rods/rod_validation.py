@@ -11,16 +11,16 @@ import numpy as np
 import torch
 from scipy.optimize import minimize_scalar
 
+from benchmarks.rods.closed_form import equilibrium_edges
 from benchmarks.rods.elastic_potentials import ElasticModel, Unknowns, cosserat, modified_cosserat
 from benchmarks.rods.heavy_rod import REAL_HAIR_WEIGHT, HeavyRod
 from benchmarks.rods.rod_newton import Settled, settle
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.body_collision import energy_body_collision
-from quaffure.energies.closed_form import equilibrium_edges
 from quaffure.energies.cosserat import RodStiffness
 from quaffure.energies.gravity import energy_gravity
 from quaffure.geometry.polyline import directors
-from quaffure.geometry.rotation import matrix_from_quaternion
+from quaffure.geometry.rotation import cross_product_matrix
 from quaffure.types import Energy, Float, Positions, RestLengths, Tensor
 
 Strand = Float[Tensor, "n 3"]
@@ -178,6 +178,14 @@ def helix_compliance(vertices: int, length: float = 0.25, curl: Curl | None = No
     sine, covered = curl.rise, length * (1 - 0.5 / (vertices - 1))
     theory = curl.radius**2 * covered * ((1 - sine**2) / INEXTENSIBLE.twist + sine**2 / INEXTENSIBLE.bend)
     return float(held @ axis - strand[-1, 0]) / force, theory
+
+
+def matrix_from_quaternion(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
+    """Rotation matrices of quaternions `wxyz` of any non-zero length."""
+    unit = torch.nn.functional.normalize(quaternion, dim=-1)
+    scalar, cross = unit[..., 0, None, None], cross_product_matrix(unit[..., 1:])
+    identity = torch.eye(3, dtype=unit.dtype, device=unit.device)
+    return identity + 2 * (scalar * cross + cross @ cross)
 
 
 def sagged_strand(strand: Strand, material: HairMaterial) -> Strand:

@@ -1,5 +1,8 @@
 """Contact with the body, Eq. 10."""
 
+import numpy as np
+from numba import njit
+
 from quaffure.energies.energy_term import EnergyTerm, HairState
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.scene import HairScene
@@ -20,6 +23,20 @@ def energy_body_collision(
         Energy [J]; zero, with zero gradient, where the distance is at least the margin.
     """
     return k_body_collision * (margin - distance).clamp(min=0).pow(3).sum(dim=(-2, -1))
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def contact_force(distance: float, margin: float, k_body_collision: float) -> tuple[float, float]:
+    """Eq. 10: the derivative by the signed distance [N], -3 k_bc (D - d)^2, and the energy [J], 0 from the margin on.
+
+    Kernels inline it.
+
+    Args:
+        distance, margin: d and D [m].
+        k_body_collision: k_bc [J/m^3].
+    """
+    short = max(margin - distance, np.float32(0.0))
+    return -(np.float32(3.0) * k_body_collision * short * short), k_body_collision * short * short * short
 
 
 def distances_to_body(positions: Positions, scene: HairScene) -> Float[Tensor, "b s n"]:

@@ -4,8 +4,6 @@ Gravity pulls on every edge with the weight M g of what hangs beyond it, so the 
 oracle of every solver and the start of the network's drape.
 """
 
-import torch
-
 from quaffure.energies.gravity import GRAVITY
 from quaffure.types import EdgeVectors, Float, RestLengths, Tensor
 
@@ -20,22 +18,3 @@ def equilibrium_vectors(
     """
     pull = rest_length * mass_beyond / k_cosserat
     return director + pull[..., None] * director.new_tensor(GRAVITY)
-
-
-def equilibrium_edges(
-    director: EdgeVectors,
-    rest_length: RestLengths,
-    mass_beyond: Float[Tensor, "s e"],
-    k_cosserat: float,
-    k_stretch: float,
-) -> EdgeVectors:
-    """Edges [m] at the minimum of Eqs. 6, 7 and 9.
-
-    The edge lies along p = d3 + (l M / k) g, since Eq. 7 only adds a force along it; its length r solves
-    (k / l^2) r + k_s (r - l) = (k / l) |p|, the derivative of the three terms along p.
-    """
-    vectors = equilibrium_vectors(director, rest_length, mass_beyond, k_cosserat)
-    pull = vectors.norm(dim=-1)
-    bending = k_cosserat / rest_length
-    length = (bending * pull + k_stretch * rest_length) / (bending / rest_length + k_stretch)
-    return length[..., None] * torch.nn.functional.normalize(vectors, dim=-1)

@@ -165,7 +165,7 @@ class CosseratRod:
 
     @cached_property
     def frames(self) -> Quaternions:
-        """Of the posed edges."""
+        """Frames of the posed edges."""
         return transported_frames(self.director)
 
     @cached_property

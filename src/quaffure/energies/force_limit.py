@@ -7,7 +7,7 @@ vertices rest near the skin, and keeps every direction of descent.
 
 from quaffure.config import STANDARD_GRAVITY
 from quaffure.energies.rest_state import RestState
-from quaffure.types import Float, Positions, Tensor
+from quaffure.types import Positions
 
 MAX_FORCE = 10.0
 """Largest force on a vertex, in weights of its whole strand."""
@@ -21,10 +21,10 @@ def clip_gradients(positions: Positions, rest: RestState, joules: float) -> Posi
     """
     limit = MAX_FORCE * STANDARD_GRAVITY * rest.mass.sum(dim=1)[:, None, None] / joules
     through = positions.view_as(positions)
+
+    def at_most(gradient: Positions) -> Positions:
+        return gradient * (limit / gradient.norm(dim=-1, keepdim=True).clamp(min=1e-30)).clamp(max=1.0)
+
     if through.requires_grad:
-        through.register_hook(lambda gradient: _at_most(gradient, limit))
+        through.register_hook(at_most)
     return through
-
-
-def _at_most(gradient: Positions, limit: Float[Tensor, "s 1 1"]) -> Positions:
-    return gradient * (limit / gradient.norm(dim=-1, keepdim=True).clamp(min=1e-30)).clamp(max=1.0)

@@ -77,32 +77,18 @@ def sort_particles(
     """The order of the vertices in cells of side `size`, the cells along x, y, z, and the vertices in that order,
     weighted by their masses."""
     order, start, shape = sort_into_cells(points, size)
-    x, y, z, weight = np.empty((4, len(order)), np.float32)
-    for row in range(len(order)):
-        index = order[row]
-        x[row], y[row], z[row] = points[index, 0], points[index, 1], points[index, 2]
-        weight[row] = mass[index]
-    return order, shape, Particles(x, y, z, weight, start)
+    x, y, z = points[order, 0], points[order, 1], points[order, 2]
+    return order, shape, Particles(x, y, z, mass[order], start)
 
 
 @njit(cache=True)
 def active_particles(particles: Particles, slope: np.ndarray) -> Particles:
     """The vertices whose `slope` is above 0 alone, weighted by it."""
-    count = 0
-    for row in range(len(slope)):
-        count += slope[row] > 0
-    x, y, z, weight = np.empty((4, count), np.float32)
-    start = np.empty_like(particles.start)
-    start[0] = 0
-    at = 0
-    for cell in range(len(start) - 1):
-        for row in range(particles.start[cell], particles.start[cell + 1]):
-            if slope[row] > 0:
-                x[at], y[at], z[at] = particles.x[row], particles.y[row], particles.z[row]
-                weight[at] = slope[row]
-                at += 1
-        start[cell + 1] = at
-    return Particles(x, y, z, weight, start)
+    kept = slope > 0
+    before = np.zeros(len(kept) + 1, np.int64)
+    before[1:] = np.cumsum(kept)
+    x, y, z = particles.x[kept], particles.y[kept], particles.z[kept]
+    return Particles(x, y, z, slope[kept], before[particles.start])
 
 
 @njit(cache=True, parallel=True, fastmath=True)
@@ -157,27 +143,21 @@ def density_gradient(
         column = interleaved(index, columns, threads)
         if column >= columns or start[column * along] == start[(column + 1) * along]:
             continue
-        workspace, ranges = np.empty((4, 256), np.float32), np.empty((9, 2), np.int64)
+        near_active, near_all = np.empty((4, 256), np.float32), np.empty((4, 256), np.float32)
+        ranges, all_count = np.empty((9, 2), np.int64), 0
         for cell in range(column * along, (column + 1) * along):
             if start[cell] == start[cell + 1]:
                 continue
-            workspace, count = _near_by(cell, active, shape, ranges, workspace)
+            near_active, active_count = _near_by(cell, active, shape, ranges, near_active)
+            if active.start[cell] < active.start[cell + 1]:
+                near_all, all_count = _near_by(cell, particles, shape, ranges, near_all)
             for row in range(start[cell], start[cell + 1]):
-                gx, gy, gz = _slopes(particles.x[row], particles.y[row], particles.z[row], workspace, count, inverse)
-                pull, at = scale * particles.weight[row], order[row]
-                gradient[at, 0], gradient[at, 1], gradient[at, 2] = pull * gx, pull * gy, pull * gz
-            if active.start[cell] == active.start[cell + 1]:
-                continue
-            workspace, count = _near_by(cell, particles, shape, ranges, workspace)
-            for row in range(start[cell], start[cell + 1]):
+                px, py, pz, at = particles.x[row], particles.y[row], particles.z[row], order[row]
+                gx, gy, gz = _slopes(px, py, pz, near_active, active_count, inverse, scale * particles.weight[row])
                 if slope[row] > 0.0:
-                    gx, gy, gz = _slopes(
-                        particles.x[row], particles.y[row], particles.z[row], workspace, count, inverse
-                    )
-                    pull, at = scale * slope[row], order[row]
-                    gradient[at, 0] += pull * gx
-                    gradient[at, 1] += pull * gy
-                    gradient[at, 2] += pull * gz
+                    ox, oy, oz = _slopes(px, py, pz, near_all, all_count, inverse, scale * slope[row])
+                    gx, gy, gz = gx + ox, gy + oy, gz + oz
+                gradient[at, 0], gradient[at, 1], gradient[at, 2] = gx, gy, gz
 
 
 @njit(cache=True, inline="always")
@@ -203,9 +183,10 @@ def _near_by(
 
 @njit(cache=True, fastmath=True, inline="always")
 def _slopes(
-    px: np.float32, py: np.float32, pz: np.float32, others: np.ndarray, count: int, inverse: np.float32
-) -> tuple[np.float32, np.float32, np.float32]:
-    """Weighted sum over the first `count` of `others` [4, vertex] of the gradient of Eq. 13 at p, times h."""
+    px: np.float32, py: np.float32, pz: np.float32, others: np.ndarray, count: int, inverse: np.float32,
+    scale: np.float32,
+) -> tuple[np.float32, np.float32, np.float32]:  # fmt: skip
+    """Weighted sum over the first `count` of `others` [4, vertex] of the gradient of Eq. 13 at p, times h `scale`."""
     gx, gy, gz = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     xs, ys, zs, weights = others[0, :count], others[1, :count], others[2, :count], others[3, :count]
     for other in range(count):
@@ -215,4 +196,4 @@ def _slopes(
         gx += slope * dx
         gy += slope * dy
         gz += slope * dz
-    return gx, gy, gz
+    return scale * gx, scale * gy, scale * gz

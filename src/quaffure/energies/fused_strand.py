@@ -14,12 +14,13 @@ from numba import get_num_threads, njit, prange
 from torch.autograd.function import FunctionCtx
 
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.energies.contact_force import contact_force
-from quaffure.energies.edge_force import stretch_force, stretch_shear_force
+from quaffure.energies.body_collision import contact_force
 from quaffure.energies.rest_state import RestState
-from quaffure.geometry.bvh import Bvh, nearest_face, search_workspace
+from quaffure.energies.stretch import stretch_force
+from quaffure.energies.stretch_shear import stretch_shear_force
+from quaffure.geometry.bvh import nearest_face, search_workspace
 from quaffure.geometry.cell_list import check_finite, interleaved
-from quaffure.geometry.occupancy_grid import FREE, FREE_DISTANCE, UNKNOWN, OccupancyGrid, classify
+from quaffure.geometry.occupancy_grid import FREE, FREE_DISTANCE, UNKNOWN, classify
 from quaffure.geometry.surface import Surface, SurfaceArrays, bvh_of, occupancy_of, sample_arrays
 from quaffure.geometry.triangle import closest_on_triangle, signed_distance_from_offset, squared_distance
 from quaffure.types import EdgeVectors, Float, Positions, Tensor
@@ -39,15 +40,6 @@ class _Strands(NamedTuple):
     mass: np.ndarray
     margin: np.ndarray
     stiffness: np.ndarray
-
-
-class _Body(NamedTuple):
-    """One posed body: see `SurfaceArrays`."""
-
-    corners: np.ndarray
-    normals: np.ndarray
-    tree: Bvh
-    space: OccupancyGrid
 
 
 def strand_energy(
@@ -73,23 +65,16 @@ def strand_energy(
 class _StrandEnergy(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: FunctionCtx,
-        positions: Tensor,
-        director: Tensor,
-        rest: RestState,
-        material: HairMaterial,
-        surface: Surface,
+        ctx: FunctionCtx, positions: Tensor, director: Tensor, rest: RestState, material: HairMaterial, surface: Surface
     ) -> tuple[Tensor, Tensor]:
         positions = positions.contiguous()
         gradient = torch.empty_like(positions)
         per_strand = np.empty((*positions.shape[:2], len(TERMS)), np.float64)
-        stiffness = np.array(
-            [material.k_cosserat, material.k_stretch, STANDARD_GRAVITY, material.k_body_collision], np.float32
-        )
-        directors, margin = director.detach().contiguous().numpy(), rest.collision_margin.numpy()
-        strands = _Strands(directors, rest.rest_length.numpy(), rest.mass.numpy(), margin, stiffness)
-        arrays, threads = surface.arrays, get_num_threads()
-        _strands(positions.detach().numpy(), strands, arrays, threads, per_strand, gradient.numpy())
+        stiffness = (material.k_cosserat, material.k_stretch, STANDARD_GRAVITY, material.k_body_collision)
+        fields = (director.detach().contiguous(), rest.rest_length, rest.mass, rest.collision_margin)
+        directors, rest_length, mass, margin = (field.numpy() for field in fields)
+        hair = _Strands(directors, rest_length, mass, margin, np.array(stiffness, np.float32))
+        _strands(positions.detach().numpy(), hair, surface.arrays, get_num_threads(), per_strand, gradient.numpy())
         ctx.save_for_backward(gradient)
         terms = torch.from_numpy(per_strand.sum(axis=1)).to(positions.dtype)
         ctx.mark_non_differentiable(terms)
@@ -112,8 +97,7 @@ def _strands(
         if item >= batch * runs:
             continue
         sample = item // runs
-        arrays = sample_arrays(surface, sample)
-        body = _Body(arrays.corners, arrays.normals, bvh_of(arrays), occupancy_of(arrays))
+        body = sample_arrays(surface, sample)
         stack, scratch = search_workspace()
         seed = 0
         for strand in range((item % runs) * _RUN, min(strands, (item % runs + 1) * _RUN)):
@@ -132,9 +116,8 @@ def _elastic_and_gravity(
     """Eqs. 6, 7 and 9 of a strand; fills its gradient."""
     k_cosserat, k_stretch, gravity = stiffness[0], stiffness[1], stiffness[2]
     shear, stretch, height = 0.0, 0.0, 0.0
+    gradient[:] = 0.0
     for vertex in range(len(mass)):
-        gradient[vertex, 0] = 0.0
-        gradient[vertex, 1] = 0.0
         gradient[vertex, 2] = mass[vertex] * gravity
         height += mass[vertex] * gravity * (x[vertex, 2] - x[0, 2])
     for edge in range(len(rest_length)):
@@ -144,37 +127,34 @@ def _elastic_and_gravity(
         tension, energy = stretch_force(length, rest_length[edge], k_stretch)
         stretch += energy
         along = tension / (length + np.float32(1e-20))
-        fx, energy_x = stretch_shear_force(ex, director[edge, 0], inverse, k_cosserat)
-        fy, energy_y = stretch_shear_force(ey, director[edge, 1], inverse, k_cosserat)
-        fz, energy_z = stretch_shear_force(ez, director[edge, 2], inverse, k_cosserat)
-        shear += energy_x + energy_y + energy_z
-        fx, fy, fz = fx + along * ex, fy + along * ey, fz + along * ez
-        gradient[edge, 0] -= fx
-        gradient[edge, 1] -= fy
-        gradient[edge, 2] -= fz
-        gradient[edge + 1, 0] += fx
-        gradient[edge + 1, 1] += fy
-        gradient[edge + 1, 2] += fz
+        for axis in range(3):
+            component = x[edge + 1, axis] - x[edge, axis]
+            force, energy = stretch_shear_force(component, director[edge, axis], inverse, k_cosserat)
+            shear += energy
+            force += along * component
+            gradient[edge, axis] -= force
+            gradient[edge + 1, axis] += force
     return shear, stretch, height
 
 
 @njit(cache=True, fastmath=True, inline="always")
 def _contact(
-    x: np.ndarray, margin: np.ndarray, k_body_collision: float, body: _Body, seed: int,
+    x: np.ndarray, margin: np.ndarray, k_body_collision: float, body: SurfaceArrays, seed: int,
     stack: np.ndarray, scratch: np.ndarray, gradient: np.ndarray,
 ) -> tuple[float, int]:  # fmt: skip
     """Eq. 10 of a strand, and the first face in contact: a good `seed` for the next strand. Adds to the gradient."""
     energy, leaf, first = 0.0, seed, -1
+    tree, space = bvh_of(body), occupancy_of(body)
     for vertex in range(1, len(x)):
         px, py, pz = x[vertex, 0], x[vertex, 1], x[vertex, 2]
-        where = classify(px, py, pz, body.space)
+        where = classify(px, py, pz, space)
         if where == FREE and margin[vertex] <= np.float32(FREE_DISTANCE):
             continue
         if where == UNKNOWN:
             squared = squared_distance(body.corners[leaf], px, py, pz)
-            found = nearest_face(px, py, pz, leaf, squared, body.tree, stack, scratch)
+            found = nearest_face(px, py, pz, leaf, squared, tree, stack, scratch)
         else:  # outside: faces beyond the margin do not matter
-            found = nearest_face(px, py, pz, -1, margin[vertex] * margin[vertex], body.tree, stack, scratch)
+            found = nearest_face(px, py, pz, -1, margin[vertex] * margin[vertex], tree, stack, scratch)
             if found < 0:
                 continue
         leaf = found

@@ -17,9 +17,6 @@ from quaffure.energies.rest_state import RestState
 from quaffure.scene import HairScene
 from quaffure.types import Energy, Float, Positions, Tensor
 
-EDGE, BEND, TORSION = 1, 2, 3
-"""How many vertices a spring of each kind reaches."""
-
 
 @dataclass(frozen=True)
 class SpringStiffness:
@@ -36,10 +33,6 @@ class SpringStiffness:
     k_torsion: float = 1e-3
     """Between every third vertex [N]."""
 
-    def by_reach(self) -> dict[int, float]:
-        """Every stiffness by how many vertices its springs reach."""
-        return {EDGE: self.k_edge, BEND: self.k_bend, TORSION: self.k_torsion}
-
 
 def with_ghosts(positions: Positions, posed: Float[Tensor, "#b s n 3"]) -> Float[Tensor, "b s m 3"]:
     """The vertices after two more that clamp the root: the posed strand mirrored through its root, fixed to the head.
@@ -50,9 +43,9 @@ def with_ghosts(positions: Positions, posed: Float[Tensor, "#b s n 3"]) -> Float
     return torch.cat([ghosts.expand(len(positions), -1, -1, -1), positions], dim=2)
 
 
-def spring_lengths(vertices: Float[Tensor, "b s m 3"], reach: int) -> Float[Tensor, "b s k"]:
-    """Distance [m] from every vertex to the one `reach` further on."""
-    return (vertices[:, :, reach:] - vertices[:, :, :-reach]).norm(dim=-1)
+def spring_lengths(vertices: Float[Tensor, "b s m 3"], span: int) -> Float[Tensor, "b s k"]:
+    """Distance [m] from every vertex to the one `span` further on."""
+    return (vertices[:, :, span:] - vertices[:, :, :-span]).norm(dim=-1)
 
 
 def energy_springs(length: Float[Tensor, "b s k"], rest_length: Float[Tensor, "#b s k"], stiffness: float) -> Energy:
@@ -68,20 +61,20 @@ class Springs:
     posed: Positions
 
     @cached_property
-    def rest_lengths(self) -> dict[int, Float[Tensor, "b s k"]]:
+    def rest_lengths(self) -> list[Tensor]:
         return self.lengths(self.posed)
 
-    def lengths(self, positions: Positions) -> dict[int, Float[Tensor, "b s k"]]:
-        """Lengths of all springs [m] by their reach."""
+    def lengths(self, positions: Positions) -> list[Tensor]:
+        """Lengths of edge, bending and torsion springs [m], each [sample, strand, spring]."""
         # Relative to the roots: elasticity is local, and float32 has more digits there.
         clamped = with_ghosts(positions - positions[:, :, :1] + self.posed[:, :, :1], self.posed)
-        return {reach: spring_lengths(clamped, reach) for reach in (EDGE, BEND, TORSION)}
+        return [spring_lengths(clamped, span) for span in (1, 2, 3)]
 
     def energy(self, positions: Positions) -> Energy:
         """Energy of all springs [J]; springs of one sample serve a batch of positions [m]."""
-        lengths, stiffness = self.lengths(positions), self.stiffness.by_reach()
-        springs = [energy_springs(lengths[reach], self.rest_lengths[reach], k) for reach, k in stiffness.items()]
-        return torch.stack(springs).sum(dim=0)
+        stiffness = (self.stiffness.k_edge, self.stiffness.k_bend, self.stiffness.k_torsion)
+        springs = zip(self.lengths(positions), self.rest_lengths, stiffness)
+        return torch.stack([energy_springs(*of_kind) for of_kind in springs]).sum(dim=0)
 
 
 @dataclass(frozen=True)
@@ -103,4 +96,4 @@ class MassSpring(EnergyTerm):
     def metric(self, hair: HairState, scene: HairScene) -> Float[Tensor, "b s k"]:
         """Relative change of length of every edge's spring [%]."""
         springs: Springs = hair.prepared[self.name]
-        return 100 * (springs.lengths(hair.positions)[EDGE] / springs.rest_lengths[EDGE] - 1).abs()
+        return 100 * (springs.lengths(hair.positions)[0] / springs.rest_lengths[0] - 1).abs()

@@ -31,17 +31,10 @@ def density(
 
 def densities(positions: Positions, mass: Float[Tensor, "s n"], smoothing_length: float) -> Float[Tensor, "b s n"]:
     """Density at every vertex of every sample [kg/m^3], with the neighbours searched anew."""
-    return torch.stack(
-        [
-            density(
-                sample.flatten(0, 1),
-                mass.flatten(),
-                fixed_radius_pairs(sample.flatten(0, 1), 2 * smoothing_length),
-                smoothing_length,
-            ).reshape(mass.shape)
-            for sample in positions
-        ]
-    )
+    flat, masses = positions.flatten(1, 2), mass.flatten()
+    pairs = [fixed_radius_pairs(sample, 2 * smoothing_length) for sample in flat]
+    found = [density(sample, masses, near, smoothing_length) for sample, near in zip(flat, pairs)]
+    return torch.stack(found).reshape(positions.shape[:3])
 
 
 def energy_self_collision(

@@ -1,5 +1,8 @@
 """Resistance of every edge to a change of its length, Eq. 7."""
 
+import numpy as np
+from numba import njit
+
 from quaffure.energies.energy_term import EnergyTerm, HairState
 from quaffure.geometry.polyline import edges
 from quaffure.scene import HairScene
@@ -10,6 +13,13 @@ def energy_stretch(positions: Positions, rest_length: RestLengths, k_stretch: Sc
     """Eq. 7: half k_stretch [N/m] times the squared change of length [m] of every edge [J]."""
     length = edges(positions).norm(dim=-1)
     return 0.5 * k_stretch * (length - rest_length).square().sum(dim=(-2, -1))
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def stretch_force(length: float, rest_length: float, k_stretch: float) -> tuple[float, float]:
+    """Eq. 7: the derivative by the length of an edge [N], k_s (|e| - l), and the energy [J]. Kernels inline it."""
+    longer = length - rest_length
+    return k_stretch * longer, np.float32(0.5) * k_stretch * longer * longer
 
 
 def length_errors(positions: Positions, rest_length: RestLengths) -> Float[Tensor, "b s e"]:

@@ -3,7 +3,9 @@
 `director` is the unit tangent d3 of the same edge of the rigidly posed groom.
 """
 
+import numpy as np
 import torch
+from numba import njit
 
 from quaffure.energies.energy_term import EnergyTerm, HairState
 from quaffure.geometry.polyline import edges
@@ -22,6 +24,24 @@ def energy_stretch_shear(
     """Eq. 6: half k_Cosserat [J] times the squared strain of every edge [J]."""
     strain = stretch_shear_strain(positions, director, rest_length)
     return 0.5 * k_cosserat * strain.square().sum(dim=(-3, -2, -1))
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def stretch_shear_force(
+    edge: float, director: float, inverse_rest_length: float, k_cosserat: float
+) -> tuple[float, float]:
+    """Eq. 6 along one axis: the derivative by the edge [N], k_c / l (e / l - d3), and the energy [J].
+
+    Kernels inline it.
+
+    Args:
+        edge, director: components of the edge [m] and of its unit director along the axis.
+        inverse_rest_length: 1 / l [1/m].
+        k_cosserat: k_c [J].
+    """
+    strain = edge * inverse_rest_length - director
+    # One half in float32 is exact in float64 too: the precision is that of the arguments.
+    return k_cosserat * inverse_rest_length * strain, np.float32(0.5) * k_cosserat * strain * strain
 
 
 def orientation_errors(positions: Positions, director: EdgeVectors) -> Float[Tensor, "b s e"]:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numba import njit, prange
 
-from quaffure.geometry.triangle import squared_distance, squared_distance_in_plane
+from quaffure.geometry.triangle import face_frame, squared_distance, squared_distance_in_plane
 
 LANES = 16
 """Children of a node and faces of a block."""
@@ -20,16 +20,14 @@ _LEAF_SIZE = 4  # faces that the order does not separate any further
 _BLOCK_ROWS = 17
 _BOX_ROWS = 11
 _ROUNDING = 1e-6  # of a height along a slab's direction, in float32 [m]
-_FAR = 1e9  # position of missing children [m]; they are never visited, since children are counted
+_FAR = 1e9  # how far away missing children are [m]; they are never visited, since children are counted
 
 
 class Bvh(NamedTuple):
     """The tree in one pose, or in a batch of poses with one more axis in front.
 
     Attributes:
-        blocks: each face in its own frame: first corner, axis along its first edge, axis across, unit normal, length
-            of that edge, third corner in the plane, inverse squared lengths of the other two edges; [17, lane] a
-            block, flat.
+        blocks: each face's first corner and `face_frame` but for the area; [17, lane] a block, flat.
         boxes: of a node's children the lower and upper corners, and a slab: unit direction, least and greatest
             height along it; [11, lane] a node, flat [m]. Of blocks the direction is their mean normal, for a patch of
             skin is thin that way; of nodes the slab is all of space.
@@ -221,9 +219,9 @@ def _to_faces(block: int, blocks: np.ndarray, x: float, y: float, z: float, squa
     face = blocks[block * (_BLOCK_ROWS * LANES) : (block + 1) * (_BLOCK_ROWS * LANES)]
     for lane in range(LANES):
         px, py, pz = x - face[lane], y - face[16 + lane], z - face[32 + lane]
-        u = px * face[48 + lane] + py * face[64 + lane] + pz * face[80 + lane]
-        v = px * face[96 + lane] + py * face[112 + lane] + pz * face[128 + lane]
-        height = px * face[144 + lane] + py * face[160 + lane] + pz * face[176 + lane]
+        height = px * face[48 + lane] + py * face[64 + lane] + pz * face[80 + lane]
+        u = px * face[96 + lane] + py * face[112 + lane] + pz * face[128 + lane]
+        v = px * face[144 + lane] + py * face[160 + lane] + pz * face[176 + lane]
         in_plane = squared_distance_in_plane(
             u, v, face[192 + lane], face[208 + lane], face[224 + lane], face[240 + lane], face[256 + lane]
         )
@@ -247,39 +245,36 @@ def refit_bvh(corners: np.ndarray, tree: Bvh) -> None:
     for leaf in range(len(blocks) // _BLOCK_ROWS):
         block, lane = leaf // LANES, leaf % LANES
         rows = blocks[block * (_BLOCK_ROWS * LANES) + lane : (block + 1) * (_BLOCK_ROWS * LANES) : LANES]
-        _write_face(corners[min(leaf, len(corners) - 1)], rows)
-    for node in range(levels[1]):
-        for lane in range(LANES):
-            start = (node * LANES + lane) * LANES
-            rows = boxes[node * (_BOX_ROWS * LANES) + lane : (node + 1) * (_BOX_ROWS * LANES) : LANES]
-            _enclose(corners[min(start, len(corners)) : min(start + LANES, len(corners))], rows)
-    for level in range(1, len(levels) - 2):
+        face = corners[min(leaf, len(corners) - 1)]
+        rows[0], rows[1], rows[2] = face[0]
+        frame = face_frame(face)
+        for row in range(3, _BLOCK_ROWS):
+            rows[row] = frame[row - 3]
+    for level in range(len(levels) - 2):
         for node in range(levels[level], levels[level + 1]):
             for lane in range(LANES):
-                child = levels[level - 1] + (node - levels[level]) * LANES + lane
                 rows = boxes[node * (_BOX_ROWS * LANES) + lane : (node + 1) * (_BOX_ROWS * LANES) : LANES]
+                if level == 0:
+                    _enclose(corners[(node * LANES + lane) * LANES : (node * LANES + lane + 1) * LANES], rows)
+                    continue
+                child = levels[level - 1] + (node - levels[level]) * LANES + lane
                 inner = boxes[child * (_BOX_ROWS * LANES) : (child + 1) * (_BOX_ROWS * LANES)]
-                rows[6:] = np.float32(0.0)
-                for axis in range(3):
-                    rows[axis], rows[3 + axis] = np.float32(_FAR), np.float32(_FAR)
-                    if child < levels[level]:
-                        low, high = np.float32(_FAR), np.float32(-_FAR)
-                        for other in range(LANES):
-                            if inner[axis * LANES + other] < np.float32(_FAR):
-                                low = min(low, inner[axis * LANES + other])
-                                high = max(high, inner[(3 + axis) * LANES + other])
-                        rows[axis], rows[3 + axis] = low, high
+                rows[:3], rows[3:6], rows[6:] = np.float32(_FAR), np.float32(-_FAR), np.float32(0.0)
+                if child < levels[level]:
+                    for axis in range(3):
+                        rows[axis] = inner[axis * LANES : (axis + 1) * LANES].min()
+                        rows[3 + axis] = inner[(3 + axis) * LANES : (4 + axis) * LANES].max()
 
 
 @njit(cache=True, inline="always")
 def _enclose(corners: np.ndarray, box: np.ndarray) -> None:
-    """Write the box and the slab round some faces; a point far away where there are none."""
+    """Write the box and the slab round some faces; of no faces they are inside out and far away."""
     for axis in range(3):
         low, high = np.float32(_FAR), np.float32(-_FAR)
         for face in range(len(corners)):
             for corner in range(3):
                 low, high = min(low, corners[face, corner, axis]), max(high, corners[face, corner, axis])
-        box[axis], box[3 + axis] = low, (high if len(corners) > 0 else np.float32(_FAR))
+        box[axis], box[3 + axis] = low, high
     nx, ny, nz = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for face in range(len(corners)):
         a, b, c = corners[face, 0], corners[face, 1], corners[face, 2]
@@ -293,33 +288,3 @@ def _enclose(corners: np.ndarray, box: np.ndarray) -> None:
             height = corners[face, corner, 0] * nx + corners[face, corner, 1] * ny + corners[face, corner, 2] * nz
             low, high = min(low, height), max(high, height)
     box[6], box[7], box[8], box[9], box[10] = nx, ny, nz, low - np.float32(_ROUNDING), high + np.float32(_ROUNDING)
-
-
-@njit(cache=True, inline="always")
-def _write_face(face: np.ndarray, rows: np.ndarray) -> None:
-    """Write the 17 numbers of `Bvh.blocks`. A sliver keeps a true frame, whatever its normal."""
-    ax, ay, az = face[0, 0], face[0, 1], face[0, 2]
-    bx, by, bz = face[1, 0] - ax, face[1, 1] - ay, face[1, 2] - az
-    cx, cy, cz = face[2, 0] - ax, face[2, 1] - ay, face[2, 2] - az
-    length, reach = np.sqrt(bx * bx + by * by + bz * bz), np.sqrt(cx * cx + cy * cy + cz * cz)
-    tx, ty, tz = bx, by, bz
-    if length == 0.0:
-        tx, ty, tz = cx, cy, cz
-    scale = np.float32(1.0) / max(length if length > 0.0 else reach, np.float32(1e-20))
-    tx, ty, tz = tx * scale, ty * scale, tz * scale
-    nx, ny, nz = ty * cz - tz * cy, tz * cx - tx * cz, tx * cy - ty * cx
-    width = np.sqrt(nx * nx + ny * ny + nz * nz)
-    if width <= np.float32(1e-4) * reach:  # the cross product is rounding: any perpendicular will do
-        nx, ny, nz = (-ty, tx, np.float32(0.0)) if abs(tz) < np.float32(0.7) else (np.float32(0.0), -tz, ty)
-        width = max(np.sqrt(nx * nx + ny * ny + nz * nz), np.float32(1e-20))
-    scale = np.float32(1.0) / width
-    nx, ny, nz = nx * scale, ny * scale, nz * scale
-    sx, sy, sz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-    u, v = cx * tx + cy * ty + cz * tz, cx * sx + cy * sy + cz * sz
-    tiny = np.float32(1e-24)
-    values = (
-        ax, ay, az, tx, ty, tz, sx, sy, sz, nx, ny, nz, length, u, v,
-        np.float32(1.0) / max(u * u + v * v, tiny), np.float32(1.0) / max((u - length) ** 2 + v * v, tiny),
-    )  # fmt: skip
-    for row in range(_BLOCK_ROWS):
-        rows[row] = values[row]

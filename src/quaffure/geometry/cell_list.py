@@ -24,11 +24,11 @@ def fixed_radius_pairs(points: Float[Tensor, "p 3"], radius: float) -> Int[Tenso
         return fixed_radius_pairs_reference(points, radius)
     array = np.ascontiguousarray(points.detach().numpy(), dtype=np.float32)
     order, cell_start, shape = sort_into_cells(array, np.float32(radius))
-    sorted_points = array[order]
-    counts = _count_pairs(sorted_points, cell_start, shape, np.float32(radius))
-    offsets = np.concatenate([[0], np.cumsum(counts)])
-    pairs = np.empty((2, offsets[-1]), np.int64)
-    _write_pairs(sorted_points, order, cell_start, shape, np.float32(radius), offsets, pairs)
+    cells = (array[order], order, cell_start, shape, np.float32(radius))
+    counts = np.zeros(len(array), np.int64)
+    _list_pairs(*cells, counts, np.empty((2, 0), np.int64))
+    pairs = np.empty((2, counts.sum()), np.int64)
+    _list_pairs(*cells, np.cumsum(counts) - counts, pairs)
     return torch.from_numpy(pairs)
 
 
@@ -151,50 +151,28 @@ def cell_columns(cell: int, shape: tuple[int, int, int], start: np.ndarray, rang
 
 
 @njit(cache=True, parallel=True)
-def _count_pairs(points: np.ndarray, start: np.ndarray, shape: tuple[int, int, int], radius: np.float32) -> np.ndarray:
-    counts = np.zeros(len(points), np.int64)
+def _list_pairs(
+    points: np.ndarray, order: np.ndarray, start: np.ndarray, shape: tuple[int, int, int], radius: np.float32,
+    cursor: np.ndarray, pairs: np.ndarray,
+) -> None:  # fmt: skip
+    """Write the pairs of every sorted point to `pairs` from its `cursor` on, and move that behind them.
+
+    What does not fit is counted alone.
+    """
     for cell in prange(len(start) - 1):
         if start[cell] == start[cell + 1]:
             continue
         ranges = np.empty((9, 2), np.int64)
         found = cell_columns(cell, shape, start, ranges)
         for row in range(start[cell], start[cell + 1]):
-            count = 0
+            at = cursor[row]
             for column in range(found):
                 for other in range(max(row + 1, ranges[column, 0]), ranges[column, 1]):
-                    count += _closer(points, row, other, radius)
-            counts[row] = count
-    return counts
-
-
-@njit(cache=True, parallel=True)
-def _write_pairs(
-    points: np.ndarray,
-    order: np.ndarray,
-    start: np.ndarray,
-    shape: tuple[int, int, int],
-    radius: np.float32,
-    offsets: np.ndarray,
-    pairs: np.ndarray,
-) -> None:
-    for cell in prange(len(start) - 1):
-        if start[cell] == start[cell + 1]:
-            continue
-        ranges = np.empty((9, 2), np.int64)
-        found = cell_columns(cell, shape, start, ranges)
-        for row in range(start[cell], start[cell + 1]):
-            at = offsets[row]
-            for column in range(found):
-                for other in range(max(row + 1, ranges[column, 0]), ranges[column, 1]):
-                    if _closer(points, row, other, radius):
-                        pairs[0, at] = min(order[row], order[other])
-                        pairs[1, at] = max(order[row], order[other])
+                    dx, dy = points[row, 0] - points[other, 0], points[row, 1] - points[other, 1]
+                    dz = points[row, 2] - points[other, 2]
+                    if dx * dx + dy * dy + dz * dz <= radius * radius:
+                        if at < pairs.shape[1]:
+                            pairs[0, at] = min(order[row], order[other])
+                            pairs[1, at] = max(order[row], order[other])
                         at += 1
-
-
-@njit(cache=True, inline="always")
-def _closer(points: np.ndarray, first: int, second: int, radius: np.float32) -> bool:
-    dx = points[first, 0] - points[second, 0]
-    dy = points[first, 1] - points[second, 1]
-    dz = points[first, 2] - points[second, 2]
-    return dx * dx + dy * dy + dz * dz <= radius * radius
+            cursor[row] = at

@@ -15,21 +15,16 @@ def face_normals(triangles: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 3"]:
     return normalize(torch.linalg.cross(second - first, third - first), dim=-1)
 
 
-def corner_angles(triangles: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 3"]:
-    """Interior angle at each corner [rad]."""
-    forward = triangles.roll(-1, dims=-2) - triangles
-    backward = triangles.roll(1, dims=-2) - triangles
-    sine = torch.linalg.cross(forward, backward).norm(dim=-1)
-    return torch.atan2(sine, (forward * backward).sum(-1))
-
-
 def angle_weighted_vertex_normals(vertices: MeshVertices, faces: MeshFaces) -> Float[Tensor, "b v 3"]:
     """Sum of the normals of a vertex's faces weighted by their angle there (Baerentzen and Aanaes 2005), not unit.
 
     The sign of a point whose nearest feature is that vertex is the sign of its offset along this normal, exactly.
     """
     triangles = vertices[:, faces]
-    weighted = face_normals(triangles)[..., None, :] * corner_angles(triangles)[..., None]
+    forward, backward = triangles.roll(-1, dims=-2) - triangles, triangles.roll(1, dims=-2) - triangles
+    sine = torch.linalg.cross(forward, backward).norm(dim=-1)
+    angle = torch.atan2(sine, (forward * backward).sum(-1))
+    weighted = face_normals(triangles)[..., None, :] * angle[..., None]
     return torch.zeros_like(vertices).index_add(1, faces.flatten(), weighted.flatten(1, 2))
 
 

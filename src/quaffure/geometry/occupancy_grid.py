@@ -1,12 +1,12 @@
 """Cells of space round a point that hold no part of a closed surface, nor come near it, and lie outside.
 
 Most hair hangs free: one such look-up spares it the search for its nearest face. A cell is called clear only
-if it is reached, through cells that no face comes near, from one that is known to be outside; whatever is not reached
-is searched, so the answer is exact.
+if cells that no face comes near connect it to one that is known to be outside; points in all others are searched, so
+the result is exact.
 
 Cells that faces do come near are split into 4 x 4 x 4 small ones, one bit each. The flood goes on through small cells
-that no face touches. Where it arrives a point is outside, so that faces beyond its margin need not be looked for;
-and where moreover no face comes near, it needs no search at all.
+that no face touches. Where it arrives a point is outside, so that no face beyond its margin need be found; and where
+moreover no face comes near, it needs no search at all.
 """
 
 from typing import NamedTuple
@@ -30,6 +30,7 @@ MOST_SPLIT = 16384
 """Cells that may be split; points in further ones are searched."""
 FREE, OUTSIDE, UNKNOWN = 0, 1, 2
 """Results of `classify`."""
+_FAR, _NOT_SPLIT = -1, -2  # no face is near the cell; one is, but `MOST_SPLIT` other cells are split
 _SPLIT = 4
 _SMALL = CELL_SIZE / _SPLIT
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -42,9 +43,7 @@ def _runs() -> UInt64[np.ndarray, "3 4 4"]:
     coordinates = np.indices((_SPLIT, _SPLIT, _SPLIT)).reshape(3, -1)
     low, high = np.arange(_SPLIT)[:, None, None], np.arange(_SPLIT)[None, :, None]
     within = (coordinates[:, None, None] >= low) & (coordinates[:, None, None] <= high)
-    bits: UInt64[np.ndarray, "3 4 4"] = (within * (np.uint64(1) << np.arange(64, dtype=np.uint64))).sum(
-        -1, dtype=np.uint64
-    )
+    bits: UInt64[np.ndarray, "3 4 4"] = np.packbits(within, axis=-1, bitorder="little").view(np.uint64)[..., 0]
     return bits
 
 
@@ -57,7 +56,7 @@ class OccupancyGrid(NamedTuple):
     Attributes:
         origin: corner of the grid [m].
         clear: 1 where a cell is clear.
-        slot: of a split cell its index in `outside` and `free`; -1 elsewhere.
+        slot: of a split cell its index in `outside` and `free`; negative elsewhere.
         outside: bit 16 x + 4 y + z of a split cell is set where its small cell (x, y, z) is outside.
         free: the same, where moreover it is at least `FREE_DISTANCE` from the surface.
     """
@@ -70,7 +69,7 @@ class OccupancyGrid(NamedTuple):
 
 
 def allocate_occupancy_grid(centres: Float[np.ndarray, "b 3"]) -> OccupancyGrid:
-    """Grids round points [m], for `flood_clear_cells` and `split_near_cells` to fill."""
+    """Grids round points [m], for `fill_occupancy_grid` to fill."""
     grid, split = (len(centres), CELLS, CELLS, CELLS), (len(centres), MOST_SPLIT)
     return OccupancyGrid(
         centres + ORIGIN,
@@ -82,59 +81,47 @@ def allocate_occupancy_grid(centres: Float[np.ndarray, "b 3"]) -> OccupancyGrid:
 
 
 @njit(cache=True)
-def flood_clear_cells(corners: np.ndarray, normals: np.ndarray, tree: Bvh, space: OccupancyGrid) -> None:
-    """Fill `clear`."""
-    origin, clear = space.origin, space.clear
-    near = np.zeros((CELLS, CELLS, CELLS), np.uint8)
-    _mark_near(corners, origin, near)
-    clear[:] = 0
-    stack = np.empty(CELLS**3, np.int32)
-    top = 0
-    for seed in range(8):
-        ix, iy, iz = (CELLS - 1) * (seed & 1), (CELLS - 1) * ((seed >> 1) & 1), (CELLS - 1) * (1 - (seed >> 2))
-        x, y, z = (
-            origin[0] + (ix + 0.5) * CELL_SIZE,
-            origin[1] + (iy + 0.5) * CELL_SIZE,
-            origin[2] + (iz + 0.5) * CELL_SIZE,
-        )
-        if near[ix, iy, iz] == 0 and clear[ix, iy, iz] == 0 and _is_outside(x, y, z, corners, normals, tree):
-            clear[ix, iy, iz] = 1
-            stack[top] = (ix * CELLS + iy) * CELLS + iz
-            top += 1
-        while top > 0:
-            top -= 1
-            cell = stack[top]
-            for side in range(6):
-                step = 1 if side < 3 else -1
-                axis = side % 3
-                jx = cell // (CELLS * CELLS) + (step if axis == 0 else 0)
-                jy = (cell // CELLS) % CELLS + (step if axis == 1 else 0)
-                jz = cell % CELLS + (step if axis == 2 else 0)
-                if jx < 0 or jy < 0 or jz < 0 or jx >= CELLS or jy >= CELLS or jz >= CELLS:
-                    continue
-                if near[jx, jy, jz] == 0 and clear[jx, jy, jz] == 0:
-                    clear[jx, jy, jz] = 1
-                    stack[top] = (jx * CELLS + jy) * CELLS + jz
-                    top += 1
+def fill_occupancy_grid(corners: np.ndarray, normals: np.ndarray, tree: Bvh, space: OccupancyGrid) -> None:
+    """Fill all but the origin."""
+    cells = _number_near_cells(corners, space.origin, space.slot)
+    _flood_clear(corners, normals, tree, space)
+    count = len(cells)
+    open_cells, far = space.outside[:count], space.free[:count]
+    open_cells[:], far[:] = _ALL, _ALL
+    _clear_touched(corners, space.origin, space.slot, _ROUNDING, open_cells)
+    _clear_touched(corners, space.origin, space.slot, FREE_DISTANCE, far)
+    outside = _flood_small(cells, space.clear, space.slot, open_cells)
+    for index in range(count):
+        open_cells[index] = outside[index]
+        far[index] &= outside[index]
 
 
 @njit(cache=True)
-def _mark_near(corners: np.ndarray, origin: np.ndarray, near: np.ndarray) -> None:
-    """Mark every cell that the box of a face, grown by `FREE_DISTANCE`, meets."""
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
-    for face in range(len(corners)):
-        meets = True
-        for axis in range(3):
-            a, b, c = corners[face, 0, axis], corners[face, 1, axis], corners[face, 2, axis]
-            low[axis] = np.floor((min(a, b, c) - FREE_DISTANCE - origin[axis]) / CELL_SIZE)
-            high[axis] = np.floor((max(a, b, c) + FREE_DISTANCE - origin[axis]) / CELL_SIZE)
-            meets = meets and high[axis] >= 0 and low[axis] < CELLS
-        if not meets:
-            continue
-        for ix in range(max(0, low[0]), min(CELLS, high[0] + 1)):
-            for iy in range(max(0, low[1]), min(CELLS, high[1] + 1)):
-                for iz in range(max(0, low[2]), min(CELLS, high[2] + 1)):
-                    near[ix, iy, iz] = 1
+def _flood_clear(corners: np.ndarray, normals: np.ndarray, tree: Bvh, space: OccupancyGrid) -> None:
+    """Fill `clear`, given `slot`, from those corners of the grid that are outside."""
+    clear, slot = space.clear, space.slot
+    clear[:] = 0
+    stack = np.empty((CELLS**3, 3), np.int32)
+    last = CELLS - 1
+    for seed in range(8):
+        ix, iy, iz, top = last * (seed & 1), last * ((seed >> 1) & 1), last * (1 - (seed >> 2)), 0
+        x, y, z = (
+            space.origin[0] + (ix + 0.5) * CELL_SIZE,
+            space.origin[1] + (iy + 0.5) * CELL_SIZE,
+            space.origin[2] + (iz + 0.5) * CELL_SIZE,
+        )
+        if slot[ix, iy, iz] == _FAR and clear[ix, iy, iz] == 0 and _is_outside(x, y, z, corners, normals, tree):
+            clear[ix, iy, iz] = 1
+            stack[0, 0], stack[0, 1], stack[0, 2], top = ix, iy, iz, 1
+        while top > 0:
+            top -= 1
+            ix, iy, iz = stack[top, 0], stack[top, 1], stack[top, 2]
+            for side in range(6):
+                jx, jy, jz = _neighbour(ix, iy, iz, side)
+                if _on_grid(jx, jy, jz) and slot[jx, jy, jz] == _FAR and clear[jx, jy, jz] == 0:
+                    clear[jx, jy, jz] = 1
+                    stack[top, 0], stack[top, 1], stack[top, 2] = jx, jy, jz
+                    top += 1
 
 
 @njit(cache=True)
@@ -178,27 +165,11 @@ def classify(x: float, y: float, z: float, space: OccupancyGrid) -> int:
 
 
 @njit(cache=True)
-def split_near_cells(corners: np.ndarray, space: OccupancyGrid) -> None:
-    """Fill `slot`, `outside` and `free`, given the clear cells."""
-    origin, slot = space.origin, space.slot
-    slot[:] = -1
-    cells = _assign_slots(corners, origin, slot)
-    open_cells, far = space.outside, space.free
-    open_cells[: len(cells)] = _ALL
-    far[: len(cells)] = _ALL
-    _clear_touched(corners, origin, slot, _ROUNDING, open_cells)
-    _clear_touched(corners, origin, slot, FREE_DISTANCE, far)
-    reached = _flood(cells, space.clear, slot, open_cells)
-    for index in range(len(cells)):
-        space.outside[index] = reached[index]
-        space.free[index] = far[index] & reached[index]
-
-
-@njit(cache=True)
-def _assign_slots(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray) -> np.ndarray:
-    """Number the cells that the box of a face, grown by `FREE_DISTANCE`, meets; return their coordinates."""
+def _number_near_cells(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray) -> np.ndarray:
+    """Number the cells that the box of a face, enlarged by `FREE_DISTANCE`, meets; return their coordinates."""
     cells = np.empty((MOST_SPLIT, 3), np.int32)
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    slot[:] = _FAR
     count = 0
     for face in range(len(corners)):
         if not _small_range(corners[face], origin, FREE_DISTANCE, low, high):
@@ -206,7 +177,9 @@ def _assign_slots(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray) -> 
         for ix in range(low[0] >> 2, (high[0] >> 2) + 1):
             for iy in range(low[1] >> 2, (high[1] >> 2) + 1):
                 for iz in range(low[2] >> 2, (high[2] >> 2) + 1):
-                    if slot[ix, iy, iz] < 0 and count < MOST_SPLIT:
+                    if slot[ix, iy, iz] == _FAR and count == MOST_SPLIT:
+                        slot[ix, iy, iz] = _NOT_SPLIT
+                    elif slot[ix, iy, iz] == _FAR:
                         slot[ix, iy, iz] = count
                         cells[count, 0], cells[count, 1], cells[count, 2] = ix, iy, iz
                         count += 1
@@ -215,7 +188,7 @@ def _assign_slots(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray) -> 
 
 @njit(cache=True, inline="always")
 def _small_range(face: np.ndarray, origin: np.ndarray, growth: float, low: np.ndarray, high: np.ndarray) -> bool:
-    """Write the small cells that the box of a face, grown by `growth` [m], meets; False where there are none."""
+    """Write the small cells that the box of a face, enlarged by `growth` [m], meets; False where there are none."""
     meets = True
     for axis in range(3):
         a, b, c = face[0, axis], face[1, axis], face[2, axis]
@@ -227,7 +200,7 @@ def _small_range(face: np.ndarray, origin: np.ndarray, growth: float, low: np.nd
 
 @njit(cache=True)
 def _clear_touched(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray, growth: float, words: np.ndarray) -> None:
-    """Clear the bits of all small cells that the box of a face, grown by `growth` [m], meets."""
+    """Clear the bits of all small cells that the box of a face, enlarged by `growth` [m], meets."""
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for face in range(len(corners)):
         if not _small_range(corners[face], origin, growth, low, high):
@@ -244,49 +217,45 @@ def _clear_touched(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray, gr
 
 
 @njit(cache=True)
-def _flood(cells: np.ndarray, clear: np.ndarray, slot: np.ndarray, open_cells: np.ndarray) -> np.ndarray:
-    """Bits of the open small cells that are reached from clear cells, through the sides of open ones."""
+def _flood_small(cells: np.ndarray, clear: np.ndarray, slot: np.ndarray, open_cells: np.ndarray) -> np.ndarray:
+    """Bits of the open small cells that the sides of open ones connect to clear cells."""
     count = len(cells)
-    reached = np.zeros(count, np.uint64)
+    outside = np.zeros(count, np.uint64)
     waits = np.ones(count, np.bool_)
     stack = np.arange(count)
     top = count
     for index in range(count):
         for side in range(6):
-            jx, jy, jz = _neighbour(cells[index], side)
+            jx, jy, jz = _neighbour(cells[index, 0], cells[index, 1], cells[index, 2], side)
             if _on_grid(jx, jy, jz) and clear[jx, jy, jz] == 1:
-                reached[index] |= _across(_ALL, side ^ 1) & open_cells[index]
+                outside[index] |= _across(_ALL, side ^ 1) & open_cells[index]
     while top > 0:
         top -= 1
         index = stack[top]
         waits[index] = False
-        if reached[index] == 0:
+        if outside[index] == 0:
             continue
-        reached[index] = _spread(reached[index], open_cells[index])
+        outside[index] = _spread(outside[index], open_cells[index])
         for side in range(6):
-            jx, jy, jz = _neighbour(cells[index], side)
+            jx, jy, jz = _neighbour(cells[index, 0], cells[index, 1], cells[index, 2], side)
             other = slot[jx, jy, jz] if _on_grid(jx, jy, jz) else -1
             if other < 0:
                 continue
-            new = _across(reached[index], side) & open_cells[other] & ~reached[other]
+            new = _across(outside[index], side) & open_cells[other] & ~outside[other]
             if new != 0:
-                reached[other] |= new
+                outside[other] |= new
                 if not waits[other]:
                     waits[other] = True
                     stack[top] = other
                     top += 1
-    return reached
+    return outside
 
 
 @njit(cache=True, inline="always")
-def _neighbour(cell: np.ndarray, side: int) -> tuple[int, int, int]:
+def _neighbour(ix: int, iy: int, iz: int, side: int) -> tuple[int, int, int]:
     """The cell at a side: 0 and 1 are +x and -x, 2 and 3 along y, 4 and 5 along z."""
     step, axis = 1 - 2 * (side & 1), side >> 1
-    return (
-        cell[0] + (step if axis == 0 else 0),
-        cell[1] + (step if axis == 1 else 0),
-        cell[2] + (step if axis == 2 else 0),
-    )
+    return ix + step * (axis == 0), iy + step * (axis == 1), iz + step * (axis == 2)
 
 
 @njit(cache=True, inline="always")

@@ -91,14 +91,6 @@ def quaternion_from_matrix(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor,
     return torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
 
 
-def matrix_from_quaternion(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
-    """Rotation matrices of quaternions `wxyz` of any non-zero length."""
-    unit = torch.nn.functional.normalize(quaternion, dim=-1)
-    scalar, cross = unit[..., 0, None, None], cross_product_matrix(unit[..., 1:])
-    identity = torch.eye(3, dtype=unit.dtype, device=unit.device)
-    return identity + 2 * (scalar * cross + cross @ cross)
-
-
 def quaternion_multiply(
     left: Float[Tensor, "*#batch 4"], right: Float[Tensor, "*#batch 4"]
 ) -> Float[Tensor, "*batch 4"]:

@@ -74,11 +74,11 @@ def _nearest_of_all(
 
 
 def closest_barycentric(
-    points: Float[Tensor, "*n 3"], triangles: Float[Tensor, "*n 3 3"]
+    points: Float[Tensor, "*#n 3"], triangles: Float[Tensor, "*#n 3 3"]
 ) -> tuple[Float[Tensor, "*n 3"], Int[Tensor, "*n"]]:
     """Barycentric weights of the closest point of a triangle, and its feature as in `closest_on_triangle`.
 
-    By comparing the foot on the plane, where it is inside, with the feet on the three edges: slower than walking the
+    By comparing the foot on the plane, where it is inside, with the feet on the three edges: slower than traversing the
     Voronoi regions, and independent of it.
     """
     first, second, third = triangles.unbind(-2)
@@ -92,7 +92,7 @@ def closest_barycentric(
         dim=-1,
     )
     candidates = [inside]
-    # A face without area has no plane: its weights do not add up, and its edges answer for it.
+    # A face without area has no plane: its weights do not add up, and its edges count alone.
     features = [torch.where((inside >= 0).all(-1) & ((inside.sum(-1) - 1).abs() < 1e-3), 0, -1)]
     for edge in range(3):
         start, end = triangles[..., edge, :], triangles[..., (edge + 1) % 3, :]

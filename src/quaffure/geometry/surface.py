@@ -10,12 +10,7 @@ from numba import njit, prange
 
 from quaffure.geometry.bvh import Bvh, allocate_bvh, bvh_levels, leaf_order, refit_bvh
 from quaffure.geometry.mesh import angle_weighted_vertex_normals, face_normals, opposite_faces
-from quaffure.geometry.occupancy_grid import (
-    OccupancyGrid,
-    allocate_occupancy_grid,
-    flood_clear_cells,
-    split_near_cells,
-)
+from quaffure.geometry.occupancy_grid import OccupancyGrid, allocate_occupancy_grid, fill_occupancy_grid
 from quaffure.types import MeshFaces, MeshVertices, Tensor
 
 
@@ -154,31 +149,24 @@ def posed_surface(
 def _fill(vertices: np.ndarray, faces: np.ndarray, opposite: np.ndarray, arrays: SurfaceArrays) -> None:
     for sample in prange(len(vertices)):
         one = sample_arrays(arrays, sample)
-        tree, space = bvh_of(one), occupancy_of(one)
-        _gather(vertices[sample], faces, one.corners)
-        _pseudonormals(one.corners, faces, opposite, vertices.shape[1], one.normals)
-        refit_bvh(one.corners, tree)
-        flood_clear_cells(one.corners, one.normals, tree, space)
-        split_near_cells(one.corners, space)
+        _write_faces(vertices[sample], faces, opposite, one.corners, one.normals)
+        refit_bvh(one.corners, bvh_of(one))
+        fill_occupancy_grid(one.corners, one.normals, bvh_of(one), occupancy_of(one))
 
 
 # Called, not written out in the parallel loop: numba drops assignments to fields of a tuple there as dead code.
-@njit(cache=True)
-def _gather(vertices: np.ndarray, faces: np.ndarray, corners: np.ndarray) -> None:
-    for leaf in range(len(faces)):
-        for corner in range(3):
-            for axis in range(3):
-                corners[leaf, corner, axis] = vertices[faces[leaf, corner], axis]
-
-
 @njit(cache=True, fastmath=True)
-def _pseudonormals(
-    corners: np.ndarray, faces: np.ndarray, opposite: np.ndarray, vertex_count: int, normals: np.ndarray
+def _write_faces(
+    vertices: np.ndarray, faces: np.ndarray, opposite: np.ndarray, corners: np.ndarray, normals: np.ndarray
 ) -> None:
-    at_vertex = np.zeros((vertex_count, 3), np.float32)
+    """Fill corners and pseudonormals."""
+    at_vertex = np.zeros_like(vertices)
     tiny = np.float32(1e-20)
     for leaf in range(len(faces)):
         face = corners[leaf]
+        for corner in range(3):
+            for axis in range(3):
+                face[corner, axis] = vertices[faces[leaf, corner], axis]
         ax, ay, az = face[1, 0] - face[0, 0], face[1, 1] - face[0, 1], face[1, 2] - face[0, 2]
         bx, by, bz = face[2, 0] - face[1, 0], face[2, 1] - face[1, 1], face[2, 2] - face[1, 2]
         cx, cy, cz = face[0, 0] - face[2, 0], face[0, 1] - face[2, 1], face[0, 2] - face[2, 2]

@@ -55,6 +55,37 @@ def closest_on_triangle(triangle: np.ndarray, x: float, y: float, z: float) -> t
     return ax + v * abx + w * acx, ay + v * aby + w * acy, az + v * abz + w * acz, 0
 
 
+@njit(cache=True, inline="always")
+def face_frame(face: np.ndarray) -> tuple[float, ...]:
+    """What `squared_distance_in_plane` needs of a face [3, 3], and its directions.
+
+    Returns:
+        The unit normal, the directions along the first edge and across it, three numbers each; length of that edge,
+        third corner in the plane (two), inverse squared lengths of the other two edges; twice the area. A sliver keeps
+        a true frame, whatever its normal, and counts as without area.
+    """
+    bx, by, bz = face[1, 0] - face[0, 0], face[1, 1] - face[0, 1], face[1, 2] - face[0, 2]
+    cx, cy, cz = face[2, 0] - face[0, 0], face[2, 1] - face[0, 1], face[2, 2] - face[0, 2]
+    length, other_length = np.sqrt(bx * bx + by * by + bz * bz), np.sqrt(cx * cx + cy * cy + cz * cz)
+    tx, ty, tz, scale = bx, by, bz, _ONE / max(length, np.float32(1e-20))
+    if length == 0.0:
+        tx, ty, tz, scale = cx, cy, cz, _ONE / max(other_length, np.float32(1e-20))
+    tx, ty, tz = tx * scale, ty * scale, tz * scale
+    nx, ny, nz = ty * cz - tz * cy, tz * cx - tx * cz, tx * cy - ty * cx
+    width = np.sqrt(nx * nx + ny * ny + nz * nz)
+    area = length * width
+    if width <= np.float32(1e-4) * other_length:  # the cross product is rounding: any perpendicular will do
+        nx, ny, nz = (-ty, tx, _ZERO) if abs(tz) < np.float32(0.7) else (_ZERO, -tz, ty)
+        width, area = max(np.sqrt(nx * nx + ny * ny + nz * nz), np.float32(1e-20)), _ZERO
+    scale = _ONE / width
+    nx, ny, nz = nx * scale, ny * scale, nz * scale
+    sx, sy, sz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+    u, v = cx * tx + cy * ty + cz * tz, cx * sx + cy * sy + cz * sz
+    inverse_ac = _ONE / max(u * u + v * v, np.float32(1e-24))
+    inverse_bc = _ONE / max((u - length) * (u - length) + v * v, np.float32(1e-24))
+    return nx, ny, nz, tx, ty, tz, sx, sy, sz, length, u, v, inverse_ac, inverse_bc, area
+
+
 @njit(cache=True, fastmath=True, inline="always")
 def squared_distance(triangle: np.ndarray, x: float, y: float, z: float) -> float:
     """Squared distance of a point from a triangle [m^2]."""

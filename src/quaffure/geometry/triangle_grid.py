@@ -1,8 +1,8 @@
 """Nearest faces for points that are close to a posed surface or in it, a few nanoseconds a face.
 
-A grid of small cells lists the faces that a point in each cell could be under, or close above, as far as each face
-reaches. Unlike a tree it answers most points at once, that nothing is near; unlike stored distances it is exact, but
-for points that are outside the prisms over all faces, at ridges and in hollows (`EDGE_TOLERANCE`). Faces are listed
+A grid of small cells lists the faces that a point in each cell could be under, or close above, within the band of each
+face. Unlike a tree it finds for most points at once that nothing is near; unlike stored distances it is exact, but for
+points that are outside the prisms over all faces, at ridges and in hollows (`EDGE_TOLERANCE`). Faces are listed
 only round the points that the grid is made for, which costs less than a drape. Distances without bounds are in
 `quaffure.geometry.signed_distance`.
 """
@@ -15,13 +15,13 @@ from numba import get_num_threads, njit, prange
 
 from quaffure.geometry.mesh import face_normals
 from quaffure.geometry.mls_surface import FAST
-from quaffure.geometry.triangle import squared_distance_in_plane
+from quaffure.geometry.triangle import face_frame, squared_distance_in_plane
 from quaffure.types import Float, Int, Tensor
 
 CELL_SIZE, CELLS = 0.0125, 80
 """Side of a cell [m], and how many there are along each axis."""
 CORNER = (-0.5, -0.5, -0.75)
-"""Of the grid, from its centre [m]: hair hangs down."""
+"""The grid's lowest corner, from its centre [m]: hair hangs down."""
 EDGE_TOLERANCE = 0.001
 """How far outside the prism over a face a point may be and still count as under it [m]: at a ridge or in a hollow a
 point can be outside all prisms, and finds no face. More would let faces beyond a ridge claim points outside."""
@@ -36,8 +36,8 @@ _REFERENCE_PAIRS = 4_000_000  # point-face pairs that the twin holds in memory a
 _APART = 64  # rows between the workspaces of threads, which would write into one line of the cache
 _TIE = 0.99  # of faces about as near as each other, the one that a point is furthest above or below tells its side
 # Columns of a face's record: normal, the directions along its first edge and across, each with its height at the face;
-# length of that edge, third corner in the plane, inverse squared lengths of the other two edges; reach.
-_ALONG, _ACROSS, _LENGTH, _THIRD, _INVERSE, _REACH, _COLUMNS = 4, 8, 12, 13, 15, 17, 20
+# length of that edge, third corner in the plane, inverse squared lengths of the other two edges; band.
+_ALONG, _ACROSS, _LENGTH, _THIRD, _INVERSE, _BAND, _COLUMNS = 4, 8, 12, 13, 15, 17, 20
 
 
 class TriangleGrid(NamedTuple):
@@ -61,7 +61,7 @@ class TriangleGrid(NamedTuple):
 def triangle_grid(
     vertices: Float[np.ndarray, "v 3"],
     faces: Int[np.ndarray, "k 3"],
-    reach: Float[np.ndarray, "k 2"],
+    band: Float[np.ndarray, "k 2"],
     centre: Float[np.ndarray, "3"],
     points: Float[np.ndarray, "p 3"] | None = None,
 ) -> TriangleGrid:
@@ -69,7 +69,7 @@ def triangle_grid(
 
     Args:
         vertices: finite, float32 [m].
-        reach: how far below and above each face points are told of it [m].
+        band: how far below and above each face it counts for points [m].
         centre: of the grid, see `CORNER` [m].
         points: finite, float32 [m]; every second one is used.
     """
@@ -79,7 +79,7 @@ def triangle_grid(
     if points is not None:
         _mark(points, origin, marked)
     records, boxes = np.empty((count + 1, _COLUMNS), np.float32), np.empty((count, 6), np.int32)
-    _measure(vertices, faces, reach, origin, marked, threads, records, boxes)
+    _measure(vertices, faces, band, origin, marked, threads, records, boxes)
     capacity = int(_BLOCKS_PER_FACE * count / threads) + 64
     while True:
         next_block, blocks = np.empty(threads * capacity, np.int32), np.empty((threads * capacity, IN_BLOCK), np.int32)
@@ -92,20 +92,20 @@ def nearest_triangle_in_band_reference(
     points: Float[Tensor, "p 3"],
     vertices: Float[Tensor, "v 3"],
     faces: Int[Tensor, "k 3"],
-    reach: Float[Tensor, "k 2"],
+    band: Float[Tensor, "k 2"],
 ) -> tuple[Float[Tensor, " p"], Int[Tensor, " p"]]:
     """Torch twin of `nearest_triangle_in_band`: every point against every face.
 
     Returns:
-        Height above the nearest face [m], and that face; 1 and `NONE` where none is reached.
+        Height above the nearest face [m], and that face; 1 and `NONE` in the band of none.
     """
     chunk = max(1, _REFERENCE_PAIRS // len(faces))
-    parts = [_nearest_of_all(part, vertices[faces], reach) for part in points.split(chunk)]
+    parts = [_nearest_of_all(part, vertices[faces], band) for part in points.split(chunk)]
     return torch.cat([height for height, _ in parts]), torch.cat([face for _, face in parts])
 
 
 def _nearest_of_all(
-    points: Float[Tensor, "p 3"], corners: Float[Tensor, "k 3 3"], reach: Float[Tensor, "k 2"]
+    points: Float[Tensor, "p 3"], corners: Float[Tensor, "k 3 3"], band: Float[Tensor, "k 2"]
 ) -> tuple[Float[Tensor, " p"], Int[Tensor, " p"]]:
     a, b, c = corners.unbind(dim=1)
     length, normal = (b - a).norm(dim=-1), face_normals(corners)
@@ -122,15 +122,15 @@ def _nearest_of_all(
         in_plane = in_plane.minimum((u - start - share * end_x).square() + (v - share * y).square())
     within = torch.minimum(v, torch.minimum(u * y - v * x, (x - length) * v - y * (u - length)))
     in_plane = torch.where(within < 0, in_plane, 0)
-    reached = (height >= -reach[:, 0]) & (height <= reach[:, 1]) & (in_plane <= EDGE_TOLERANCE**2) & ~flat
-    key, nearest = torch.where(reached, in_plane + _TIE * height.square(), 1).min(dim=1)
+    in_band = (height >= -band[:, 0]) & (height <= band[:, 1]) & (in_plane <= EDGE_TOLERANCE**2) & ~flat
+    key, nearest = torch.where(in_band, in_plane + _TIE * height.square(), 1).min(dim=1)
     chosen = height.gather(1, nearest[:, None])[:, 0]
     return torch.where(key < 1, chosen, 1), torch.where(key < 1, nearest, NONE)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
 def nearest_triangle_in_band(x: float, y: float, z: float, grid: TriangleGrid, rows: np.ndarray) -> tuple[float, int]:
-    """Height of a point above the nearest of the faces that reach it, and that face; 1 and `NONE` or `OUT_OF_BAND`.
+    """Height of a point above the nearest face whose band it is in, and that face; 1 and `NONE` or `OUT_OF_BAND`.
 
     Args:
         x, y, z: finite, and less than 1e6 m, since they become integers.
@@ -160,7 +160,7 @@ def nearest_triangle_in_band(x: float, y: float, z: float, grid: TriangleGrid, r
 def _compare(
     x: float, y: float, z: float, block: int, faces: np.ndarray, records: np.ndarray, rows: np.ndarray
 ) -> None:
-    """Fill in the squared distances to a block of faces, 1 where they are out of reach, then the heights above them."""
+    """Fill in the squared distances to a block of faces, 1 where out of their bands, then the heights above them."""
     one, beyond = np.float32(1.0), np.float32(EDGE_TOLERANCE * EDGE_TOLERANCE)
     for lane in range(IN_BLOCK):
         face = records[faces[block, lane]]
@@ -170,7 +170,7 @@ def _compare(
         in_plane = squared_distance_in_plane(
             u, v, face[_LENGTH], face[_THIRD], face[_THIRD + 1], face[_INVERSE], face[_INVERSE + 1]
         )
-        out = (height < -face[_REACH]) | (height > face[_REACH + 1]) | (in_plane > beyond)
+        out = (height < -face[_BAND]) | (height > face[_BAND + 1]) | (in_plane > beyond)
         rows[lane] = one if out else in_plane + np.float32(_TIE) * height * height
         rows[IN_BLOCK + lane] = height
 
@@ -195,27 +195,27 @@ def _mark(points: np.ndarray, origin: np.ndarray, marked: np.ndarray) -> None:
 
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _measure(
-    vertices: np.ndarray, faces: np.ndarray, reach: np.ndarray, origin: np.ndarray, marked: np.ndarray, threads: int,
+    vertices: np.ndarray, faces: np.ndarray, band: np.ndarray, origin: np.ndarray, marked: np.ndarray, threads: int,
     records: np.ndarray, boxes: np.ndarray,
 ) -> None:  # fmt: skip
-    """Write records, relative to the origin, and the first and last cell along each axis of what faces reach.
+    """Write records, relative to the origin, and the first and last cell along each axis of the faces' bands.
 
-    Faces that reach into no marked region are left out: their boxes are empty.
+    Faces whose bands meet no marked region are left out: their boxes are empty.
     """
     count, workspaces = len(faces), np.empty((threads, _APART, 3), np.float32)
     records[count] = np.float32(0.0)
-    records[count, 3] = np.float32(-1.0)  # every point is out of its reach, above it
+    records[count, 3] = np.float32(-1.0)  # every point is above its band
     for thread in prange(threads):
         corners, down, up = workspaces[thread, :3], workspaces[thread, 3], workspaces[thread, 4]
         for face in range(thread * count // threads, (thread + 1) * count // threads):
             for corner in range(3):
                 for axis in range(3):
                     corners[corner, axis] = vertices[faces[face, corner], axis] - origin[axis]
-            record, box, below, above = records[face], boxes[face], reach[face, 0], reach[face, 1]
+            record, box, below, above = records[face], boxes[face], band[face, 0], band[face, 1]
             up[:] = max(below, above)  # whatever way the face is oriented
             _write_box(corners, up, up, box)
             if _meets(box, marked) and _write_record(corners, record):
-                record[_REACH], record[_REACH + 1] = below, above
+                record[_BAND], record[_BAND + 1] = below, above
                 for axis in range(3):
                     down[axis] = max(below * record[axis], -above * record[axis])
                     up[axis] = max(above * record[axis], -below * record[axis])
@@ -226,7 +226,7 @@ def _measure(
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _write_box(corners: np.ndarray, down: np.ndarray, up: np.ndarray, box: np.ndarray) -> None:
-    """First and last cell along each axis of a face and how far it reaches down and up each."""
+    """First and last cell along each axis of a face extended `down` and `up` along each."""
     per_cell, none, last = np.float32(1.0 / CELL_SIZE), np.float32(0.0), np.float32(CELLS - 1)
     for axis in range(3):
         a, b, c = corners[0, axis], corners[1, axis], corners[2, axis]
@@ -248,41 +248,27 @@ def _meets(box: np.ndarray, marked: np.ndarray) -> bool:
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _write_record(corners: np.ndarray, record: np.ndarray) -> bool:
-    """Write all columns but the reach; False for a face without area."""
-    one, tiny = np.float32(1.0), np.float32(1e-24)
-    ax, ay, az = corners[0]
-    bx, by, bz = corners[1, 0] - ax, corners[1, 1] - ay, corners[1, 2] - az
-    cx, cy, cz = corners[2, 0] - ax, corners[2, 1] - ay, corners[2, 2] - az
-    length = np.sqrt(bx * bx + by * by + bz * bz)
-    scale = one / (length + np.float32(1e-12))
-    tx, ty, tz = bx * scale, by * scale, bz * scale
-    nx, ny, nz = ty * cz - tz * cy, tz * cx - tx * cz, tx * cy - ty * cx
-    width = np.sqrt(nx * nx + ny * ny + nz * nz)
-    scale = one / (width + np.float32(1e-12))
-    nx, ny, nz = nx * scale, ny * scale, nz * scale
-    sx, sy, sz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-    u, v = cx * tx + cy * ty + cz * tz, cx * sx + cy * sy + cz * sz
-    record[0], record[1], record[2], record[3] = nx, ny, nz, ax * nx + ay * ny + az * nz
-    record[_ALONG], record[_ALONG + 1], record[_ALONG + 2] = tx, ty, tz
-    record[_ALONG + 3] = ax * tx + ay * ty + az * tz
-    record[_ACROSS], record[_ACROSS + 1], record[_ACROSS + 2] = sx, sy, sz
-    record[_ACROSS + 3] = ax * sx + ay * sy + az * sz
-    record[_LENGTH], record[_THIRD], record[_THIRD + 1] = length, u, v
-    record[_INVERSE] = one / (u * u + v * v + tiny)
-    record[_INVERSE + 1] = one / ((u - length) * (u - length) + v * v + tiny)
-    return length * width > np.float32(2 * _FLAT)
+    """Write all columns but the band; False for a face without area."""
+    frame = face_frame(corners)
+    for side in range(3):
+        x, y, z = frame[3 * side], frame[3 * side + 1], frame[3 * side + 2]
+        record[4 * side], record[4 * side + 1], record[4 * side + 2] = x, y, z
+        record[4 * side + 3] = corners[0, 0] * x + corners[0, 1] * y + corners[0, 2] * z
+    for column in range(_BAND - _LENGTH):
+        record[_LENGTH + column] = frame[9 + column]
+    return frame[14] > np.float32(2 * _FLAT)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _write_bounds(record: np.ndarray, bounds: np.ndarray) -> None:
-    """Least and greatest height along a record's directions of the centres of cells that its face reaches into."""
+    """Least and greatest height along a record's directions of the centres of cells that its face's band meets."""
     none, half, in_plane = np.float32(0.0), np.float32(0.5 * CELL_SIZE), np.float32(EDGE_TOLERANCE)
     for side in range(3):
         direction = record[4 * side : 4 * side + 4]
         slack = half * (abs(direction[0]) + abs(direction[1]) + abs(direction[2]))
         bounds[side, 0], bounds[side, 1] = direction[3] - slack, direction[3] + slack
     u, v = record[_THIRD], record[_THIRD + 1]
-    bounds[0, 0], bounds[0, 1] = bounds[0, 0] - record[_REACH], bounds[0, 1] + record[_REACH + 1]
+    bounds[0, 0], bounds[0, 1] = bounds[0, 0] - record[_BAND], bounds[0, 1] + record[_BAND + 1]
     bounds[1, 0] = bounds[1, 0] + min(none, u) - in_plane
     bounds[1, 1] = bounds[1, 1] + max(record[_LENGTH], u) + in_plane
     bounds[2, 0], bounds[2, 1] = bounds[2, 0] - in_plane, bounds[2, 1] + v + in_plane
@@ -293,7 +279,7 @@ def _list(
     records: np.ndarray, boxes: np.ndarray, marked: np.ndarray, threads: int,
     first: np.ndarray, next_block: np.ndarray, blocks: np.ndarray,
 ) -> bool:  # fmt: skip
-    """List every face in the cells of marked regions that it may reach into; False where there is not enough memory."""
+    """List every face in the cells of marked regions that its band may meet; False where there is not enough memory."""
     capacity, count, size, half = len(blocks) // threads, len(boxes), np.float32(CELL_SIZE), np.float32(0.5)
     fits, filled = np.ones(threads, np.uint8), np.zeros(len(blocks), np.int32)
     workspaces = np.empty((threads, _APART, 2), np.float32)
@@ -310,7 +296,7 @@ def _list(
                 for j in range(box[2], box[3] + 1):
                     y = (np.float32(j) + half) * size
                     for k in range(box[4], box[5] + 1):
-                        if not _reaches(x, y, (np.float32(k) + half) * size, record, bounds):
+                        if not _is_within(x, y, (np.float32(k) + half) * size, record, bounds):
                             continue
                         cell = (i * CELLS + j) * CELLS + k
                         block = first[cell]
@@ -337,7 +323,7 @@ def _clear(i: int, marked: np.ndarray, first: np.ndarray) -> None:
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
-def _reaches(x: float, y: float, z: float, record: np.ndarray, bounds: np.ndarray) -> bool:
+def _is_within(x: float, y: float, z: float, record: np.ndarray, bounds: np.ndarray) -> bool:
     height = x * record[0] + y * record[1] + z * record[2]
     u = x * record[_ALONG] + y * record[_ALONG + 1] + z * record[_ALONG + 2]
     v = x * record[_ACROSS] + y * record[_ACROSS + 1] + z * record[_ACROSS + 2]

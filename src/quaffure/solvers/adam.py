@@ -46,21 +46,17 @@ class AdamDraper(DescentDraper):
         descend_directions(descent, self.steps, self.learning_rate)
 
 
-class AdamPositionsDraper(DescentDraper):
+class AdamPositionsDraper(AdamDraper):
     """Minimizes `HairEnergy` over vertex positions, from the posed groom.
 
     All rates from 1e-4 to 1e-2 m are stable in that nothing diverges; 1e-3 m goes lowest where hair starts deep inside
     the body, 3e-4 m where it does not: see the sweep in docs/solvers.md.
 
-    Attributes:
-        steps: gradient evaluations.
-        learning_rate: at the start [m]; falls to a hundredth along a cosine.
-        terms: of the energy.
+    Attributes are those of `AdamDraper`, the learning rate in metres.
     """
 
     name = "adam_positions"
     variables = Offsets
-    clips = True
 
     def __init__(
         self,
@@ -69,8 +65,7 @@ class AdamPositionsDraper(DescentDraper):
         learning_rate: float = 1e-3,
         terms: Terms | None = None,
     ) -> None:
-        super().__init__(material, terms)
-        self.steps, self.learning_rate = steps, learning_rate
+        super().__init__(material, steps, learning_rate, terms)
 
     def minimize(self, descent: Descent) -> None:
         edge = float(descent.energy.rest.rest_length.mean())

@@ -39,14 +39,14 @@ from numba import get_num_threads
 
 from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
-from quaffure.energies.contact_force import contact_force
-from quaffure.energies.edge_force import stretch_force, stretch_shear_force
+from quaffure.energies.body_collision import contact_force
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.fused_density import active_particles, density_gradient, sort_particles
 from quaffure.energies.gravity import GRAVITY
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.rest_state import RestState
-from quaffure.geometry.surface import Surface
+from quaffure.energies.stretch import stretch_force
+from quaffure.energies.stretch_shear import stretch_shear_force
 from quaffure.scene import HairScene
 from quaffure.solvers.stopping import stopping_report
 from quaffure.solvers.supported_terms import refuse_other_terms
@@ -160,8 +160,12 @@ class HairInMotion:
         self.tension = packed(rest.mass_beyond.numpy()[..., None] / self.edges.mass_unit * np.array(GRAVITY))
         self.contact = np.zeros_like(self.x)
         self.pushed = np.zeros_like(self.x)
-        self.body = BodyContacts(scene.surface, sample, rest, posed, self.x.shape)
-        self.density = DensityParticles(rest, material)
+        self.margin, self.surface = rest.collision_margin.numpy(), scene.surface.sample_arrays(sample)
+        shape = self.margin.shape
+        self.last = PlaneSearch(posed.copy(), np.zeros(shape, np.float32), np.zeros(shape, np.int32))
+        self.plane = np.zeros((*self.x.shape[:2], 4, LANES))
+        self.plane[:, :, 3] = FAR_AWAY
+        self.density = DensityConstraints(rest, material)
 
     def world(self) -> FloatOf[np.ndarray, "s n 3"]:
         """Vertices [m, world]."""
@@ -169,14 +173,19 @@ class HairInMotion:
 
     def step(self, time_step: float, setting: XpbdSetting) -> None:
         """One time step of dt [s] from rest."""
-        self._begin(time_step)
+        # x~ plus the displacements by all forces known. They moved x, gravity included, by x_n - x_(n-1) in the last
+        # step, in proportion to dt^2; before the first, tensions hold the hair where it is.
+        growth = (time_step / self.time_step) ** 2
+        self.x, self.before, self.time_step = self.x + growth * (self.x - self.before), self.x, time_step
+        for multipliers in (self.tension, self.contact, self.pushed):
+            multipliers *= growth
         # 3 k_bc: the force of Eq. 10 at a shortfall of one metre.
         force, _ = contact_force(0.0, 1.0, self.material.k_body_collision)
         stiffness = -force * time_step**2 / self.edges.mass_unit
         constants, pull = self.edges.at(time_step)
         for done in range(0, setting.iterations, setting.refresh):
             world = self.world()
-            self.body.refresh(world, self.roots)
+            find_planes(world, self.roots, self.margin, self.surface, self.last, self.plane)
             if self.material.k_self_collision > 0:
                 shift = self.density.push(world, time_step, setting.density_relaxation) - self.pushed
                 longest = np.linalg.norm(shift, axis=2, keepdims=True)
@@ -184,19 +193,10 @@ class HairInMotion:
                 self.x += shift
                 self.pushed += shift
             blocks = StrandBlocks(
-                self.x, self.tension, self.contact, self.body.plane, self.edges.inverse_mass, constants, pull
+                self.x, self.tension, self.contact, self.plane, self.edges.inverse_mass, constants, pull
             )
             sweeps = min(setting.refresh, setting.iterations - done)
             sweep_strands(blocks, stiffness, setting.relaxation, MOST_PUSH, sweeps)
-
-    def _begin(self, time_step: float) -> None:
-        """x~ plus the displacements by all forces known. They moved x, gravity included, by x_n - x_(n-1) in the last
-        step, in proportion to dt^2; before the first, tensions hold the hair where it is."""
-        growth = (time_step / self.time_step) ** 2
-        self.x, self.before = self.x + growth * (self.x - self.before), self.x
-        for multipliers in (self.tension, self.contact, self.pushed):
-            multipliers *= growth
-        self.time_step = time_step
 
 
 class EdgeConstants:
@@ -231,29 +231,7 @@ class EdgeConstants:
         return packed(edge), packed(-scaled[..., None] * shear_at_zero)
 
 
-class BodyContacts:
-    """The plane that keeps each vertex off the body: see `find_planes`."""
-
-    def __init__(
-        self,
-        surface: Surface,
-        sample: int,
-        rest: RestState,
-        posed: FloatOf[np.ndarray, "s n 3"],
-        packed_shape: tuple[int, ...],
-    ) -> None:
-        self.margin = rest.collision_margin.numpy()
-        self.surface = surface.sample_arrays(sample)
-        shape = self.margin.shape
-        self.last = PlaneSearch(posed.copy(), np.zeros(shape, np.float32), np.zeros(shape, np.int32))
-        self.plane = np.zeros((*packed_shape[:2], 4, LANES))
-        self.plane[:, :, 3] = FAR_AWAY
-
-    def refresh(self, world: FloatOf[np.ndarray, "s n 3"], roots: FloatOf[np.ndarray, "s 3"]) -> None:
-        find_planes(world, roots, self.margin, self.surface, self.last, self.plane)
-
-
-class DensityParticles:
+class DensityConstraints:
     """The densities of all vertices and their multipliers, the pressures [J m^3/kg]."""
 
     def __init__(self, rest: RestState, material: HairMaterial) -> None:
@@ -277,25 +255,16 @@ class DensityParticles:
         mobile = (self.inverse_mass * np.float32(time_step**2))[order]
         excess, mobility = np.empty(len(order), np.float32), np.empty(len(order), np.float32)
         excess_and_mobility(particles, mobile, self.rest_density[order], shape, h, excess, mobility)
-        pressure = self._projected(self.pressure[order], excess, mobility.astype(np.float64), relaxation)
+        before, gain, stiffness = self.pressure[order], mobility.astype(np.float64), 3 * self.k_self_collision
+        free = np.maximum(excess + gain * before, 0)
+        left = 2 * free / (1 + np.sqrt(1 + 4 * stiffness * gain * free))
+        pressure = (before + relaxation * (stiffness * left**2 - before)).astype(np.float32)
         self.pressure[order] = pressure
         gradient = np.empty_like(flat)
         active = active_particles(particles, pressure)
         density_gradient(particles, active, shape, pressure, order, h, get_num_threads(), gradient)
         moved = -gradient * (self.inverse_mass * np.float32(time_step**2))[:, None]
         return packed(moved.reshape(self.strands, self.vertices, 3))
-
-    def _projected(
-        self,
-        pressure: FloatOf[np.ndarray, " p"],
-        excess: FloatOf[np.ndarray, " p"],
-        mobility: FloatOf[np.ndarray, " p"],
-        relaxation: float,
-    ) -> FloatOf[np.ndarray, " p"]:
-        free = np.maximum(excess + mobility * pressure, 0)
-        stiffness = 3 * self.k_self_collision
-        left = 2 * free / (1 + np.sqrt(1 + 4 * stiffness * mobility * free))
-        return (pressure + relaxation * (stiffness * left**2 - pressure)).astype(np.float32)
 
 
 def packed(array: FloatOf[np.ndarray, "s n c"]) -> FloatOf[np.ndarray, "k n c 8"]:

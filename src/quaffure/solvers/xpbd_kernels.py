@@ -1,7 +1,7 @@
 """The constraint projections of XPBD, eight strands abreast, and their density pass.
 
 Strands are packed in blocks [vertex, axis, lane]: the sweep is sequential along a strand, so the compiler's vector
-lanes run over strands, and a block stays in the nearest cache for all sweeps between two looks at the surroundings.
+lanes run over strands, and a block stays in the nearest cache for all sweeps between two searches of the surroundings.
 float64 there: with long time steps a root's tension moves its vertex by metres, of which micrometres are left.
 """
 

@@ -31,7 +31,7 @@ from quaffure.types import Float, Positions, Tensor
 PATIENT = XpbdSetting(steps=200)
 """XPBD with twice the time steps: it ends lower where hair has far to swing, and in another minimum elsewhere."""
 LBFGS_EVALUATIONS = 100
-"""Of L-BFGS, which ends lower than XPBD on some curls; what its default 300 would bring, Newton's steps do sooner."""
+"""Evaluations of L-BFGS, which ends lower than XPBD on some curls; what 300 would bring, Newton's steps do sooner."""
 HELD_SHARE = 0.3
 """Share of the gradient's norm that the strands which are held may have."""
 ACTIVE_SHARE = 0.25

@@ -12,9 +12,10 @@ import numpy as np
 from numba import njit
 
 from quaffure.config import STANDARD_GRAVITY
-from quaffure.energies.contact_force import contact_force
-from quaffure.energies.edge_force import stretch_force, stretch_shear_force
+from quaffure.energies.body_collision import contact_force
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.stretch import stretch_force
+from quaffure.energies.stretch_shear import stretch_shear_force
 from quaffure.geometry.surface import SurfaceArrays
 from quaffure.solvers.newton.rounded_contact import rounded_distance
 from quaffure.types import Float, Tensor

@@ -270,7 +270,7 @@ def test_the_command_grows_trains_and_measures(
     # It is no growing of the bundled style that it is called like.
     assert [row["groom"] for row in figures["grooms"]["own grooms, as trained"]] == ["own:bob"]
     assert grown["held-out styles"] == 2
-    assert figures["codes"]["grown anew"]["growings"] == 3
+    assert figures["codes"]["new seeds"]["grooms"] == 3
     assert groom_code(grooms["bob"], encoder=load_groom_encoder(tmp_path / "run" / "groom_code.safetensors")).shape == (
         16,
     )
@@ -298,9 +298,7 @@ def test_what_cannot_be_trained_on_is_refused_in_one_line(
         assert told.count("\n") == 1
 
 
-def test_scatter_is_what_growings_differ_by(
-    samples: list[GroomSample], anew: dict[str, Groom], body: BodyModel
-) -> None:
+def test_scatter_is_what_seeds_differ_by(samples: list[GroomSample], anew: dict[str, Groom], body: BodyModel) -> None:
     straight, again = samples[0], sample_of(anew["long_straight"], body, "long_straight")
     assert 1 < style_scatter(straight, [again]) < 5
     longer = style_scatter(straight, [scaled(again, 1.5)])

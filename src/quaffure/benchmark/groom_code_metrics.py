@@ -106,13 +106,11 @@ def code_metrics(
         For each of the two: `style_accuracy_percent`, and mean and largest `shift`.
     """
     changes = {
-        "grown anew": others,
+        "new seeds": others,
         "half the strands": [half_of(groom, seed) for seed, groom in enumerate(reference)],
-        "grown anew, half the strands": [half_of(groom, seed) for seed, groom in enumerate(others)],
+        "new seeds, half the strands": [half_of(groom, seed) for seed, groom in enumerate(others)],
     }
-    return {
-        name: {"growings": len(changed)} | _shifts(encoder, reference, changed) for name, changed in changes.items()
-    }
+    return {name: {"grooms": len(changed)} | _shifts(encoder, reference, changed) for name, changed in changes.items()}
 
 
 def _shifts(encoder: GroomEncoder, reference: list[GroomSample], changed: list[GroomSample]) -> dict[str, float]:

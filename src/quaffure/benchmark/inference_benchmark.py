@@ -108,7 +108,7 @@ def inference_layout(model: Quaffure) -> InferenceNetwork | None:
 
 
 def model_dtype(model: Quaffure) -> torch.dtype:
-    """Of the network's weights and activations.
+    """Type of the network's weights and activations.
 
     Raises:
         InputError: the network is not laid out for speed.

@@ -33,7 +33,7 @@ from quaffure.training.run_folder import body_digest, code_version
 from quaffure.types import BodyPose, Float, Tensor
 
 LARGEST_TURN = math.radians(30)
-"""Of the head about each axis (Sec. 4.2) [rad]."""
+"""Limit of the rotation of the head about each axis (Sec. 4.2) [rad]."""
 SAME_GROOM = 1e-4
 """Every process makes the groom again; its vertices may differ by this much [m]."""
 

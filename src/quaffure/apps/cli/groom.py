@@ -10,7 +10,6 @@ import tyro
 
 from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar
 from quaffure.apps.cli.style_settings import with_settings
-from quaffure.apps.output_path import check_output
 from quaffure.body.body_model import load_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
@@ -20,6 +19,7 @@ from quaffure.hair.registration import RegistrationReport, register_groom
 from quaffure.hair.resample import concatenate_strands, resample_by_arc_length, without_degenerate
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.hair.strands import Strands
+from quaffure.io.atomic import check_output
 from quaffure.io.groom_file import LONGEST_STRAND, write_groom
 from quaffure.io.load_groom import read_head
 from quaffure.io.read_strands import read_strands

@@ -9,7 +9,7 @@ from typing import Any
 import tyro
 from rich.console import Console
 
-from quaffure.apps.cli.console import print_json, print_rows, progress_bar, write_json
+from quaffure.apps.cli.console import Text, print_json, print_rows, progress_bar, run_training, write_json
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.benchmark.groom_code_metrics import (
     code_metrics,
@@ -29,7 +29,7 @@ from quaffure.model.groom_code import load_groom_autoencoder
 from quaffure.model.groom_texture import GroomSample, sample_of
 from quaffure.procedural.hair_style import HELD_OUT, STYLES
 from quaffure.training.groom_samples import ProceduralGroom, cached_samples, family_grooms, library_grooms
-from quaffure.training.loop import Training, train
+from quaffure.training.loop import Training
 from quaffure.training.run_folder import RUN
 from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeRecipe, finish
 
@@ -90,7 +90,9 @@ class TrainCodeCommand:
         own, unseen = self._own(body), _samples([load_groom(name, body) for name in self.unseen], body)
         library = cache.samples(library_grooms(TRAINED, range(self.config.library_seeds)), "making the library")
         family = cache.samples(family_grooms(range(self.config.family)), "making the family")
-        network = self._train(Training(GroomCodeRecipe(self.config, library + own, family, started), self.out))
+        training = Training(GroomCodeRecipe(self.config, library + own, family, started), self.out)
+        run_training(training, smoothed_loss(), to=messages)
+        network = finish(training)
         first = [groom for index, groom in enumerate(library) if index % self.config.library_seeds == 0]
         metrics = _metrics(network, cache, {"library": first, "family": family[:SEEN_SAMPLES], "own": own}, unseen)
         write_json(self.out / "figures.json", metrics)
@@ -103,23 +105,18 @@ class TrainCodeCommand:
         # A groom with the name of a bundled style is not a sample of that style.
         return _samples([replace(groom, name=f"own:{groom.name}") for groom in grooms], body)
 
-    def _train(self, training: Training[GroomCodeRecipe]) -> GroomAutoencoder:
-        if training.resume():
-            messages.print(f"resuming from step {training.step}")
-        smooth = 0.0
-        with progress_bar("training", training.recipe.config.steps, training.step, to=messages) as update:
 
-            def report(step: int, metrics: dict[str, float]) -> None:
-                nonlocal smooth
-                loss = metrics["loss"]
-                if math.isfinite(loss):
-                    smooth = loss if smooth == 0.0 else 0.98 * smooth + 0.02 * loss
-                update(completed=step, description=f"loss {smooth:.4f} strand lengths")
+def smoothed_loss() -> Text:
+    """The text of the bar: the moving average of the loss."""
+    smooth = 0.0
 
-            train(training, report)
-        if training.optimizer.skipped:
-            messages.print(f"{training.optimizer.skipped} updates skipped: gradients that were not finite")
-        return finish(training)
+    def bar_text(values: dict[str, float]) -> str:
+        nonlocal smooth
+        if math.isfinite(loss := values["loss"]):
+            smooth = loss if smooth == 0.0 else 0.98 * smooth + 0.02 * loss
+        return f"loss {smooth:.4f} strand lengths"
+
+    return bar_text
 
 
 def _samples(grooms: list[Groom], body: BodyModel) -> list[GroomSample]:
@@ -134,7 +131,7 @@ def _metrics(
     new = cache.samples(library_grooms(STYLES, NEW_SEEDS), "making every style with new seeds")
     groups = {
         "library, as trained": seen["library"],
-        "library, grown anew": [groom for groom in new if groom.style in TRAINED],
+        "library, new seeds": [groom for groom in new if groom.style in TRAINED],
         "own grooms, as trained": seen["own"],
         "family, as trained": seen["family"],
         "family, unseen": cache.samples(family_grooms(UNSEEN_SAMPLES), "making unseen samples"),

@@ -63,7 +63,7 @@ class Camera:
 
     @property
     def camera_from_world(self) -> Float[np.ndarray, "4 4"]:
-        """Rigid transform; the camera looks along its -z, y up, x to the right."""
+        """Rigid transform; the view is along -z, y up, x to the right."""
         return look_at(np.array(self.eye), np.array(self.target))
 
     def clip_from_world(self, width: int, height: int, radius: float) -> Float[np.ndarray, "4 4"]:
@@ -80,7 +80,7 @@ class Camera:
 
 
 def look_at(eye: np.ndarray, target: np.ndarray) -> Float[np.ndarray, "4 4"]:
-    """Transform to the frame of an observer at `eye` who looks along -z at `target`, world z upwards."""
+    """Transform to the frame of an observer at `eye` with `target` along -z, world z upwards."""
     backwards = (eye - target) / np.linalg.norm(eye - target)
     right = np.cross([0.0, 0.0, 1.0], backwards)
     right /= np.linalg.norm(right)

@@ -8,13 +8,12 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from PIL import Image
 
-from quaffure.apps.output_path import check_output
 from quaffure.apps.render.camera import Camera
 from quaffure.apps.render.framing import MARGIN, facing_deg, frame_hair, hair_box
 from quaffure.apps.render.scene import StrandRenderer
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import check_output, replacing
 
 VIEWS = (Camera.front, Camera.three_quarter, Camera.side, Camera.back)
 VIEWS_BEFORE_AFTER = (Camera.front, Camera.side, Camera.back)

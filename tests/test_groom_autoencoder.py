@@ -139,11 +139,11 @@ def test_figures_are_in_millimetres_and_percent(samples: list[GroomSample]) -> N
         network.decoder.mean[:, 0] += np.log(0.9)
     row = reconstruction(network, GroomSample("spikes", features.half(), texels))
     share = 0.1 * np.mean(np.arange(1, 24) / 23)
-    assert row.length_mm == pytest.approx(200, rel=1e-3)
-    assert row.mean_mm == pytest.approx(200 * share, rel=1e-2)
-    assert row.length_percent == pytest.approx(100 * share, rel=1e-2)
-    assert row.strand_percent == pytest.approx(100 * share, rel=1e-2)
-    assert row.p95_mm == pytest.approx(20, rel=0.05)
+    assert row["length_mm"] == pytest.approx(200, rel=1e-3)
+    assert row["mean_mm"] == pytest.approx(200 * share, rel=1e-2)
+    assert row["length_percent"] == pytest.approx(100 * share, rel=1e-2)
+    assert row["strand_percent"] == pytest.approx(100 * share, rel=1e-2)
+    assert row["p95_mm"] == pytest.approx(20, rel=0.05)
 
 
 def test_standardised_codes_decode_the_same(samples: list[GroomSample]) -> None:

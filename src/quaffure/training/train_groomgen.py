@@ -10,7 +10,7 @@ from quaffure.baselines.groomgen import head_strands, texel_cells
 from quaffure.baselines.groomgen_network import DISPLACEMENT_UNIT, GroomGenLayers, GroomGenNetwork, save_groomgen
 from quaffure.digest import array_digest
 from quaffure.errors import InputError
-from quaffure.training.groomgen_data import DrapedPoses, DrapeFolder, material_of_manifest
+from quaffure.training.groomgen_data import DrapedPoses, DrapeFolder
 from quaffure.training.loop import Recipe
 from quaffure.training.train_config import refuse_impossible
 from quaffure.types import Float, Int, Positions, Tensor
@@ -123,7 +123,7 @@ class GroomGenRecipe(Recipe):
             "solver": manifest.solver,
             "validation_distance_mm": f"{metrics['distance_mm']:.4g}",
         }
-        save_groomgen(path, averaged, material_of_manifest(manifest), notes | more)
+        save_groomgen(path, averaged, manifest.material, notes | more)
 
     def description(self) -> dict[str, object]:
         return {"config": asdict(self.config), "drapes": asdict(self.drapes.manifest), "poses": len(self.data)}

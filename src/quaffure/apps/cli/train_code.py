@@ -1,7 +1,8 @@
 """`quaffure train-code`: make grooms, train the groom autoencoder on them, and measure its codes."""
 
 import math
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -19,7 +20,6 @@ from quaffure.benchmark.groom_code_metrics import (
     summary,
 )
 from quaffure.body.body_model import BodyModel, load_body
-from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import made_folder
@@ -43,21 +43,8 @@ UNSEEN_SAMPLES = range(1_000_000, 1_000_060)
 SEEN_SAMPLES = 60
 
 
-@dataclass(frozen=True)
-class SampleCache:
-    """Makes grooms on a body, and keeps them in a folder.
-
-    Attributes:
-        surface: of the body at rest.
-    """
-
-    body: BodyModel
-    surface: Surface
-    folder: Path
-
-    def samples(self, grooms: list[ProceduralGroom], description: str) -> list[GroomSample]:
-        with progress_bar(description, len(grooms), to=messages) as update:
-            return cached_samples(grooms, self.body, self.surface, self.folder, lambda done: update(completed=done))
+Samples = Callable[[list[ProceduralGroom], str], list[GroomSample]]
+"""Makes grooms, with a description for the bar, or reads those that the folder has."""
 
 
 @dataclass(frozen=True)
@@ -86,15 +73,20 @@ class TrainCodeCommand:
         refuse_evaluation_data(self.groom)
         started = load_groom_autoencoder(self.keep_encoder) if self.keep_encoder is not None else None
         body = load_body()
-        cache = SampleCache(body, rest_surface(body), made_folder(self.out / "grooms", RUN))
+        surface, folder = rest_surface(body), made_folder(self.out / "grooms", RUN)
+
+        def samples(grooms: list[ProceduralGroom], description: str) -> list[GroomSample]:
+            with progress_bar(description, len(grooms), to=messages) as update:
+                return cached_samples(grooms, body, surface, folder, lambda done: update(completed=done))
+
         own, unseen = self._own(body), _samples([load_groom(name, body) for name in self.unseen], body)
-        library = cache.samples(library_grooms(TRAINED, range(self.config.library_seeds)), "making the library")
-        family = cache.samples(family_grooms(range(self.config.family)), "making the family")
+        library = samples(library_grooms(TRAINED, range(self.config.library_seeds)), "making the library")
+        family = samples(family_grooms(range(self.config.family)), "making the family")
         training = Training(GroomCodeRecipe(self.config, library + own, family, started), self.out)
         run_training(training, smoothed_loss(), to=messages)
         network = finish(training)
         first = [groom for index, groom in enumerate(library) if index % self.config.library_seeds == 0]
-        metrics = _metrics(network, cache, {"library": first, "family": family[:SEEN_SAMPLES], "own": own}, unseen)
+        metrics = _metrics(network, samples, {"library": first, "family": family[:SEEN_SAMPLES], "own": own}, unseen)
         write_json(self.out / "figures.json", metrics)
         print_json(metrics) if self.json else _print(metrics)
 
@@ -124,24 +116,24 @@ def _samples(grooms: list[Groom], body: BodyModel) -> list[GroomSample]:
 
 
 def _metrics(
-    network: GroomAutoencoder, cache: SampleCache, seen: dict[str, list[GroomSample]], unseen: list[GroomSample]
+    network: GroomAutoencoder, samples: Samples, seen: dict[str, list[GroomSample]], unseen: list[GroomSample]
 ) -> dict[str, Any]:
     # Each style once, and again with seeds that no training uses.
-    known = cache.samples(library_grooms(STYLES, [0]), "making every style")
-    new = cache.samples(library_grooms(STYLES, NEW_SEEDS), "making every style with new seeds")
+    known = samples(library_grooms(STYLES, [0]), "making every style")
+    new = samples(library_grooms(STYLES, NEW_SEEDS), "making every style with new seeds")
     groups = {
         "library, as trained": seen["library"],
         "library, new seeds": [groom for groom in new if groom.style in TRAINED],
         "own grooms, as trained": seen["own"],
         "family, as trained": seen["family"],
-        "family, unseen": cache.samples(family_grooms(UNSEEN_SAMPLES), "making unseen samples"),
+        "family, unseen": samples(family_grooms(UNSEEN_SAMPLES), "making unseen samples"),
         "held-out styles": [groom for groom in known + new if groom.style in HELD_OUT],
         "other grooms, unseen": unseen,
     }
     rows = {name: [reconstruction(network, groom) for groom in grooms] for name, grooms in groups.items() if grooms}
     return {
         "reconstruction": {name: summary(of_group) for name, of_group in rows.items()},
-        "grooms": {name: [asdict(row) for row in of_group] for name, of_group in rows.items()},
+        "grooms": rows,
         "codes": code_metrics(network.encoder, known, new),
         "scatter": scatter_of_styles(known + new),
         "half_way": interpolation_metrics(network, seen["library"]),

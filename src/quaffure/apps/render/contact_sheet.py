@@ -15,7 +15,7 @@ from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import interpolation_of
 from quaffure.io.atomic import check_output
 
-VIEWS = (Camera.three_quarter, Camera.side, Camera.back)
+VIEWS = ("3/4", "side", "back")
 COLUMNS = 4
 TILE_WIDTH, TILE_HEIGHT = 194, 262  # pixels
 GAP, CAPTION, CAPTION_SIZE = 18, 40, 20  # pixels
@@ -83,7 +83,10 @@ def _views(
     top = max(head[2] + TILE_TOP, float(groom.rest_strands[..., 2].max()) + TOP_MARGIN)
     centre = np.array([head[0], head[1], top - 0.5 * TILE_EXTENT * TILE_HEIGHT / TILE_WIDTH])
     return np.hstack(
-        [renderer.render(strands, vertices, faces, view(centre, TILE_EXTENT), hair_colour) for view in VIEWS]
+        [
+            renderer.render(strands, vertices, faces, Camera.view(view, centre, TILE_EXTENT), hair_colour)
+            for view in VIEWS
+        ]
     )
 
 

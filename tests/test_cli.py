@@ -11,7 +11,7 @@ import torch
 
 from quaffure.apps.cli.drape import duration, with_preparation
 from quaffure.apps.cli.main import main
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.body_model import BodyModel, PosedBody, load_body
 from quaffure.body.clips import CLIP_NAMES
 from quaffure.config import HairMaterial
 from quaffure.drape_motion import FRAMES_AT_ONCE
@@ -100,16 +100,16 @@ def test_each_frame_is_posed_once_measuring_and_writing_included(
     tmp_path: Path, inputs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frames: list[int] = []
-    kinematics = BodyModel._forward_kinematics
+    skin = BodyModel.skin
 
-    def counted(self: BodyModel, pose: torch.Tensor, joints: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        frames.append(len(pose))
-        return kinematics(self, pose, joints)
+    def counted(self: BodyModel, body_shape: torch.Tensor, *joints: torch.Tensor) -> PosedBody:
+        frames.append(len(body_shape))
+        return skin(self, body_shape, *joints)
 
     outputs = [part for name in ("d.npz", "d.usda") for part in ("--out", str(tmp_path / name))]
     reference = ("--reference", str(tmp_path / "d.npz"))
     main([*posed(inputs / "tiny.npz"), "--motion", "nod", "--frames", "0:12", *outputs])
-    monkeypatch.setattr(BodyModel, "_forward_kinematics", counted)
+    monkeypatch.setattr(BodyModel, "skin", counted)
     main(
         [
             *posed(inputs / "tiny.npz"),

@@ -30,7 +30,9 @@ from quaffure.body.clips import CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion
 from quaffure.config import HairMaterial
 from quaffure.drape_motion import drape_motion
+from quaffure.energies.gravity import Gravity
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.self_collision import SelfCollision
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.model.network_config import NetworkConfig
@@ -235,8 +237,10 @@ def test_weights_settings_and_material_are_in_the_key_of_a_draper() -> None:
         draper_key(XpbdDraper()),
         draper_key(XpbdDraper(setting=XpbdSetting(steps=7))),
         draper_key(PosedDraper()),
+        draper_key(AdamDraper(terms=(Gravity(),))),
+        draper_key(AdamDraper(terms=(SelfCollision(),))),
     }
-    assert len(keys) == 6
+    assert len(keys) == 8
 
 
 def test_a_renamed_class_or_file_keeps_its_drapes_and_another_version_does_not(
@@ -324,11 +328,9 @@ def test_each_frame_of_a_case_is_posed_once_for_all_rows(case: EvaluationCase, b
         name: [lifted(body, dict.fromkeys(range(3), 0.0))(case, frame) for frame in range(3)]
         for name in ("a", "b", "c")
     }
-    with mock.patch.object(
-        BodyModel, "_forward_kinematics", autospec=True, side_effect=BodyModel._forward_kinematics
-    ) as kinematics:
+    with mock.patch.object(BodyModel, "skin", autospec=True, side_effect=BodyModel.skin) as skin:
         measure_case(case, drapes, ["a", "b"], body, HairMaterial())
-    assert kinematics.call_count == len(case.frames)
+    assert skin.call_count == len(case.frames)
 
 
 def test_without_solvers_there_is_no_reference_and_isolated_frames_do_not_tremble(

@@ -67,10 +67,7 @@ def run(tmp_path: Path, inputs: Path, tiny_set: EvaluationSet) -> Callable[..., 
 
     def run(command: str, *arguments: str | Path) -> None:
         folders = ("--cache", tmp_path / "cache", "--motion-folder", inputs, "--groom-folder", inputs)
-        with (
-            mock.patch("quaffure.apps.cli.evaluate.load_evaluation_set", return_value=tiny_set),
-            mock.patch("quaffure.apps.cli.score.load_evaluation_set", return_value=tiny_set),
-        ):
+        with mock.patch("quaffure.apps.cli.evaluate.load_evaluation_set", return_value=tiny_set):
             weights = ("--weights", f"neural={inputs / 'own.safetensors'}")
             main([command, *map(str, (*folders, *weights, *arguments))])
 
@@ -208,7 +205,7 @@ def test_evaluate_takes_what_a_user_brings(
     assert (case["clip"], case["frames"], case["shape"]) == ("walk", [4, 6, 8], shape[1])
 
 
-def test_answers_from_elsewhere_are_scored_like_our_own(
+def test_drapes_of_another_method_are_scored_like_our_own(
     run: Callable[..., None], refused: Callable[..., str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     out, folder = tmp_path / "results.json", tmp_path / "cases"
@@ -224,34 +221,34 @@ def test_answers_from_elsewhere_are_scored_like_our_own(
     run("score", path, "--json")
     scored = json.loads(capfd.readouterr().out)
     summary = scored["summary"]["all"]
-    assert list(summary) == ["answer", "posed", "xpbd"]
+    assert list(summary) == ["submission", "posed", "xpbd"]
     # Posed frame by frame or all at once, hair differs in its last bit; angles and jitters of almost zero show it.
     untimed = {key: value for key, value in own["posed"].items() if key != "milliseconds"}
-    assert set(summary["answer"]) == set(untimed)
+    assert set(summary["submission"]) == set(untimed)
     for key, figure in untimed.items():
-        assert summary["answer"][key] == pytest.approx(figure, rel=1e-3, abs=5e-3), key
+        assert summary["submission"][key] == pytest.approx(figure, rel=1e-3, abs=5e-3), key
     assert summary["posed"] == own["posed"]
 
-    def answer(name: str, **changed: object) -> Path:
+    def submitted(name: str, **changed: object) -> Path:
         meta = json.loads(str(arrays["meta"])) | changed.pop("meta", {})  # type: ignore[operator]
         np.savez(tmp_path / f"{name}.npz", **(arrays | {"meta": np.array(json.dumps(meta))} | changed))
         return tmp_path / f"{name}.npz"
 
     strands = arrays["strands"]
-    run("score", answer("timed", meta={"milliseconds": 12.5}), "--name", "theirs")
+    run("score", submitted("timed", meta={"milliseconds": 12.5}), "--name", "theirs")
     assert "theirs" in capfd.readouterr().out
-    assert "finite strands" in refused("score", answer("nan", strands=strands * np.float32(np.nan)))
-    assert "evaluation_set 7" in refused("score", answer("old", meta={"evaluation_set": 1}))
-    assert "'magic'" in refused("score", answer("other", meta={"case": "magic"}))
+    assert "finite strands" in refused("score", submitted("nan", strands=strands * np.float32(np.nan)))
+    assert "evaluation_set 7" in refused("score", submitted("old", meta={"evaluation_set": 1}))
+    assert "'magic'" in refused("score", submitted("other", meta={"case": "magic"}))
     fewer = {name: arrays[name][:2] for name in ("strands", "posed", "body_vertices", "body_pose")}
-    assert "(3, 40, 24, 3)" in refused("score", answer("short", **fewer))
-    assert "roots within 1 mm" in refused("score", answer("millimetres", strands=1000 * strands))
-    assert "the body_pose of the case" in refused("score", answer("turned", body_pose=arrays["body_pose"] + 0.1))
-    assert "hair of" in refused("score", answer("soft", meta={"material": {}}))
-    assert "one drape of tiny-bow-a" in refused("score", path, answer("twice"))
+    assert "(3, 40, 24, 3)" in refused("score", submitted("short", **fewer))
+    assert "roots within 1 mm" in refused("score", submitted("millimetres", strands=1000 * strands))
+    assert "the body_pose of the case" in refused("score", submitted("turned", body_pose=arrays["body_pose"] + 0.1))
+    assert "hair of" in refused("score", submitted("soft", meta={"material": {}}))
+    assert "one drape of tiny-bow-a" in refused("score", path, submitted("twice"))
     assert "no such file" in refused("score", tmp_path / "none.npz")
     assert "--name" in refused("score", path, "--name", "xpbd")
-    assert "13_26.bvh" in refused("score", answer("far", meta={"case": "tiny-13_26-a"}))
+    assert "13_26.bvh" in refused("score", submitted("far", meta={"case": "tiny-13_26-a"}))
 
 
 def test_score_says_when_there_is_nothing_to_measure_against(

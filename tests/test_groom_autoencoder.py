@@ -139,11 +139,11 @@ def test_figures_are_in_millimetres_and_percent(samples: list[GroomSample]) -> N
         network.decoder.mean[:, 0] += np.log(0.9)
     row = reconstruction(network, GroomSample("spikes", features.half(), texels))
     share = 0.1 * np.mean(np.arange(1, 24) / 23)
-    assert row.length_mm == pytest.approx(200, rel=1e-3)
-    assert row.mean_mm == pytest.approx(200 * share, rel=1e-2)
-    assert row.length_percent == pytest.approx(100 * share, rel=1e-2)
-    assert row.strand_percent == pytest.approx(100 * share, rel=1e-2)
-    assert row.p95_mm == pytest.approx(20, rel=0.05)
+    assert row["length_mm"] == pytest.approx(200, rel=1e-3)
+    assert row["mean_mm"] == pytest.approx(200 * share, rel=1e-2)
+    assert row["length_percent"] == pytest.approx(100 * share, rel=1e-2)
+    assert row["strand_percent"] == pytest.approx(100 * share, rel=1e-2)
+    assert row["p95_mm"] == pytest.approx(20, rel=0.05)
 
 
 def test_standardised_codes_decode_the_same(samples: list[GroomSample]) -> None:
@@ -270,7 +270,7 @@ def test_the_command_grows_trains_and_measures(
     # It is no growing of the bundled style that it is called like.
     assert [row["groom"] for row in figures["grooms"]["own grooms, as trained"]] == ["own:bob"]
     assert grown["held-out styles"] == 2
-    assert figures["codes"]["grown anew"]["growings"] == 3
+    assert figures["codes"]["new seeds"]["grooms"] == 3
     assert groom_code(grooms["bob"], encoder=load_groom_encoder(tmp_path / "run" / "groom_code.safetensors")).shape == (
         16,
     )
@@ -298,9 +298,7 @@ def test_what_cannot_be_trained_on_is_refused_in_one_line(
         assert told.count("\n") == 1
 
 
-def test_scatter_is_what_growings_differ_by(
-    samples: list[GroomSample], anew: dict[str, Groom], body: BodyModel
-) -> None:
+def test_scatter_is_what_seeds_differ_by(samples: list[GroomSample], anew: dict[str, Groom], body: BodyModel) -> None:
     straight, again = samples[0], sample_of(anew["long_straight"], body, "long_straight")
     assert 1 < style_scatter(straight, [again]) < 5
     longer = style_scatter(straight, [scaled(again, 1.5)])

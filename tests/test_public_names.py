@@ -34,28 +34,15 @@ def names_for_checkers(package: str) -> dict[str, str]:
     }
 
 
-def names_at_run_time(package: str) -> dict[str, str]:
-    """Module of each name that `package` passes to `lazy_exports`."""
-    tree = ast.parse((folder(package) / "__init__.py").read_text(encoding="utf-8"))
-    (call,) = (node for node in ast.walk(tree) if isinstance(node, ast.Call) and "lazy_exports" in ast.unparse(node))
-    table = ast.literal_eval(call.args[1])
-    return {name: f"{package}.{module}" for module, names in table.items() for name in names}
-
-
 def test_packages_export_names() -> None:
     assert {"quaffure", "quaffure.hair", "quaffure.body", "quaffure.procedural"} <= set(PACKAGES)
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_type_checkers_read_the_names_of_run_time(package: str) -> None:
-    assert names_for_checkers(package) == names_at_run_time(package)
-
-
-@pytest.mark.parametrize("package", PACKAGES)
 def test_every_exported_name_exists(package: str) -> None:
     exporting = import_module(package)
-    assert set(exporting.__all__) - {"__version__"} == set(names_at_run_time(package))
-    for name, module in names_at_run_time(package).items():
+    assert set(exporting.__all__) - {"__version__"} == set(names_for_checkers(package))
+    for name, module in names_for_checkers(package).items():
         assert getattr(exporting, name) is getattr(import_module(module), name), name
         assert name in dir(exporting)
 
@@ -64,11 +51,11 @@ def test_every_exported_name_exists(package: str) -> None:
 def test_no_exported_name_is_that_of_a_module(package: str) -> None:
     # `from quaffure.x import y` would give the function before, and the module after, y.py has been imported.
     modules = {path.stem for path in folder(package).iterdir()}
-    assert not modules & set(names_at_run_time(package))
+    assert not modules & set(names_for_checkers(package))
 
 
 def test_an_unknown_name_is_refused_by_name() -> None:
-    _, get_attribute, _ = lazy_exports("quaffure.hair", {"groom": ["Groom"]})
+    _, get_attribute, _ = lazy_exports("quaffure.hair")
     with pytest.raises(AttributeError, match=r"module 'quaffure\.hair' has no attribute 'Wig'"):
         get_attribute("Wig")
 

@@ -36,43 +36,44 @@ def green_pixels(renderer: StrandRenderer, strands: np.ndarray, camera: Camera) 
 
 def test_hair_behind_the_head_is_hidden_from_the_front(renderer: StrandRenderer) -> None:
     strands = patch_of_strands((0.0, 1.0, 0.0))
-    assert len(green_pixels(renderer, strands, Camera.back(HEAD_CENTRE, 0.4))) > 100
-    assert len(green_pixels(renderer, strands, Camera.front(HEAD_CENTRE, 0.4))) == 0
+    assert len(green_pixels(renderer, strands, Camera.view("back", HEAD_CENTRE, 0.4))) > 100
+    assert len(green_pixels(renderer, strands, Camera.view("front", HEAD_CENTRE, 0.4))) == 0
 
 
 @pytest.mark.parametrize(
     ("view", "towards", "side"),
     [
         # The body faces -y: its left hand, +x, is on the right of a picture of its face.
-        (Camera.front, (1.0, 0.0, 0.0), 1),
-        (Camera.front, (-1.0, 0.0, 0.0), -1),
-        (Camera.back, (1.0, 0.0, 0.0), -1),
-        (Camera.side, (0.0, 1.0, 0.0), 1),
-        (Camera.side, (0.0, -1.0, 0.0), -1),
+        ("front", (1.0, 0.0, 0.0), 1),
+        ("front", (-1.0, 0.0, 0.0), -1),
+        ("back", (1.0, 0.0, 0.0), -1),
+        ("side", (0.0, 1.0, 0.0), 1),
+        ("side", (0.0, -1.0, 0.0), -1),
     ],
 )
-def test_left_and_right(renderer: StrandRenderer, view: object, towards: tuple[float, float, float], side: int) -> None:
-    assert callable(view)
-    columns = green_pixels(renderer, patch_of_strands(towards), view(HEAD_CENTRE, 0.4))[:, 1]
+def test_left_and_right(renderer: StrandRenderer, view: str, towards: tuple[float, float, float], side: int) -> None:
+    columns = green_pixels(renderer, patch_of_strands(towards), Camera.view(view, HEAD_CENTRE, 0.4))[:, 1]
     assert len(columns) > 50
     assert ((columns - SIZE / 2) * side > 0.1 * SIZE).mean() > 0.95
 
 
 def test_up_is_up(renderer: StrandRenderer) -> None:
-    rows = green_pixels(renderer, patch_of_strands((0.0, 0.0, 1.0)), Camera.front(HEAD_CENTRE, 0.4))[:, 0]
+    rows = green_pixels(renderer, patch_of_strands((0.0, 0.0, 1.0)), Camera.view("front", HEAD_CENTRE, 0.4))[:, 0]
     assert len(rows) > 50
     assert (rows < 0.4 * SIZE).all()
 
 
 def test_extent_fills_the_picture(renderer: StrandRenderer) -> None:
     """A ball of 0.2 m in a frame of 0.2 m touches the borders, less the perspective's reserve."""
-    picture = renderer.render(patch_of_strands((0.0, 1.0, 0.0)), *ball(), Camera.front(HEAD_CENTRE, 0.2)).astype(int)
+    picture = renderer.render(
+        patch_of_strands((0.0, 1.0, 0.0)), *ball(), Camera.view("front", HEAD_CENTRE, 0.2)
+    ).astype(int)
     columns = np.flatnonzero((picture[..., 0] > picture[..., 2] + 8).any(axis=0))
     assert 0.75 * SIZE < np.ptp(columns) <= SIZE
 
 
 def test_colour_responds(renderer: StrandRenderer) -> None:
-    strands, camera = patch_of_strands((0.0, -1.0, 0.3)), Camera.front(HEAD_CENTRE, 0.3)
+    strands, camera = patch_of_strands((0.0, -1.0, 0.3)), Camera.view("front", HEAD_CENTRE, 0.3)
     green, red = (renderer.render(strands, *ball(), camera, c).astype(int) for c in ((0.0, 0.4, 0.0), (0.4, 0.0, 0.0)))
     changed = np.abs(green - red).sum(axis=-1) > 30
     assert changed.sum() > 100
@@ -83,7 +84,7 @@ def test_colour_responds(renderer: StrandRenderer) -> None:
 
 def test_hair_casts_shadow(renderer: StrandRenderer) -> None:
     """Hair between the key light (the viewer's upper left) and the head darkens skin that it does not cover."""
-    camera = Camera.front(HEAD_CENTRE, 0.3)
+    camera = Camera.view("front", HEAD_CENTRE, 0.3)
     lit = renderer.render(patch_of_strands((0.0, 1.0, 0.0)), *ball(), camera).astype(int)
     shadowed = renderer.render(
         patch_of_strands((-0.55, -0.6, 0.55)) + np.array([0, -0.06, 0], np.float32), *ball(), camera
@@ -97,7 +98,7 @@ def test_thin_hair_casts_no_streaks(renderer: StrandRenderer) -> None:
     curtain = np.zeros((21, 8, 3), np.float32)
     curtain[..., 0] = np.linspace(-0.205, -0.045, 21)[:, None]
     curtain[..., 1], curtain[..., 2] = -0.25, np.linspace(1.84, 1.76, 8)
-    camera, rest = Camera.front(HEAD_CENTRE, 0.3), patch_of_strands((0.0, 1.0, 0.0))
+    camera, rest = Camera.view("front", HEAD_CENTRE, 0.3), patch_of_strands((0.0, 1.0, 0.0))
     scenes = rest, np.concatenate([rest, curtain])
     lit, dimmed = (renderer.render(hair, *ball(), camera).astype(float).mean(axis=-1) for hair in scenes)
     shadow = (lit - dimmed)[40:50, 30:54].mean(axis=0)
@@ -108,7 +109,7 @@ def test_thin_hair_casts_no_streaks(renderer: StrandRenderer) -> None:
 
 def test_hair_behind_the_head_leaves_the_face_lit(renderer: StrandRenderer) -> None:
     """The light's maps add up hair along a ray; what lies behind the body on it must not count."""
-    camera = Camera.front(HEAD_CENTRE, 0.3)
+    camera = Camera.view("front", HEAD_CENTRE, 0.3)
     towards_light = np.array([-0.5, -0.6, 0.75]) / np.linalg.norm([-0.5, -0.6, 0.75])
     tuft = patch_of_strands((0.0, 1.0, 0.0))
     across = np.linspace(-0.05, 0.05, 8)[:, None] * np.cross(towards_light, [1.0, 0.0, 0.0])
@@ -140,9 +141,9 @@ def test_curls_are_drawn_rounder_than_straight_hair() -> None:
 
 def test_buffers_follow_the_scene(renderer: StrandRenderer) -> None:
     """A picture does not depend on what was drawn before it, of another size or the same."""
-    strands, camera = patch_of_strands((0.0, 0.0, 1.0)), Camera.front(HEAD_CENTRE, 0.4)
+    strands, camera = patch_of_strands((0.0, 0.0, 1.0)), Camera.view("front", HEAD_CENTRE, 0.4)
     first = renderer.render(strands, *ball(), camera)
-    renderer.render(patch_of_strands((1.0, 0.0, 0.0), vertices=5), *ball(12), Camera.side(HEAD_CENTRE, 0.6))
+    renderer.render(patch_of_strands((1.0, 0.0, 0.0), vertices=5), *ball(12), Camera.view("side", HEAD_CENTRE, 0.6))
     renderer.render(strands + np.float32(0.01), *ball(), camera)
     np.testing.assert_array_equal(renderer.render(strands, *ball(), camera), first)
 
@@ -215,4 +216,4 @@ def test_cameras_turn_with_the_body() -> None:
     turned.body_pose[:, :3] = [0.0, 0.0, np.pi / 2]  # faces +x
     assert facing_deg(seq, 0) == pytest.approx(0)
     assert facing_deg(turned, 0) == pytest.approx(90)
-    assert Camera.front((0, 0, 0), 1, 90).eye[0] > 1
+    assert Camera.view("front", (0, 0, 0), 1, 90).eye[0] > 1

@@ -3,12 +3,15 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
+import torch
 
 from quaffure.apps.cli.main import main
 from quaffure.baselines.posed import PosedDraper
 from quaffure.benchmark.solver_benchmark import Budget, Case, budgets, run_benchmark
+from quaffure.body.body_model import load_body
 from quaffure.config import HairMaterial
-from tests.scenes import posed_scene, sphere_groom
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
 
 
 def bench(out: Path, *more: str) -> None:
@@ -61,7 +64,9 @@ def test_a_table_without_a_plot_where_matplotlib_is_missing(tmp_path: Path, capf
 def test_a_part_of_a_run_is_extrapolated_and_the_best_has_no_excess() -> None:
     ticks = iter(range(100))
     parts = [Budget("posed", 1, PosedDraper), Budget("posed", 2, PosedDraper, share=0.25)]
-    case = Case("sphere", posed_scene(sphere_groom(strands=3)))
+    body = load_body()
+    groom = make_groom("long_straight", body).select(torch.arange(3))
+    case = Case("rest", Scene(groom, BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10))))
     with (
         mock.patch("quaffure.benchmark.solver_benchmark._compile"),
         mock.patch("quaffure.benchmark.solver_benchmark.time.perf_counter", side_effect=lambda: next(ticks)),

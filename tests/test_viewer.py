@@ -20,7 +20,7 @@ from quaffure.apps.cli.main import main
 from quaffure.apps.viewer.catalogue import LIVE, REST, Catalogue
 from quaffure.apps.viewer.draping_thread import DrapingThread
 from quaffure.apps.viewer.hair_colours import INSIDE, hair_colours, segments
-from quaffure.apps.viewer.page import Address, Page
+from quaffure.apps.viewer.page import Page, check_address
 from quaffure.apps.viewer.playback import Playback
 from quaffure.apps.viewer.session import free_path
 from quaffure.apps.viewer.view_state import Degrees, ViewState
@@ -357,7 +357,7 @@ def test_a_port_that_is_taken_is_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(InputError, match=f"127.0.0.1:{port}"):
-            Address("127.0.0.1", port).check()
+            check_address("127.0.0.1", port)
 
 
 def no_picture(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:
@@ -371,7 +371,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def page(catalogue: Catalogue, saved: Path) -> Iterator[Page]:
-    served = Page(catalogue, ("thinned", REST), Address("127.0.0.1", 0), saved, no_picture)
+    served = Page(catalogue, ("thinned", REST), ("127.0.0.1", 0), saved, no_picture)
     assert finishes(served.session.thread)
     yield served
     served.stop()

@@ -65,7 +65,7 @@ def _tile(groom: Groom, body: BodyModel, renderer: StrandRenderer) -> np.ndarray
     vertices, head = body.rest_vertices.numpy(), body.rest_joints[body.joint_names.index("Head")].numpy()
     strands = interpolation_of(groom, body, STRANDS).strands(groom.rest_strands.numpy(), vertices)
     centre = np.array([head[0], head[1], head[2] + TOP - 0.5 * EXTENT * TILE_HEIGHT / TILE_WIDTH])
-    return renderer.render(strands, vertices, body.faces.numpy(), Camera.three_quarter(centre, EXTENT))
+    return renderer.render(strands, vertices, body.faces.numpy(), Camera.view("3/4", centre, EXTENT))
 
 
 def _captions(texts: list[str]) -> np.ndarray:

@@ -23,16 +23,5 @@ if TYPE_CHECKING:
 
 __version__ = version("quaffure")
 
-__all__, __getattr__, __dir__ = lazy_exports(
-    __name__,
-    {
-        "body.body_model": ["BodyModel", "load_body"],
-        "config": ["HairMaterial"],
-        "energies.hair_energy": ["HairEnergy"],
-        "errors": ["InputError"],
-        "hair.groom": ["Groom"],
-        "io.load_groom": ["load_groom"],
-        "model.quaffure_model": ["Quaffure", "load_model"],
-    },
-)
+__all__, __getattr__, __dir__ = lazy_exports(__name__)
 __all__ += ["__version__"]

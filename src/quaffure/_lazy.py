@@ -1,22 +1,25 @@
 """Public names of a package, imported from their modules when they are first used (PEP 562).
 
-Torch and numba take seconds to import, pxr and moderngl more. A package lists its names here for the interpreter
-and, under `TYPE_CHECKING`, as plain imports for type checkers; a test holds the two lists equal.
+Torch and numba take seconds to import, pxr and moderngl more. A package lists its names once, as plain imports under
+`TYPE_CHECKING`, for type checkers and for the interpreter.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import ast
+import inspect
+import sys
+from collections.abc import Callable
 from importlib import import_module
 
 
-def lazy_exports(
-    package: str, names_of_modules: Mapping[str, Sequence[str]]
-) -> tuple[list[str], Callable[[str], object], Callable[[], list[str]]]:
+def lazy_exports(package: str) -> tuple[list[str], Callable[[str], object], Callable[[], list[str]]]:
     """`__all__`, `__getattr__` and `__dir__` of a package whose modules are imported on first use of a name.
 
-    `names_of_modules` maps a module of the package, such as "groom" or "io.load_groom", to its public names. No name
-    may be that of a module of the package: once imported, the module would take its place.
+    The names are those that its `__init__.py` imports under `if TYPE_CHECKING`. No name may be that of a module of the
+    package: once imported, the module would take its place.
     """
-    modules = {name: f"{package}.{module}" for module, names in names_of_modules.items() for name in names}
+    branches = [node for node in ast.parse(inspect.getsource(sys.modules[package])).body if isinstance(node, ast.If)]
+    imports = [node for branch in branches for node in branch.body if isinstance(node, ast.ImportFrom)]
+    modules = {alias.name: str(node.module) for node in imports for alias in node.names}
 
     def get_attribute(name: str) -> object:
         if name not in modules:

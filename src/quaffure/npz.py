@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile, ZipExtFile, ZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
@@ -106,7 +106,11 @@ def _opened(path: Path, what: str) -> Iterator[ZipFile]:
 def _header(archive: ZipFile, name: str, path: Path) -> Header:
     member = archive.getinfo(f"{name}.npy")
     with archive.open(member) as file:
-        header = _parse_header(file)
+        # Version 3 exists only for field names beyond Latin-1, and plain numbers have no fields.
+        is_first = np.lib.format.read_magic(file) == (1, 0)
+        read = np.lib.format.read_array_header_1_0 if is_first else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(file)
+        header = Header(shape, dtype)
         expected = file.tell() + math.prod(header.shape) * header.dtype.itemsize
     forged = member.file_size > MOST_COMPRESSION * path.stat().st_size
     # The size of pickled objects is not in the header; they are refused by their type.
@@ -114,14 +118,6 @@ def _header(archive: ZipFile, name: str, path: Path) -> Header:
         found = f"{member.file_size} bytes"
         raise InputError(path, f"{expected} bytes to hold its array {name} {list(header.shape)}", found)
     return header
-
-
-def _parse_header(file: ZipExtFile) -> Header:
-    version = np.lib.format.read_magic(file)
-    # Version 3 exists only for field names beyond Latin-1, and plain numbers have no fields.
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read(file)
-    return Header(shape, dtype)
 
 
 def _array(archive: ZipFile, name: str) -> np.ndarray:

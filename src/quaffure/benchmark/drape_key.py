@@ -73,9 +73,13 @@ def _by_value(value: Any) -> object:
         return str(value)
     if isinstance(value, torch.nn.Module):
         return {"config": _by_value(getattr(value, "config", None)), "weights": _by_value(value.state_dict())}
-    if is_dataclass(value):
-        return {field.name: _by_value(getattr(value, field.name)) for field in fields(value)}
-    return {"name": getattr(value, "name", "")} | {name: _by_value(item) for name, item in _public(value).items()}
+    values = (
+        {field.name: getattr(value, field.name) for field in fields(value)} if is_dataclass(value) else _public(value)
+    )
+    # A class without fields, such as an energy term, differs from others in its name alone.
+    if hasattr(value, "name") or not is_dataclass(value):
+        values["name"] = getattr(value, "name", "")
+    return {name: _by_value(item) for name, item in values.items()}
 
 
 def _public(value: object) -> dict[str, Any]:

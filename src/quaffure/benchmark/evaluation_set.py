@@ -175,8 +175,20 @@ def load_cases(
     Raises:
         InputError: a file of the set is missing or broken, or its clip ends before a frame of the set.
     """
-    groom_of = cache(lambda name: _groom(name, of.grooms[name], folders, body))
-    clip_of = cache(lambda name: _clip(name, of.fps, folders, body))
+
+    @cache
+    def groom_of(name: str) -> Groom:
+        source = of.grooms[name]
+        if not source.file:
+            return load_groom(name, body)
+        head = folders.grooms / source.head if source.head else None
+        return replace(load_groom(folders.grooms / source.file, body, head), name=name)
+
+    @cache
+    def clip_of(name: str) -> Motion:
+        clip = bundled_clip(name, body) if name in CLIP_NAMES else read_motion(folders.motion(name), body)
+        return resample(clip, of.fps)
+
     for entry in entries:
         groom, clip = groom_of(entry.groom), clip_of(entry.clip)
         if max(entry.frames) >= len(clip):
@@ -190,15 +202,3 @@ def load_cases(
             frames=entry.frames,
             body_shape=torch.tensor(of.shapes[entry.shape]),
         )
-
-
-def _groom(name: str, source: GroomSource, folders: DataFolders, body: BodyModel) -> Groom:
-    if not source.file:
-        return load_groom(name, body)
-    head = folders.grooms / source.head if source.head else None
-    return replace(load_groom(folders.grooms / source.file, body, head), name=name)
-
-
-def _clip(name: str, fps: float, folders: DataFolders, body: BodyModel) -> Motion:
-    clip = bundled_clip(name, body) if name in CLIP_NAMES else read_motion(folders.motion(name), body)
-    return resample(clip, fps)

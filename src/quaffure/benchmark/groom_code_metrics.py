@@ -1,8 +1,8 @@
 """Quality of a groom code: reconstruction, separation of styles, and interpolation between two codes."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,50 +12,37 @@ from quaffure.config import EDGES_PER_STRAND, TEXTURE_SIZE
 from quaffure.model.groom_autoencoder import GroomAutoencoder, relative_distance
 from quaffure.model.groom_encoder import GroomEncoder
 from quaffure.model.groom_texture import SHAPE_CHANNELS, UNIT_LENGTH, GroomSample, texture_of
-from quaffure.types import Float, Int, Tensor
+from quaffure.types import Float, Tensor
 
 MILLIMETRES = 1e3
-# Of a strand, in grooms of the same style by other seeds.
+# Nearest strands in grooms of the same style by other seeds.
 NEIGHBOURS = 12
 
 
-@dataclass(frozen=True)
-class Reconstruction:
-    """A groom after encoding and decoding; distances over all vertices but the roots.
+@torch.no_grad()
+def reconstruction(network: GroomAutoencoder, groom: GroomSample) -> dict[str, Any]:
+    """Encode a groom, decode it at its own texels, compare; distances over all vertices but the roots.
 
-    Attributes:
+    Returns:
+        groom: its style.
         mean_mm, p95_mm: mean and 95th percentile of the distance [mm].
         length_mm: mean length of the strands [mm].
         length_percent: mean distance over mean length [%].
         strand_percent: mean over strands of distance over own length [%]; very short hair weighs as much as long hair.
     """
-
-    groom: str
-    mean_mm: float
-    p95_mm: float
-    length_mm: float
-    length_percent: float
-    strand_percent: float
-
-
-@torch.no_grad()
-def reconstruction(network: GroomAutoencoder, groom: GroomSample) -> Reconstruction:
-    """Encode a groom, decode it at its own texels, compare."""
-    features = groom.features.float()
-    code = _code(network.encoder, features, groom.texels)
-    decoded = network.decoder(code, torch.zeros_like(groom.texels), groom.texels)
-    relative = relative_distance(decoded, features)
-    lengths = MILLIMETRES * UNIT_LENGTH * features[:, SHAPE_CHANNELS].exp()
+    features, code = groom.features.float(), codes_of(network.encoder, [groom])
+    relative = relative_distance(network.decoder(code, torch.zeros_like(groom.texels), groom.texels), features)
+    lengths = MILLIMETRES * _lengths(features)
     distances = relative * lengths[:, None]
     mean, length = float(distances.mean()), float(lengths.mean())
-    return Reconstruction(
-        groom=groom.style,
-        mean_mm=mean,
-        p95_mm=float(distances.flatten().quantile(0.95)),
-        length_mm=length,
-        length_percent=100 * mean / length,
-        strand_percent=100 * float(relative.mean()),
-    )
+    return {
+        "groom": groom.style,
+        "mean_mm": mean,
+        "p95_mm": float(distances.flatten().quantile(0.95)),
+        "length_mm": length,
+        "length_percent": 100 * mean / length,
+        "strand_percent": 100 * float(relative.mean()),
+    }
 
 
 def style_scatter(groom: GroomSample, others: list[GroomSample]) -> float:
@@ -68,9 +55,9 @@ def style_scatter(groom: GroomSample, others: list[GroomSample]) -> float:
         torch.stack([g.texels % TEXTURE_SIZE, g.texels // TEXTURE_SIZE], dim=1).numpy() for g in (groom, *others)
     ]
     nearest = cKDTree(np.concatenate(positions[1:])).query(positions[0], k=NEIGHBOURS)[1]
-    predicted = torch.cat([_vertices(other) for other in others])[torch.from_numpy(nearest)].median(dim=1).values
-    lengths = UNIT_LENGTH * groom.features[:, SHAPE_CHANNELS].float().exp()
-    return 100 * float((predicted - _vertices(groom)).norm(dim=-1).mean() / lengths.mean())
+    own, *known = (_vertices(sample.features.float()) for sample in (groom, *others))
+    predicted = torch.cat(known)[torch.from_numpy(nearest)].median(dim=1).values
+    return 100 * _mean_gap(predicted, own) / float(_lengths(groom.features.float()).mean())
 
 
 def scatter_of_styles(grooms: list[GroomSample]) -> dict[str, float]:
@@ -81,16 +68,15 @@ def scatter_of_styles(grooms: list[GroomSample]) -> dict[str, float]:
     return {style: style_scatter(of_style[0], of_style[1:]) for style, of_style in styles.items() if len(of_style) > 1}
 
 
-def summary(rows: list[Reconstruction]) -> dict[str, float]:
-    """Means over grooms, and the worst groom's mean distance over mean length."""
-    names = ("mean_mm", "p95_mm", "length_mm", "length_percent", "strand_percent")
-    means = {name: sum(getattr(row, name) for row in rows) / len(rows) for name in names}
-    return {"grooms": len(rows)} | means | {"length_percent_worst": max(row.length_percent for row in rows)}
+def summary(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Means over the grooms of `reconstruction`, and the worst groom's mean distance over mean length."""
+    means = {name: sum(row[name] for row in rows) / len(rows) for name in rows[0] if name != "groom"}
+    return {"grooms": len(rows)} | means | {"length_percent_worst": max(row["length_percent"] for row in rows)}
 
 
 @torch.no_grad()
 def codes_of(encoder: GroomEncoder, grooms: Iterable[GroomSample]) -> Float[Tensor, "g 16"]:
-    return torch.cat([_code(encoder, groom.features.float(), groom.texels) for groom in grooms])
+    return torch.cat([encoder(texture_of(groom.features.float(), groom.texels)[None]) for groom in grooms])
 
 
 def code_metrics(
@@ -106,13 +92,11 @@ def code_metrics(
         For each of the two: `style_accuracy_percent`, and mean and largest `shift`.
     """
     changes = {
-        "grown anew": others,
+        "new seeds": others,
         "half the strands": [half_of(groom, seed) for seed, groom in enumerate(reference)],
-        "grown anew, half the strands": [half_of(groom, seed) for seed, groom in enumerate(others)],
+        "new seeds, half the strands": [half_of(groom, seed) for seed, groom in enumerate(others)],
     }
-    return {
-        name: {"growings": len(changed)} | _shifts(encoder, reference, changed) for name, changed in changes.items()
-    }
+    return {name: {"grooms": len(changed)} | _shifts(encoder, reference, changed) for name, changed in changes.items()}
 
 
 def _shifts(encoder: GroomEncoder, reference: list[GroomSample], changed: list[GroomSample]) -> dict[str, float]:
@@ -160,7 +144,9 @@ def betweenness(network: GroomAutoencoder, first: GroomSample, second: GroomSamp
     """
     codes = codes_of(network.encoder, (first, second))
     steps = (codes[:1], codes.mean(0, keepdim=True), codes[1:])
-    (start, a), (half, middle), (stop, b) = (_decoded(network, step, first.texels) for step in steps)
+    grooms = [network.decoder(step, torch.zeros_like(first.texels), first.texels) for step in steps]
+    start, half, stop = (float(_lengths(groom).mean()) for groom in grooms)
+    a, middle, b = map(_vertices, grooms)
     there, back, direct = _mean_gap(a, middle), _mean_gap(middle, b), _mean_gap(a, b)
     return {
         "share": there / (there + back),
@@ -169,28 +155,15 @@ def betweenness(network: GroomAutoencoder, first: GroomSample, second: GroomSamp
     }
 
 
-def _vertices(groom: GroomSample) -> Float[Tensor, "s e 3"]:
+def _lengths(features: Float[Tensor, "s channels"]) -> Float[Tensor, " s"]:
+    """Lengths of strands [m]."""
+    return UNIT_LENGTH * features[:, SHAPE_CHANNELS].exp()
+
+
+def _vertices(features: Float[Tensor, "s channels"]) -> Float[Tensor, "s e 3"]:
     """Vertices but the root, from the root [m]."""
-    features = groom.features.float()
-    lengths = UNIT_LENGTH * features[:, SHAPE_CHANNELS].exp()
-    return lengths[:, None, None] * features[:, 3:SHAPE_CHANNELS].unflatten(1, (EDGES_PER_STRAND, 3))
-
-
-def _decoded(
-    network: GroomAutoencoder, code: Float[Tensor, "1 16"], texels: Int[Tensor, " s"]
-) -> tuple[float, Float[Tensor, "s e 3"]]:
-    """Mean length of the strands, and their vertices from the root [m]."""
-    decoded = network.decoder(code, torch.zeros_like(texels), texels)
-    lengths = UNIT_LENGTH * decoded[:, SHAPE_CHANNELS].exp()
-    shapes = decoded[:, 3:SHAPE_CHANNELS].unflatten(1, (EDGES_PER_STRAND, 3))
-    return float(lengths.mean()), lengths[:, None, None] * shapes
+    return _lengths(features)[:, None, None] * features[:, 3:SHAPE_CHANNELS].unflatten(1, (EDGES_PER_STRAND, 3))
 
 
 def _mean_gap(first: Float[Tensor, "s e 3"], second: Float[Tensor, "s e 3"]) -> float:
     return float((first - second).norm(dim=-1).mean())
-
-
-def _code(
-    encoder: GroomEncoder, features: Float[Tensor, "s channels"], texels: Int[Tensor, " s"]
-) -> Float[Tensor, "1 16"]:
-    return encoder(texture_of(features, texels)[None])

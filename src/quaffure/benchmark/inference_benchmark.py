@@ -108,7 +108,7 @@ def inference_layout(model: Quaffure) -> InferenceNetwork | None:
 
 
 def model_dtype(model: Quaffure) -> torch.dtype:
-    """Of the network's weights and activations.
+    """Type of the network's weights and activations.
 
     Raises:
         InputError: the network is not laid out for speed.
@@ -149,25 +149,26 @@ def time_parts(model: Quaffure, groom: Groom) -> dict[str, float]:
 
 def time_fitting(model: Quaffure, groom: Groom) -> float:
     """Processor time [s] of what is done once for a groom, before its first drape."""
-    return _timed(lambda: model.draper.prepared(groom.select(torch.arange(len(groom))), model.body).blocks, repeats=5)[
-        1
-    ]
+    every = torch.arange(len(groom))
+    return _timed(lambda: model.draper.prepared(groom.select(every), model.body).blocks, repeats=5)[1]
 
 
 def floor(model: Quaffure, groom: Groom) -> Floor:
     """See `Floor`; of one groom, which stands for all."""
-    network, dtype = inference_layout(model), model_dtype(model)
+    network = inference_layout(model)
     assert network is not None
     prepared = model.draper.prepared(groom, model.body)
     rows = prepared.blocks.rows.size
-    left, right = torch.randn(2, _MATRIX, _MATRIX, dtype=dtype)
+    left, right = torch.randn(2, _MATRIX, _MATRIX, dtype=network.dtype)
     product = torch.empty_like(left)
     source = torch.ones(_COPIED // 4)
     target = torch.empty_like(source)
     multiply = _timed(lambda: torch.mm(left, right, out=product), repeats=5)[0]
     copy = _timed(lambda: target.copy_(source), repeats=5)[0]
     groom_bytes = prepared.blocks.nbytes + prepared.rest_length.nbytes + prepared.clearance.nbytes
-    moved = _weight_bytes(network) / BATCH + _activation_bytes(network, rows) + groom_bytes
+    weight_bytes = sum(values.nbytes for values in network.weights())
+    activation_bytes = 2 * network.activations(rows) * network.dtype.itemsize
+    moved = weight_bytes / BATCH + activation_bytes + groom_bytes
     return Floor(network.operations(rows), moved, 2 * _MATRIX**3 / multiply, 2 * _COPIED / copy)
 
 
@@ -212,14 +213,6 @@ def _timed(run: Callable[[], object], repeats: int) -> tuple[float, float]:
         walls.append(time.perf_counter() - wall)
     # Of all together: what other threads take is counted some milliseconds late.
     return statistics.median(walls), (time.process_time() - begun) / repeats
-
-
-def _weight_bytes(network: InferenceNetwork) -> int:
-    return sum(values.nbytes for values in network.weights())
-
-
-def _activation_bytes(network: InferenceNetwork, rows: int) -> int:
-    return 2 * network.activations(rows) * network.dtype.itemsize
 
 
 def _peak_megabytes() -> float | None:

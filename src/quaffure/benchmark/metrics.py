@@ -18,7 +18,7 @@ from quaffure.energies.stretch_shear import orientation_errors
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
-from quaffure.scene import BodyBatch, Scene
+from quaffure.scene import BodyBatch, HairScene, Scene
 from quaffure.types import Bool, Energy, Float, Positions, Tensor
 
 PerFrame = dict[str, Float[Tensor, " b"]]
@@ -105,7 +105,7 @@ def _check_reference(reference: DrapeSequence, frames: slice, draped: Positions,
             raise InputError("reference", f"the same {name} as the drape's", "another")
 
 
-def metrics(draped: Positions, scene: Scene, energy: HairEnergy, reference: Positions | None = None) -> PerFrame:
+def metrics(draped: Positions, scene: HairScene, energy: HairEnergy, reference: Positions | None = None) -> PerFrame:
     """Metrics of every frame by name; energies in m g L per vertex. See the table in `docs/metrics.md`."""
     rest = energy.rest
     lengths = 100 * length_errors(draped, rest.rest_length)
@@ -124,12 +124,12 @@ def metrics(draped: Positions, scene: Scene, energy: HairEnergy, reference: Posi
     return values
 
 
-def intersection_percent(draped: Positions, scene: Scene) -> Float[Tensor, " b"]:
+def intersection_percent(draped: Positions, scene: HairScene) -> Float[Tensor, " b"]:
     """Share of vertices, roots left out, inside the body [%]."""
     return 100 * inside_body(draped, scene).to(draped).mean(dim=(1, 2))
 
 
-def inside_body(draped: Positions, scene: Scene) -> Bool[Tensor, "b s m"]:
+def inside_body(draped: Positions, scene: HairScene) -> Bool[Tensor, "b s m"]:
     """Which vertices, roots left out, are inside the body: where its winding number is positive."""
     points = draped[:, :, 1:].flatten(1, 2).detach().cpu().numpy()
     vertices, faces = scene.surface.vertices.detach().cpu().numpy(), scene.surface.topology.faces.cpu().numpy()
@@ -137,7 +137,7 @@ def inside_body(draped: Positions, scene: Scene) -> Bool[Tensor, "b s m"]:
     return torch.from_numpy(inside).to(draped.device).view(*draped.shape[:2], -1)
 
 
-def total_energy(draped: Positions, scene: Scene, energy: HairEnergy) -> Energy:
+def total_energy(draped: Positions, scene: HairScene, energy: HairEnergy) -> Energy:
     """Energy of every frame [m g L per vertex]."""
     return energy.per_vertex(energy.total(draped, scene))
 
@@ -156,5 +156,5 @@ def accelerations(vertices: Positions) -> Float[Tensor, " f"]:
     return vertices.diff(n=2, dim=0).norm(dim=-1).mean(dim=(1, 2))
 
 
-def _joined(parts: list[PerFrame]) -> PerFrame:
+def _joined(parts: list[dict[str, Tensor]]) -> PerFrame:
     return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}

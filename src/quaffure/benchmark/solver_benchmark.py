@@ -28,7 +28,7 @@ from quaffure.types import Positions
 
 PAPER = "xpbd_paper"
 PAPER_STEPS = 2
-"""Of the paper's 30 steps, measured; its time is extrapolated."""
+"""Steps that are measured of the paper's 30; the time of all is extrapolated."""
 
 
 @dataclass(frozen=True)

@@ -14,16 +14,4 @@ if TYPE_CHECKING:
     from quaffure.body.retargeting import retarget_bvh
     from quaffure.body.scalp import ScalpChart
 
-__all__, __getattr__, __dir__ = lazy_exports(
-    __name__,
-    {
-        "body_model": ["BodyModel", "PosedBody", "load_body"],
-        "bvh_clip": ["BvhClip"],
-        "clips": ["CLIP_FPS", "CLIP_NAMES", "bundled_clip"],
-        "motion": ["Motion", "filter_flips", "joint_matrices", "without_heading"],
-        "neck": ["head_turn", "turned_head"],
-        "pose_prior": ["PosePrior", "load_pose_prior"],
-        "retargeting": ["retarget_bvh"],
-        "scalp": ["ScalpChart"],
-    },
-)
+__all__, __getattr__, __dir__ = lazy_exports(__name__)

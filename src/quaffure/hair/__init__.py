@@ -16,18 +16,4 @@ if TYPE_CHECKING:
     from quaffure.hair.scalp_texture import select_guides, texel_mask
     from quaffure.hair.strands import Strands
 
-__all__, __getattr__, __dir__ = lazy_exports(
-    __name__,
-    {
-        "clearance": ["distances_and_normals", "inside_share", "pushed_out", "rest_surface"],
-        "drape_sequence": ["DrapeSequence"],
-        "groom": ["Groom"],
-        "guide_interpolation": ["GuideInterpolation", "groom_of_drape", "interpolation_of", "with_strands"],
-        "posing": ["posed_strands", "root_positions", "root_rotations", "triangle_frames"],
-        "registration": ["HeadMesh", "register_groom"],
-        "resample": ["concatenate_strands", "polyline_lengths", "resample_by_arc_length"],
-        "scalp_roots": ["ScalpRoots", "spread_roots"],
-        "scalp_texture": ["select_guides", "texel_mask"],
-        "strands": ["Strands"],
-    },
-)
+__all__, __getattr__, __dir__ = lazy_exports(__name__)

@@ -13,7 +13,7 @@ class DrapeSequence:
 
     Attributes:
         strands: draped vertices, roots first [m].
-        posed: the same strands carried rigidly by the scalp, before draping [m].
+        posed: the same strands moved rigidly with the scalp, before draping [m].
         rest_lengths: length of every segment at rest [m].
         body_vertices: surface of the posed body [m].
         body_faces: triangles, counter-clockwise seen from outside.

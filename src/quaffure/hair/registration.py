@@ -63,7 +63,7 @@ class RegistrationReport:
     unit: str
     up_axis: str
     scale: float
-    rotation: tuple[tuple[float, ...], ...]
+    rotation: Float[np.ndarray, "3 3"]
     median_residual: float
     p95_residual: float
     max_residual: float
@@ -122,8 +122,12 @@ def register_groom(
     placed[:, 0] = closest[kept]
     rest = pushed_out(placed, surface)
     groom = Groom(name, rest, faces[kept], barycentric[kept], body.scalp.uv_at(faces[kept], barycentric[kept]), licence)
-    dropped = degenerate + int((~near).sum())
-    report = _report(strands.source, alignment, residual[near], dropped, placed, rest, surface)
+    median, high, largest = 1e3 * np.quantile(residual[near], (0.5, 0.95, 1.0))
+    report = RegistrationReport(
+        strands.source, alignment.unit, alignment.up_axis, alignment.transform.scale, alignment.transform.rotation,
+        float(median), float(high), float(largest), len(rest), degenerate + int((~near).sum()),
+        inside_share(placed, surface), inside_share(rest, surface),
+    )  # fmt: skip
     if report.inside_after > MOST_INSIDE:
         raise InputError(
             strands.source, f"at most {100 * MOST_INSIDE} % of vertices inside", f"{100 * report.inside_after:.3f} %"
@@ -209,20 +213,3 @@ def _check_fit(source: str, residual: Float[np.ndarray, " s"], near: Bool[np.nda
     if median > LARGEST_MEDIAN_RESIDUAL:
         fit = f"roots that fit a scalp to {1e3 * LARGEST_MEDIAN_RESIDUAL:.0f} mm in the median"
         raise InputError(source, fit, f"{1e3 * median:.1f} mm in the best of all units and axes")
-
-
-def _report(
-    source: str,
-    alignment: Alignment,
-    residual: Float[np.ndarray, " s"],
-    dropped: int,
-    placed: Float[Tensor, "s n 3"],
-    rest: Float[Tensor, "s n 3"],
-    surface: Surface,
-) -> RegistrationReport:
-    median, high, largest = (float(1e3 * np.quantile(residual, share)) for share in (0.5, 0.95, 1.0))
-    rotation = tuple(tuple(float(x) for x in row) for row in alignment.transform.rotation)
-    return RegistrationReport(
-        source, alignment.unit, alignment.up_axis, alignment.transform.scale, rotation, median, high, largest,
-        len(rest), dropped, inside_share(placed, surface), inside_share(rest, surface),
-    )  # fmt: skip

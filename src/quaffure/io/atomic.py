@@ -48,6 +48,17 @@ def check_folder_of(path: Path) -> None:
         raise InputError(path, "a file to write", "a folder")
 
 
+def check_output(path: Path, *suffixes: str) -> None:
+    """Refuse an output file that could not be written, before the work for it.
+
+    Raises:
+        InputError: another suffix, no folder to write into, or a folder of that name.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise InputError(path, f"an output of suffix {', '.join(suffixes)}", f"suffix '{path.suffix}'")
+    check_folder_of(path)
+
+
 def made_folder(path: Path, what: str) -> Path:
     """The folder, made with its parents where it does not exist.
 

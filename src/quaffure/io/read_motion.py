@@ -1,6 +1,7 @@
 """Motion from a file of any format that is read here."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,15 +28,9 @@ def read_motion(path: Path, body: BodyModel) -> Motion:
     supported = f"a motion file ({', '.join(sorted(MOTION_READERS))})"
     if not path.is_file():
         raise InputError(path, supported, "a folder" if path.is_dir() else "no such file")
-    reader = MOTION_READERS.get(path.suffix.lower())
-    if reader is None:
+    if path.suffix.lower() not in MOTION_READERS:
         raise InputError(path, supported, f"suffix {path.suffix!r}")
-    motion = reader(path, body)
-    return Motion(motion.body_pose, motion.fps, path.stem)
-
-
-def _read_bvh_motion(path: Path, body: BodyModel) -> Motion:
-    return retarget_bvh(read_bvh(path), body)
+    return replace(MOTION_READERS[path.suffix.lower()](path, body), name=path.stem)
 
 
 def _read_npz_motion(path: Path, body: BodyModel) -> Motion:
@@ -49,6 +44,6 @@ def _read_npz_motion(path: Path, body: BodyModel) -> Motion:
 
 
 MOTION_READERS: dict[str, Callable[[Path, BodyModel], Motion]] = {
-    ".bvh": _read_bvh_motion,
+    ".bvh": lambda path, body: retarget_bvh(read_bvh(path), body),
     ".npz": _read_npz_motion,
 }

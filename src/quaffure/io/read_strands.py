@@ -5,9 +5,8 @@ from pathlib import Path
 
 from quaffure.errors import InputError
 from quaffure.hair.strands import Strands
-from quaffure.io.ct2hair import read_ct2hair
+from quaffure.io.counted_strands import read_ct2hair, read_hairsalon
 from quaffure.io.hair import read_hair
-from quaffure.io.hairsalon import read_hairsalon
 from quaffure.io.npz_strands import read_npz_strands
 from quaffure.io.tressfx import read_tressfx
 
@@ -37,11 +36,8 @@ def read_strands(path: Path) -> Strands:
         InputError: no such file, a folder, a suffix without a reader, or what the format's reader refuses.
     """
     supported = f"a strand file ({', '.join(sorted(STRAND_READERS))})"
-    if path.is_dir():
-        raise InputError(path, supported, "a folder")
     if not path.is_file():
-        raise InputError(path, supported, "no such file")
-    reader = STRAND_READERS.get(path.suffix.lower())
-    if reader is None:
+        raise InputError(path, supported, "a folder" if path.is_dir() else "no such file")
+    if path.suffix.lower() not in STRAND_READERS:
         raise InputError(path, supported, f"suffix {path.suffix!r}")
-    return reader(path)
+    return STRAND_READERS[path.suffix.lower()](path)

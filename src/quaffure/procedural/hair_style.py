@@ -1,5 +1,6 @@
 """The controls of a procedural hairstyle, named as in groom tools, and the styles of `assets/styles.toml`."""
 
+import json
 import tomllib
 from dataclasses import dataclass, is_dataclass
 from importlib.resources import files
@@ -8,7 +9,7 @@ from typing import Any, get_args, get_type_hints
 
 from quaffure.errors import InputError
 
-STYLE_FILE = Path(str(files("quaffure") / "assets" / "styles.toml"))
+ASSETS = Path(str(files("quaffure") / "assets"))
 
 
 @dataclass(frozen=True)
@@ -162,6 +163,14 @@ def read_styles(path: Path) -> dict[str, HairStyle]:
     return {name: _style_part(HairStyle, table, f"{path.name}: {name}") for name, table in tables.items()}
 
 
+def style_sizes() -> dict[str, dict[str, float]]:
+    """Number `strands` of the guides and their mean length `length_m` [m], by style with seed 0, without generating
+    them; written by `scripts/measure_styles.py`.
+    """
+    sizes: dict[str, dict[str, float]] = json.loads((ASSETS / "style_sizes.json").read_text(encoding="utf-8"))
+    return sizes
+
+
 def _style_part(kind: Any, table: dict[str, Any], source: str) -> Any:
     """A `HairStyle`, or one of its parts, from a table of the file."""
     hints = get_type_hints(kind)
@@ -184,7 +193,7 @@ def _control_value(hint: Any, value: Any, source: str) -> Any:
     raise InputError(source, getattr(hint, "__name__", str(hint)), repr(value))
 
 
-STYLES = read_styles(STYLE_FILE)
+STYLES = read_styles(ASSETS / "styles.toml")
 """Procedural grooms by name."""
 
 HELD_OUT = ("side_part_lob", "mullet", "short_coils")

@@ -24,7 +24,7 @@ JAW, JAW_FADE = -0.035, 0.02
 SHOULDER_HEIGHT, SHOULDER_BEFORE, SHOULDER_BEHIND = -0.13, -0.05, 0.07
 # ... deflected there from this height above it on [m], by at most this slope, and towards the neck by this one.
 SHOULDER_APPROACH, STEEPEST_SPLIT, TO_NECK = 0.04, 1.2, 0.06
-# Where it touches the shoulder anyway, it slides off at this slope; it touches within this distance of its layer [m].
+# Where it touches the shoulder anyway, it leaves it at this slope; it touches within this distance of its layer [m].
 OFF_SHOULDER, TOUCH = 0.7, 0.008
 # Share of the sideways part that is removed from the push off a shoulder; the rest has at least this normal part.
 ALONG_SHOULDER, LEAST_RISE = 0.85, 0.3

@@ -63,7 +63,12 @@ class AveragedAdam(Generic[Network]):
         """
         norm = float(nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT))
         if not math.isfinite(norm):
-            self._skip(norm)
+            self.adam.zero_grad(set_to_none=True)
+            self.skipped += 1
+            self._skipped_in_a_row += 1
+            if self._skipped_in_a_row == MOST_SKIPPED:
+                found = f"{norm} for {MOST_SKIPPED} steps in a row"
+                raise InputError("training", "finite gradients (a lower --learning-rate may help)", found)
             return norm
         self._skipped_in_a_row = 0
         for group in self.adam.param_groups:
@@ -72,14 +77,6 @@ class AveragedAdam(Generic[Network]):
         self.adam.zero_grad(set_to_none=True)
         self._average.update_parameters(self.network)
         return norm
-
-    def _skip(self, norm: float) -> None:
-        self.adam.zero_grad(set_to_none=True)
-        self.skipped += 1
-        self._skipped_in_a_row += 1
-        if self._skipped_in_a_row == MOST_SKIPPED:
-            found = f"{norm} for {MOST_SKIPPED} steps in a row"
-            raise InputError("training", "finite gradients (a lower --learning-rate may help)", found)
 
     def state(self) -> dict[str, Any]:
         """Everything that `restore` needs, by name."""

@@ -33,7 +33,7 @@ from quaffure.training.run_folder import body_digest, code_version
 from quaffure.types import BodyPose, Float, Tensor
 
 LARGEST_TURN = math.radians(30)
-"""Of the head about each axis (Sec. 4.2) [rad]."""
+"""Limit of the rotation of the head about each axis (Sec. 4.2) [rad]."""
 SAME_GROOM = 1e-4
 """Every process makes the groom again; its vertices may differ by this much [m]."""
 
@@ -47,7 +47,6 @@ class Manifest:
         groom_digest: of `groom.npz`.
         body: digest of the body.
         solver: name of the draper.
-        material: fields of `HairMaterial`.
         seed: of the poses.
         version: of the code that made the folder; the only one that may be another later on.
     """
@@ -56,7 +55,7 @@ class Manifest:
     groom_digest: str
     body: str
     solver: str
-    material: dict[str, float]
+    material: HairMaterial
     seed: int
     version: str
 
@@ -164,9 +163,7 @@ def started_folder(path: Path, groom: Groom, body: BodyModel, solver: str, drape
         InputError: it holds other drapes, or cannot be made.
     """
     made_folder(path, "a folder for drapes")
-    wanted = Manifest(
-        groom.name, groom_digest(groom), body_digest(body), solver, asdict(draper.material), seed, code_version()
-    )
+    wanted = Manifest(groom.name, groom_digest(groom), body_digest(body), solver, draper.material, seed, code_version())
     if not (path / "manifest.json").is_file():
         write_groom(path / "groom.npz", groom)
         with replacing(path / "manifest.json") as temporary:
@@ -192,11 +189,6 @@ def groom_digest(groom: Groom) -> str:
     return array_digest(groom.rest_strands, groom.root_faces, groom.root_barycentric, groom.root_uv)[:16]
 
 
-def material_of_manifest(manifest: Manifest) -> HairMaterial:
-    """The material that was simulated."""
-    return HairMaterial(**manifest.material)
-
-
 def _same_groom(one: Groom, other: Groom) -> bool:
     if one.rest_strands.shape != other.rest_strands.shape or not torch.equal(one.texels(), other.texels()):
         return False
@@ -207,10 +199,8 @@ def _read_manifest(path: Path) -> Manifest:
     expected = "the manifest of quaffure groomgen-data"
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        manifest = Manifest(**content)
-        material_of_manifest(manifest)
+        return Manifest(**content | {"material": HairMaterial(**content["material"])})
     except FileNotFoundError as error:
         raise InputError(path, expected, "no such file") from error
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, KeyError) as error:
         raise InputError(path, expected, str(error).splitlines()[0]) from error
-    return manifest

@@ -31,14 +31,14 @@ class TrainConfig:
     frames: int = 2
     """Consecutive frames in a run (N_pose_reg of Eq. 14)."""
     learning_rate: float = 1e-3
-    """Of Adam, at the start; falls to a hundredth along a cosine."""
+    """The learning rate at the start; falls to a hundredth along a cosine."""
     warmup: int = 200
     """Steps over which the learning rate rises from zero."""
     self_collision_every: int = 1
     """Evaluate Eq. 11 on every k-th step, k times as strong."""
     body_contact_weight: float = 1.0
-    """Of Eq. 10 in the loss, over its part in the energy; forces that are saturated stay so. Above 1, less hair ends up
-    inside bodies of unfamiliar poses, for a little more of the other terms elsewhere."""
+    """Weight of Eq. 10 in the loss, over its part in the energy; forces that are saturated stay so. Above 1, less hair
+    ends up inside bodies of unfamiliar poses, for a little more of the other terms elsewhere."""
     elastic: Literal["modified_cosserat", "cosserat", "mass_spring"] = "modified_cosserat"
     """The energy that keeps a strand's shape: the paper's, edge by edge (Eqs. 6-8), the full rod (Eqs. 2-5), whose
     frames follow their edges here, or springs."""

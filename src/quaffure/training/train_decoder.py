@@ -29,9 +29,9 @@ from quaffure.training.validation import Validation, loss_unit, validation_metri
 from quaffure.types import Tensor
 
 EMA_DECAY = 0.998
-"""Of the weights' exponential average: over the last thousand steps or so."""
+"""Decay of the weights' exponential average: over the last thousand steps or so."""
 VALIDATED_GROOMS = 16
-"""Of many grooms about as many, evenly spread over their list, represent all in a validation."""
+"""A validation measures about as many of the grooms, evenly spread over their list."""
 
 
 class DecoderRecipe(Recipe):

@@ -27,7 +27,7 @@ class GroomCodeConfig:
     batch: int = 16
     """Grooms in a step."""
     learning_rate: float = 1.5e-3
-    """Of Adam, at the start; falls to a hundredth along a cosine."""
+    """The learning rate at the start; falls to a hundredth along a cosine."""
     warmup: int = 50
     """Steps over which the learning rate rises from zero."""
     library_seeds: int = 6
@@ -69,7 +69,7 @@ LEAST_PATCH = 50
 # Grooms are made longer or shorter by up to this factor [natural logarithm].
 LENGTHENING = 0.2
 EMA_DECAY = 0.99
-"""Of the weights' exponential average, which is what is kept."""
+"""Decay of the weights' exponential average, which is what is kept."""
 
 
 class GroomCodeRecipe(Recipe):

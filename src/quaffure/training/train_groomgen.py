@@ -10,7 +10,7 @@ from quaffure.baselines.groomgen import head_strands, texel_cells
 from quaffure.baselines.groomgen_network import DISPLACEMENT_UNIT, GroomGenLayers, GroomGenNetwork, save_groomgen
 from quaffure.digest import array_digest
 from quaffure.errors import InputError
-from quaffure.training.groomgen_data import DrapedPoses, DrapeFolder, material_of_manifest
+from quaffure.training.groomgen_data import DrapedPoses, DrapeFolder
 from quaffure.training.loop import Recipe
 from quaffure.training.train_config import refuse_impossible
 from quaffure.types import Float, Int, Positions, Tensor
@@ -18,7 +18,7 @@ from quaffure.types import Float, Int, Positions, Tensor
 VALIDATED = 0.1
 """Share of the poses that are not trained on."""
 EMA_DECAY = 0.99
-"""Of the weights' exponential average, which is what is validated and kept."""
+"""Decay of the weights' exponential average, which is what is validated and kept."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,13 @@ class GroomGenConfig:
     batch: int = 16
     """Poses in a step."""
     learning_rate: float = 1e-3
-    """Of Adam, at the start; falls to a hundredth along a cosine."""
+    """The learning rate at the start; falls to a hundredth along a cosine."""
     warmup: int = 100
     """Steps over which the learning rate rises from zero."""
     bf16: bool = False
     """Run the network's layers in bfloat16."""
     seed: int = 0
-    """Of weights, batches, and of which poses are left for validation."""
+    """Seed of weights, batches, and of which poses are left for validation."""
     validate_every: int = 200
     """Steps between two validations; the best weights so far are kept."""
     save_every_seconds: float = 60.0
@@ -123,7 +123,7 @@ class GroomGenRecipe(Recipe):
             "solver": manifest.solver,
             "validation_distance_mm": f"{metrics['distance_mm']:.4g}",
         }
-        save_groomgen(path, averaged, material_of_manifest(manifest), notes | more)
+        save_groomgen(path, averaged, manifest.material, notes | more)
 
     def description(self) -> dict[str, object]:
         return {"config": asdict(self.config), "drapes": asdict(self.drapes.manifest), "poses": len(self.data)}

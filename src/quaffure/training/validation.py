@@ -38,7 +38,7 @@ def prior_validation() -> Validation:
 
 
 STIFF_SHARE = 0.1
-"""Of k_Cosserat, in the unit of the loss: as much as a strand of 9 cm weighs, in m g L of a vertex."""
+"""Share of k_Cosserat in the unit of the loss: as much as a strand of 9 cm weighs, in m g L of a vertex."""
 
 
 def loss_unit(energy: HairEnergy) -> float:

@@ -5,20 +5,20 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
 import tyro
 
 from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar, write_json
 from quaffure.apps.cli.inputs import motion_of
-from quaffure.apps.output_path import check_output
 from quaffure.benchmark import inference_benchmark as inference
 from quaffure.benchmark.solver_benchmark import Budget, Case, Run, budgets, report, run_benchmark
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
+from quaffure.io.atomic import check_output
 from quaffure.io.load_groom import load_groom
 from quaffure.model.quaffure_model import Quaffure, load_model
 from quaffure.scene import BodyBatch, Scene
@@ -68,7 +68,7 @@ class SolversCommand:
                 cases, chosen, on_run=lambda label: update(description=label, completed=next(finished))
             )
         content = report(runs, chosen)
-        message = _write_files(self.out, content, lambda picture: _plot_runs(picture, runs))
+        message = _write_files(self.out, content, lambda plots, picture: plots.plot_runs(picture, runs))
         if self.json:
             print_json(content)
         for case in cases:
@@ -133,7 +133,7 @@ class InferenceCommand:
             fitting = inference.time_fitting(model, grooms[0])
             least = inference.floor(model, grooms[0])
         content = inference.report(model, timings, strands, parts, fitting, least)
-        message = _write_files(self.out, content, lambda picture: _plot_timings(picture, timings, least))
+        message = _write_files(self.out, content, lambda plots, picture: plots.plot_timings(picture, timings, least))
         if self.json:
             print_json(content)
         _print_timings(model, timings + strands, parts, least)
@@ -164,11 +164,11 @@ def _check_files(out: Path) -> None:
     check_output(out.with_suffix(".png"), ".png")
 
 
-def _write_files(out: Path, content: dict[str, object], plot: Callable[[Path], None]) -> str:
+def _write_files(out: Path, content: dict[str, object], plot: Callable[[Any, Path], None]) -> str:
     """Write the file and the plot.
 
     Args:
-        plot: writes the picture; imports matplotlib only when it is called.
+        plot: writes the picture with the module `quaffure.benchmark.plots`, which needs matplotlib.
 
     Returns:
         A message that names the written files.
@@ -176,9 +176,10 @@ def _write_files(out: Path, content: dict[str, object], plot: Callable[[Path], N
     write_json(out, content)
     if importlib.util.find_spec("matplotlib") is None:
         return f"written: {out}; no plot without matplotlib: pip install 'quaffure\\[docs]'"
-    picture = out.with_suffix(".png")
-    plot(picture)
-    return f"written: {out}, {picture}"
+    from quaffure.benchmark import plots
+
+    plot(plots, out.with_suffix(".png"))
+    return f"written: {out}, {out.with_suffix('.png')}"
 
 
 def _poses(motion: Motion, frames: str) -> list[tuple[torch.Tensor, str]]:
@@ -196,23 +197,10 @@ def _subset(groom: Groom, strands: int | None) -> Groom:
     return groom.select(torch.linspace(0, len(groom) - 1, strands).long())
 
 
-def _plot_runs(picture: Path, runs: Sequence[Run]) -> None:
-    from quaffure.benchmark.plots import plot_runs
-
-    plot_runs(picture, runs)
-
-
 def _run_row(run: Run) -> dict[str, object]:
     """The values of the run by column, without its case."""
-    values = asdict(run)
-    del values["case"]
+    values = {name: value for name, value in asdict(run).items() if name != "case"}
     return {name.replace("_", " "): "" if value is None else value for name, value in values.items()}
-
-
-def _plot_timings(picture: Path, timings: Sequence[inference.Timing], least: inference.Floor) -> None:
-    from quaffure.benchmark.plots import plot_timings
-
-    plot_timings(picture, timings, least)
 
 
 def _print_timings(

@@ -8,12 +8,15 @@ from contextlib import contextmanager
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from torch import nn
 
 from quaffure.io.atomic import replacing
+from quaffure.training.loop import Training, train
 
 # If the output is not a terminal, rich would wrap tables at 80 columns. Commands with --json set `quiet`: then only
 # `print_json` writes to the output.
@@ -57,29 +60,36 @@ class TimeLeft:
         return timedelta(seconds=round(seconds_per_step * (self._total - done)))
 
 
-@contextmanager
-def training_bar(
-    total: int, done: int, bar_text: Text, validation_text: Text, shown: bool = True
-) -> Iterator[Callable[[int, dict[str, float]], None]]:
-    """Show the progress of a training: a bar, and a line for every validation, for logs without a terminal.
+def run_training(
+    training: Training[Any],
+    bar_text: Text,
+    validation_text: Text = lambda values: "",
+    to: Console = console,
+    start: nn.Module | None = None,
+) -> None:
+    """Continue a training to its end, with a bar, and a line for every validation, for logs without a terminal.
 
     Args:
-        total: steps of the run.
-        done: steps of it that were made before now.
         bar_text, validation_text: the text of the bar and of the line from the values of a step; empty for no line.
-
-    Yields:
-        A function to call with the number of the step and its values.
+        start: the network whose weights a new run starts from.
     """
-    left = TimeLeft(total, done)
-    with progress_bar("training", total, done, disable=not shown) as update:
+    is_first, total = training.recipe.worker.is_first, training.recipe.config.steps
+    if training.resume():
+        if is_first:
+            to.print(f"resuming from step {training.step} of {total}")
+    elif start is not None:
+        training.start_from(start)
+    left = TimeLeft(total, training.step)
+    with progress_bar("training", total, training.step, to, disable=not is_first) as update:
 
         def report(step: int, values: dict[str, float]) -> None:
             update(completed=step, description=bar_text(values))
             if text := validation_text(values):
-                console.print(f"step {step} of {total}: {text}; {left.at(step)} left")
+                to.print(f"step {step} of {total}: {text}; {left.at(step)} left")
 
-        yield report
+        train(training, report)
+    if training.optimizer.skipped and is_first:
+        to.print(f"{training.optimizer.skipped} updates skipped: gradients that were not finite")
 
 
 def print_rows(rows: Sequence[Mapping[str, object]], title: str) -> None:

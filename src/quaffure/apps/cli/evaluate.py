@@ -1,10 +1,11 @@
-"""`quaffure evaluate`: every draper on the evaluation set, or on grooms and motions of the user."""
+"""`quaffure evaluate`: every draper on the evaluation set, or on grooms and motions of the user. `quaffure score`: the
+drapes of another method.
+"""
 
-import importlib.util
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,6 @@ import tyro
 
 from quaffure.apps.cli.console import Update, console, print_json, print_rows, progress_bar, write_json
 from quaffure.apps.cli.inputs import body_shape_of, motion_of
-from quaffure.apps.output_path import check_output
 from quaffure.benchmark.comparison import DrapeFrame, compare
 from quaffure.benchmark.drape_cache import DrapeCache, TimedDrape
 from quaffure.benchmark.draping import CaseDraper
@@ -20,11 +20,13 @@ from quaffure.benchmark.evaluation_set import DataFolders, EvaluationCase, load_
 from quaffure.benchmark.methods import NETWORK, QUICK_ROWS, ROWS, methods
 from quaffure.benchmark.report import mean_rows, worst_rows, write_report
 from quaffure.benchmark.results import Results, results_of
-from quaffure.benchmark.submissions import write_case
+from quaffure.benchmark.submissions import read_submission, submitted_frames, write_case
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
+from quaffure.config import HairMaterial
 from quaffure.errors import InputError
-from quaffure.io.atomic import made_folder
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.io.atomic import check_output, made_folder
 from quaffure.io.load_groom import load_groom
 
 OWN_FRAMES = 3
@@ -201,7 +203,7 @@ class EvaluateCommand:
         console.print(
             f"{results['drapes_made']} drapes made, {results['drapes_fetched']} read from {self.options.cache}"
         )
-        if self.report is not None and importlib.util.find_spec("matplotlib") is None:
+        if len(written) == 2:
             console.print("no picture without matplotlib: pip install 'quaffure\\[docs]'")
         console.print(f"written: {', '.join(map(str, written))}")
 
@@ -221,6 +223,66 @@ class EvaluateCommand:
             missing = sum(row not in case["figures"] for case in cases)
             if missing:
                 console.print(f"{row} left out of {missing} of {len(cases)} cases: it was not trained on their grooms")
+
+
+@dataclass(frozen=True)
+class ScoreCommand:
+    """Measure drape files for the cases of `quaffure evaluate --write-cases`, next to the rows already draped."""
+
+    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE...")]
+    """Drape files (.npz), one a case."""
+    name: str = "submission"
+    """Name of the method."""
+    json: bool = False
+    """Print the results as JSON instead of tables."""
+    options: EvaluationOptions = field(default_factory=EvaluationOptions)
+
+    def run(self) -> None:
+        console.quiet = self.json
+        if not self.files:
+            raise InputError("score", "at least one drape file", "none")
+        weights = self.options.weights_by_row()
+        rows = methods((*ROWS, *weights), weights)
+        if self.name in [row.name for row in rows]:
+            raise InputError("--name", "a name that no other row has", f"'{self.name}'")
+        material = rows[0].draper.material
+        drapes = self._read(material)
+        evaluation_set, body = load_evaluation_set(), load_body()
+        draper = self.options.case_draper(body)
+
+        @cache
+        def frames(case: EvaluationCase) -> list[TimedDrape]:
+            return submitted_frames(*drapes[case.name], case, body)
+
+        by_name: dict[str, DrapeFrame] = {self.name: lambda case, frame: frames(case)[frame]}
+        by_name |= {row.name: partial(draper.known, row) for row in rows}
+        entries = [entry for entry in evaluation_set.cases if entry.name in drapes]
+        cases = load_cases(entries, evaluation_set, self.options.folders, body)
+        compared = compare(cases, by_name, [row.name for row in rows if row.is_solver], body, material)
+        about = {"evaluation_set": evaluation_set.version, "drapes_fetched": draper.fetched}
+        self._print(results_of(compared, rows, material, about))
+
+    def _read(self, material: HairMaterial) -> dict[str, tuple[Path, DrapeSequence]]:
+        """File and drape by the name of the case."""
+        evaluation_set = load_evaluation_set()
+        drapes: dict[str, tuple[Path, DrapeSequence]] = {}
+        for path in self.files:
+            entry, sequence = read_submission(path, evaluation_set, material)
+            missing = self.options.folders.missing(entry, evaluation_set)
+            if missing is not None:
+                raise InputError(path, f"{missing}, which its case needs", "no such file")
+            if entry.name in drapes:
+                raise InputError(path, f"one drape of {entry.name}", f"another in {drapes[entry.name][0]}")
+            drapes[entry.name] = path, sequence
+        return drapes
+
+    def _print(self, results: Results) -> None:
+        if self.json:
+            print_json(results)
+        print_summary(results)
+        without = [case["case"] for case in results["cases"] if not case["reference"]]
+        if without:
+            console.print(f"no reference for {', '.join(without)}: `quaffure evaluate` has not draped them yet")
 
 
 def print_summary(results: Results) -> None:

@@ -10,7 +10,6 @@ import tyro
 
 from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar
 from quaffure.apps.cli.style_settings import with_settings
-from quaffure.apps.output_path import check_output
 from quaffure.body.body_model import load_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
@@ -20,12 +19,12 @@ from quaffure.hair.registration import RegistrationReport, register_groom
 from quaffure.hair.resample import concatenate_strands, resample_by_arc_length, without_degenerate
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.hair.strands import Strands
+from quaffure.io.atomic import check_output
 from quaffure.io.groom_file import LONGEST_STRAND, write_groom
 from quaffure.io.load_groom import read_head
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural.generator import LICENCE, make_groom
-from quaffure.procedural.hair_style import HELD_OUT, STYLES
-from quaffure.procedural.style_sizes import StyleSize, style_sizes
+from quaffure.procedural.hair_style import HELD_OUT, STYLES, style_sizes
 
 Settings = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
 
@@ -154,15 +153,8 @@ def _draw_styles(path: Path) -> None:
         write_contact_sheet(path, grooms, body, notes, lambda done: update(completed=done))
 
 
-def _style_row(name: str, size: StyleSize) -> dict[str, object]:
-    return {
-        "name": name,
-        "style": name.replace("_", " "),
-        "strands": size.strands,
-        "length_m": size.length_m,
-        "licence": LICENCE,
-        "held_out": name in HELD_OUT,
-    }
+def _style_row(name: str, size: dict[str, float]) -> dict[str, object]:
+    return {"name": name, "style": name.replace("_", " "), **size, "licence": LICENCE, "held_out": name in HELD_OUT}
 
 
 def _summary(groom: Groom) -> str:
@@ -177,4 +169,4 @@ def _resampled(strands: Strands) -> np.ndarray:
 
 def _in_our_axes(points: np.ndarray, report: RegistrationReport) -> np.ndarray:
     """Points with the rotation and scale of the registration, but not its translation."""
-    return (report.scale * points @ np.array(report.rotation).T).astype(np.float32)
+    return (report.scale * points @ report.rotation.T).astype(np.float32)

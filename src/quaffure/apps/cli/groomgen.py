@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from quaffure.apps.cli.console import TimeLeft, console, progress_bar, training_bar
+from quaffure.apps.cli.console import TimeLeft, console, progress_bar, run_training
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.body.body_model import load_body
 from quaffure.errors import InputError
@@ -16,7 +16,7 @@ from quaffure.io.load_groom import load_groom
 from quaffure.model.quaffure_model import load_model
 from quaffure.solvers.by_name import SOLVERS, solver
 from quaffure.training.groomgen_data import DrapeFolder, started_folder
-from quaffure.training.loop import Training, train
+from quaffure.training.loop import Training
 from quaffure.training.train_groomgen import GroomGenConfig, GroomGenRecipe
 
 SECONDS_BETWEEN_LINES = 60.0
@@ -93,13 +93,7 @@ class TrainGroomgenCommand:
         with progress_bar(f"reading drapes of {folder.manifest.groom}", None) as update:
             drapes = folder.read(lambda poses: update(completed=poses))
             update(total=len(drapes))
-        training = Training(GroomGenRecipe(self.config, folder, drapes), self.out)
-        if training.resume():
-            console.print(f"resuming from step {training.step}")
-        with training_bar(self.config.steps, training.step, _bar_text, _validation_text) as report:
-            train(training, report)
-        if training.optimizer.skipped:
-            console.print(f"{training.optimizer.skipped} updates skipped: gradients that were not finite")
+        run_training(Training(GroomGenRecipe(self.config, folder, drapes), self.out), _bar_text, _validation_text)
 
 
 def _bar_text(values: dict[str, float]) -> str:

@@ -13,12 +13,11 @@ import tyro
 from quaffure.apps.cli.benchmark import BenchmarkCommand
 from quaffure.apps.cli.console import console
 from quaffure.apps.cli.drape import DrapeCommand
-from quaffure.apps.cli.evaluate import EvaluateCommand
+from quaffure.apps.cli.evaluate import EvaluateCommand, ScoreCommand
 from quaffure.apps.cli.groom import GroomCommand, GroomsCommand
 from quaffure.apps.cli.groomgen import GroomgenDataCommand, TrainGroomgenCommand
 from quaffure.apps.cli.info import InfoCommand
 from quaffure.apps.cli.render import RenderCommand
-from quaffure.apps.cli.score import ScoreCommand
 from quaffure.apps.cli.train import TrainCommand
 from quaffure.apps.cli.train_code import TrainCodeCommand
 from quaffure.apps.cli.view import ViewCommand

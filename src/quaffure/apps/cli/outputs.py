@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from quaffure.apps.output_path import check_output
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation, with_strands
+from quaffure.io.atomic import check_output
 
 SUFFIXES = (".npz", ".usd", ".usda", ".usdc", ".png", ".mp4")
 MOST_BYTES = 4e9

@@ -10,9 +10,9 @@ from quaffure.errors import InputError
 from quaffure.procedural.hair_style import HairStyle
 
 LARGEST = 100.0
-"""Of a control, whatever its unit; lengths are in metres."""
+"""Limit of a control, whatever its unit; lengths are in metres."""
 LONGEST = 2.0
-"""Of hair [m]: 50 is meant in centimetres."""
+"""Limit of hair lengths [m]: 50 is meant in centimetres."""
 HAIR_LENGTHS = ("length", "tail_length")
 # Controls that something is divided by, or that count.
 ABOVE_ZERO = (

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import tyro
 
-from quaffure.apps.cli.console import console, training_bar
+from quaffure.apps.cli.console import run_training
 from quaffure.apps.cli.inputs import motion_of
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.body.body_model import BodyModel, load_body
@@ -20,7 +20,7 @@ from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.model.quaffure_network import QuaffureNetwork
 from quaffure.training.distributed import Device, joined_workers
 from quaffure.training.groom_samples import family_grooms
-from quaffure.training.loop import Training, train
+from quaffure.training.loop import Training
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_config import TrainConfig
 from quaffure.training.train_decoder import DecoderRecipe
@@ -62,16 +62,7 @@ class TrainCommand:
             config = self.config if started is None else replace(self.config, network=started.config)
             body = self._body()
             recipe = DecoderRecipe(config, body, self._grooms(body), self._sampler(body), prior_validation(), worker)
-            training = Training(recipe, self.out)
-            if training.resume():
-                if worker.is_first:
-                    console.print(f"resuming from step {training.step} of {config.steps}")
-                if training.step >= config.steps:
-                    return
-            elif started is not None:
-                training.start_from(started)
-            with training_bar(config.steps, training.step, _bar_text, _validation_text, worker.is_first) as report:
-                train(training, report)
+            run_training(Training(recipe, self.out), _bar_text, _validation_text, start=started)
 
     def _check(self) -> None:
         """Refuse options that are wrong whatever the files hold."""

@@ -1,7 +1,8 @@
 """`quaffure train-code`: make grooms, train the groom autoencoder on them, and measure its codes."""
 
 import math
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import tyro
 from rich.console import Console
 
-from quaffure.apps.cli.console import print_json, print_rows, progress_bar, write_json
+from quaffure.apps.cli.console import Text, print_json, print_rows, progress_bar, run_training, write_json
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.benchmark.groom_code_metrics import (
     code_metrics,
@@ -19,7 +20,6 @@ from quaffure.benchmark.groom_code_metrics import (
     summary,
 )
 from quaffure.body.body_model import BodyModel, load_body
-from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import made_folder
@@ -29,7 +29,7 @@ from quaffure.model.groom_code import load_groom_autoencoder
 from quaffure.model.groom_texture import GroomSample, sample_of
 from quaffure.procedural.hair_style import HELD_OUT, STYLES
 from quaffure.training.groom_samples import ProceduralGroom, cached_samples, family_grooms, library_grooms
-from quaffure.training.loop import Training, train
+from quaffure.training.loop import Training
 from quaffure.training.run_folder import RUN
 from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeRecipe, finish
 
@@ -43,21 +43,8 @@ UNSEEN_SAMPLES = range(1_000_000, 1_000_060)
 SEEN_SAMPLES = 60
 
 
-@dataclass(frozen=True)
-class SampleCache:
-    """Makes grooms on a body, and keeps them in a folder.
-
-    Attributes:
-        surface: of the body at rest.
-    """
-
-    body: BodyModel
-    surface: Surface
-    folder: Path
-
-    def samples(self, grooms: list[ProceduralGroom], description: str) -> list[GroomSample]:
-        with progress_bar(description, len(grooms), to=messages) as update:
-            return cached_samples(grooms, self.body, self.surface, self.folder, lambda done: update(completed=done))
+Samples = Callable[[list[ProceduralGroom], str], list[GroomSample]]
+"""Makes grooms, with a description for the bar, or reads those that the folder has."""
 
 
 @dataclass(frozen=True)
@@ -86,13 +73,20 @@ class TrainCodeCommand:
         refuse_evaluation_data(self.groom)
         started = load_groom_autoencoder(self.keep_encoder) if self.keep_encoder is not None else None
         body = load_body()
-        cache = SampleCache(body, rest_surface(body), made_folder(self.out / "grooms", RUN))
+        surface, folder = rest_surface(body), made_folder(self.out / "grooms", RUN)
+
+        def samples(grooms: list[ProceduralGroom], description: str) -> list[GroomSample]:
+            with progress_bar(description, len(grooms), to=messages) as update:
+                return cached_samples(grooms, body, surface, folder, lambda done: update(completed=done))
+
         own, unseen = self._own(body), _samples([load_groom(name, body) for name in self.unseen], body)
-        library = cache.samples(library_grooms(TRAINED, range(self.config.library_seeds)), "making the library")
-        family = cache.samples(family_grooms(range(self.config.family)), "making the family")
-        network = self._train(Training(GroomCodeRecipe(self.config, library + own, family, started), self.out))
+        library = samples(library_grooms(TRAINED, range(self.config.library_seeds)), "making the library")
+        family = samples(family_grooms(range(self.config.family)), "making the family")
+        training = Training(GroomCodeRecipe(self.config, library + own, family, started), self.out)
+        run_training(training, smoothed_loss(), to=messages)
+        network = finish(training)
         first = [groom for index, groom in enumerate(library) if index % self.config.library_seeds == 0]
-        metrics = _metrics(network, cache, {"library": first, "family": family[:SEEN_SAMPLES], "own": own}, unseen)
+        metrics = _metrics(network, samples, {"library": first, "family": family[:SEEN_SAMPLES], "own": own}, unseen)
         write_json(self.out / "figures.json", metrics)
         print_json(metrics) if self.json else _print(metrics)
 
@@ -103,23 +97,18 @@ class TrainCodeCommand:
         # A groom with the name of a bundled style is not a sample of that style.
         return _samples([replace(groom, name=f"own:{groom.name}") for groom in grooms], body)
 
-    def _train(self, training: Training[GroomCodeRecipe]) -> GroomAutoencoder:
-        if training.resume():
-            messages.print(f"resuming from step {training.step}")
-        smooth = 0.0
-        with progress_bar("training", training.recipe.config.steps, training.step, to=messages) as update:
 
-            def report(step: int, metrics: dict[str, float]) -> None:
-                nonlocal smooth
-                loss = metrics["loss"]
-                if math.isfinite(loss):
-                    smooth = loss if smooth == 0.0 else 0.98 * smooth + 0.02 * loss
-                update(completed=step, description=f"loss {smooth:.4f} strand lengths")
+def smoothed_loss() -> Text:
+    """The text of the bar: the moving average of the loss."""
+    smooth = 0.0
 
-            train(training, report)
-        if training.optimizer.skipped:
-            messages.print(f"{training.optimizer.skipped} updates skipped: gradients that were not finite")
-        return finish(training)
+    def bar_text(values: dict[str, float]) -> str:
+        nonlocal smooth
+        if math.isfinite(loss := values["loss"]):
+            smooth = loss if smooth == 0.0 else 0.98 * smooth + 0.02 * loss
+        return f"loss {smooth:.4f} strand lengths"
+
+    return bar_text
 
 
 def _samples(grooms: list[Groom], body: BodyModel) -> list[GroomSample]:
@@ -127,24 +116,24 @@ def _samples(grooms: list[Groom], body: BodyModel) -> list[GroomSample]:
 
 
 def _metrics(
-    network: GroomAutoencoder, cache: SampleCache, seen: dict[str, list[GroomSample]], unseen: list[GroomSample]
+    network: GroomAutoencoder, samples: Samples, seen: dict[str, list[GroomSample]], unseen: list[GroomSample]
 ) -> dict[str, Any]:
     # Each style once, and again with seeds that no training uses.
-    known = cache.samples(library_grooms(STYLES, [0]), "making every style")
-    new = cache.samples(library_grooms(STYLES, NEW_SEEDS), "making every style with new seeds")
+    known = samples(library_grooms(STYLES, [0]), "making every style")
+    new = samples(library_grooms(STYLES, NEW_SEEDS), "making every style with new seeds")
     groups = {
         "library, as trained": seen["library"],
-        "library, grown anew": [groom for groom in new if groom.style in TRAINED],
+        "library, new seeds": [groom for groom in new if groom.style in TRAINED],
         "own grooms, as trained": seen["own"],
         "family, as trained": seen["family"],
-        "family, unseen": cache.samples(family_grooms(UNSEEN_SAMPLES), "making unseen samples"),
+        "family, unseen": samples(family_grooms(UNSEEN_SAMPLES), "making unseen samples"),
         "held-out styles": [groom for groom in known + new if groom.style in HELD_OUT],
         "other grooms, unseen": unseen,
     }
     rows = {name: [reconstruction(network, groom) for groom in grooms] for name, grooms in groups.items() if grooms}
     return {
         "reconstruction": {name: summary(of_group) for name, of_group in rows.items()},
-        "grooms": {name: [asdict(row) for row in of_group] for name, of_group in rows.items()},
+        "grooms": rows,
         "codes": code_metrics(network.encoder, known, new),
         "scatter": scatter_of_styles(known + new),
         "half_way": interpolation_metrics(network, seen["library"]),

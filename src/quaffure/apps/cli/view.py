@@ -51,7 +51,7 @@ class ViewCommand:
             InputError: a groom, a motion, weights, a folder or an address that cannot be used.
         """
         from quaffure.apps.viewer.catalogue import REST, Catalogue
-        from quaffure.apps.viewer.page import Address, Page
+        from quaffure.apps.viewer.page import Page
 
         if not self.folder.is_dir():
             raise InputError("--folder", "an existing folder", f"{self.folder}")
@@ -64,4 +64,4 @@ class ViewCommand:
             self.groom if groom is None else catalogue.groom_names[0],
             self.motion if motion is None else catalogue.motion_names[0],
         )
-        return Page(catalogue, start, Address(self.host, self.port), self.folder, write_output)
+        return Page(catalogue, start, (self.host, self.port), self.folder, write_output)

@@ -8,6 +8,8 @@ from jaxtyping import Float
 
 # A long lens: close cameras make noses and foreheads look larger.
 FIELD_OF_VIEW = np.radians(22.0)
+AZIMUTHS = {"front": 0.0, "3/4": 40.0, "side": 90.0, "back": 180.0}
+"""Views by name: degrees from the face (-y) towards the body's left (+x)."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Camera:
         """A camera that fits `extent` metres around `centre` into the picture's shorter side.
 
         Args:
-            azimuth_deg: 0 in front of the face (-y); 90 at the body's left hand (+x); 180 behind.
+            azimuth_deg: as in `AZIMUTHS`.
             rise_deg: elevation of the camera above the horizon of `centre`.
         """
         azimuth, rise = np.radians(azimuth_deg), np.radians(rise_deg)
@@ -42,28 +44,13 @@ class Camera:
         return Camera(_triple(eye), _triple(target))
 
     @staticmethod
-    def front(centre: Sequence[float] | np.ndarray, extent: float, facing_deg: float = 0.0) -> "Camera":
-        """In front of a body rotated by `facing_deg` about the vertical; at -y for 0."""
-        return Camera.around(centre, extent, facing_deg)
-
-    @staticmethod
-    def three_quarter(centre: Sequence[float] | np.ndarray, extent: float, facing_deg: float = 0.0) -> "Camera":
-        """Half way between front and side."""
-        return Camera.around(centre, extent, facing_deg + 40.0)
-
-    @staticmethod
-    def side(centre: Sequence[float] | np.ndarray, extent: float, facing_deg: float = 0.0) -> "Camera":
-        """From the body's left, +x; the face points to the left of the picture."""
-        return Camera.around(centre, extent, facing_deg + 90.0)
-
-    @staticmethod
-    def back(centre: Sequence[float] | np.ndarray, extent: float, facing_deg: float = 0.0) -> "Camera":
-        """From behind, +y."""
-        return Camera.around(centre, extent, facing_deg + 180.0)
+    def view(name: str, centre: Sequence[float] | np.ndarray, extent: float, facing_deg: float = 0.0) -> "Camera":
+        """A view of `AZIMUTHS` of a body rotated by `facing_deg` about the vertical; it faces -y for 0."""
+        return Camera.around(centre, extent, facing_deg + AZIMUTHS[name])
 
     @property
     def camera_from_world(self) -> Float[np.ndarray, "4 4"]:
-        """Rigid transform; the camera looks along its -z, y up, x to the right."""
+        """Rigid transform; the view is along -z, y up, x to the right."""
         return look_at(np.array(self.eye), np.array(self.target))
 
     def clip_from_world(self, width: int, height: int, radius: float) -> Float[np.ndarray, "4 4"]:
@@ -80,7 +67,7 @@ class Camera:
 
 
 def look_at(eye: np.ndarray, target: np.ndarray) -> Float[np.ndarray, "4 4"]:
-    """Transform to the frame of an observer at `eye` who looks along -z at `target`, world z upwards."""
+    """Transform to the frame of an observer at `eye` with `target` along -z, world z upwards."""
     backwards = (eye - target) / np.linalg.norm(eye - target)
     right = np.cross([0.0, 0.0, 1.0], backwards)
     right /= np.linalg.norm(right)

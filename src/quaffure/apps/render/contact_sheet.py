@@ -7,15 +7,15 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from quaffure.apps.output_path import check_output
 from quaffure.apps.render.camera import Camera
 from quaffure.apps.render.pictures import save_png
 from quaffure.apps.render.scene import StrandRenderer
 from quaffure.body.body_model import BodyModel
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import interpolation_of
+from quaffure.io.atomic import check_output
 
-VIEWS = (Camera.three_quarter, Camera.side, Camera.back)
+VIEWS = ("3/4", "side", "back")
 COLUMNS = 4
 TILE_WIDTH, TILE_HEIGHT = 194, 262  # pixels
 GAP, CAPTION, CAPTION_SIZE = 18, 40, 20  # pixels
@@ -24,7 +24,7 @@ SUPERSAMPLING = 3
 TILE_EXTENT, TILE_TOP, TOP_MARGIN = 0.36, 0.19, 0.015
 # Guides alone look sparse: strands between them are drawn as well.
 DRAWN_STRANDS = 12_000
-PAPER, INK, FAINT_INK = (246, 246, 247), (38, 38, 42), (128, 128, 136)
+PAPER, INK, PALE_INK = (246, 246, 247), (38, 38, 42), (128, 128, 136)
 NATURAL_COLOURS = (
     (0.150, 0.062, 0.025),  # chestnut
     (0.520, 0.340, 0.165),  # blonde
@@ -83,7 +83,10 @@ def _views(
     top = max(head[2] + TILE_TOP, float(groom.rest_strands[..., 2].max()) + TOP_MARGIN)
     centre = np.array([head[0], head[1], top - 0.5 * TILE_EXTENT * TILE_HEIGHT / TILE_WIDTH])
     return np.hstack(
-        [renderer.render(strands, vertices, faces, view(centre, TILE_EXTENT), hair_colour) for view in VIEWS]
+        [
+            renderer.render(strands, vertices, faces, Camera.view(view, centre, TILE_EXTENT), hair_colour)
+            for view in VIEWS
+        ]
     )
 
 
@@ -92,4 +95,4 @@ def _write_caption(pen: ImageDraw.ImageDraw, name: str, note: str, corner: tuple
     font, small = ImageFont.load_default(CAPTION_SIZE), ImageFont.load_default(0.75 * CAPTION_SIZE)
     left, base = corner[0] + 4, corner[1] + CAPTION - 12
     pen.text((left, base), text, fill=INK, font=font, anchor="ls")
-    pen.text((left + pen.textlength(text, font) + 12, base), note, fill=FAINT_INK, font=small, anchor="ls")
+    pen.text((left + pen.textlength(text, font) + 12, base), note, fill=PALE_INK, font=small, anchor="ls")

@@ -8,16 +8,14 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from PIL import Image
 
-from quaffure.apps.output_path import check_output
-from quaffure.apps.render.camera import Camera
+from quaffure.apps.render.camera import AZIMUTHS, Camera
 from quaffure.apps.render.framing import MARGIN, facing_deg, frame_hair, hair_box
 from quaffure.apps.render.scene import StrandRenderer
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import check_output, replacing
 
-VIEWS = (Camera.front, Camera.three_quarter, Camera.side, Camera.back)
-VIEWS_BEFORE_AFTER = (Camera.front, Camera.side, Camera.back)
+VIEWS_BEFORE_AFTER = ("front", "side", "back")
 TILE = 512
 MOST_FRAMES = 4
 
@@ -58,7 +56,7 @@ def write_picture(
     with StrandRenderer(tile, tile) as renderer:
         rows = []
         for f in frames:
-            cameras = [view(centre, extent, facing_deg(seq, f)) for view in VIEWS]
+            cameras = [Camera.view(view, centre, extent, facing_deg(seq, f)) for view in AZIMUTHS]
             rows.append(draw_frame(renderer, seq, f, interpolation, cameras))
     save_tiles(path, rows)
 
@@ -91,7 +89,7 @@ def write_before_after(path: Path, before: Subject, after: Subject, tile: int = 
     with StrandRenderer(tile, tile) as renderer:
         rows = [
             [
-                renderer.render(*subject, view(np.mean(box, axis=0), extent))
+                renderer.render(*subject, Camera.view(view, np.mean(box, axis=0), extent))
                 for subject, box in zip((before, after), boxes)
             ]
             for view in VIEWS_BEFORE_AFTER

@@ -8,7 +8,6 @@ import av
 import numpy as np
 from jaxtyping import UInt8
 
-from quaffure.apps.output_path import check_output
 from quaffure.apps.render.camera import Camera
 from quaffure.apps.render.framing import facing_deg, frame_hair
 from quaffure.apps.render.pictures import draw_frame
@@ -16,10 +15,10 @@ from quaffure.apps.render.scene import StrandRenderer
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import check_output, replacing
 
 Picture = UInt8[np.ndarray, "h w 3"]
-VIEWS = (Camera.front, Camera.side)
+VIEWS = ("front", "side")
 TILE = 512
 # Fewer samples a pixel than in a still picture: motion hides the difference.
 SUPERSAMPLING = 3
@@ -41,7 +40,7 @@ def write_video(
         InputError: not an .mp4, not writable, or no OpenGL on this machine.
     """
     centre, extent = frame_hair(seq)
-    cameras = [view(centre, extent, facing_deg(seq, len(seq) // 2)) for view in VIEWS]
+    cameras = [Camera.view(view, centre, extent, facing_deg(seq, len(seq) // 2)) for view in VIEWS]
 
     def pictures() -> Iterator[Picture]:
         with StrandRenderer(tile, tile, supersampling=SUPERSAMPLING) as renderer:

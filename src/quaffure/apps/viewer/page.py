@@ -3,11 +3,11 @@
 import socket
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from viser import GuiButtonGroupHandle, GuiEvent, GuiInputHandle, ViserServer
 
@@ -26,29 +26,17 @@ LAST_PORT = 65535
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class Address:
-    """Where the page is served.
-
-    Attributes:
-        host: address of this machine to listen at.
-        port: 0 for any free one.
+def check_address(host: str, port: int) -> None:
+    """Raises:
+    InputError: nothing can listen there. viser itself would take another port, or never return.
     """
-
-    host: str
-    port: int
-
-    def check(self) -> None:
-        """Raises:
-        InputError: nothing can listen there. viser itself would take another port, or never return.
-        """
-        if not 0 <= self.port <= LAST_PORT:
-            raise InputError("port", f"0 to {LAST_PORT}", f"{self.port}")
-        try:
-            with socket.create_server((self.host, self.port)):
-                pass
-        except OSError as error:
-            raise InputError(f"{self.host}:{self.port}", "a free address of this machine", str(error)) from error
+    if not 0 <= port <= LAST_PORT:
+        raise InputError("port", f"0 to {LAST_PORT}", f"{port}")
+    try:
+        with socket.create_server((host, port)):
+            pass
+    except OSError as error:
+        raise InputError(f"{host}:{port}", "a free address of this machine", str(error)) from error
 
 
 class Page:
@@ -57,6 +45,7 @@ class Page:
     Args:
         catalogue: choices of the pickers.
         start: names in the catalogue of the groom and the clip to start with.
+        address: of this machine to listen at, and the port, 0 for any free one.
         folder: where drapes are saved.
         write_picture: writes a drape, with the strands between its guides, as a .png.
 
@@ -68,14 +57,14 @@ class Page:
         self,
         catalogue: Catalogue,
         start: tuple[str, str],
-        address: Address,
+        address: tuple[str, int],
         folder: Path,
         write_picture: PictureWriter,
     ) -> None:
         groom, motion = start
         state = ViewState(catalogue.body, catalogue.groom(groom), catalogue.motion(motion), catalogue.draper(NEURAL))
-        address.check()
-        self._server = ViserServer(host=address.host, port=address.port, verbose=False)
+        check_address(*address)
+        self._server = ViserServer(*address, verbose=False)
         self._catalogue = catalogue
         self._nodes = SceneNodes(self._server, catalogue.body)
         self.panel = Panel(self._server.gui, catalogue, groom, motion)
@@ -120,8 +109,8 @@ class Page:
 
     def _connect_inputs(self) -> None:
         panel, on_change = self.panel, self._on_user_change
-        on_change(panel.groom, self._pick_groom)
-        on_change(panel.draper, self._pick_draper)
+        on_change(panel.groom, partial(self._pick, "groom", self._catalogue.groom))
+        on_change(panel.draper, partial(self._pick, "draper", self._catalogue.draper))
         on_change(panel.motion, self._pick_motion)
         on_change(panel.strands, lambda _: self._change_display())
         on_change(panel.mark_inside, lambda _: self._change_display())
@@ -149,11 +138,8 @@ class Page:
     def _change_display(self) -> None:
         self.session.ask_display(STRAND_COUNTS[self.panel.strands.value], self.panel.mark_inside.value)
 
-    def _pick_groom(self, name: str) -> None:
-        self.session.ask_edit("groom", lambda state: replace(state, groom=self._catalogue.groom(name)))
-
-    def _pick_draper(self, name: str) -> None:
-        self.session.ask_edit("draper", lambda state: replace(state, draper=self._catalogue.draper(name)))
+    def _pick(self, kind: str, load: Callable[[str], Any], name: str) -> None:
+        self.session.ask_edit(kind, lambda state: replace(state, **{kind: load(name)}))
 
     def _pick_motion(self, name: str) -> None:
         def change(state: ViewState) -> ViewState:

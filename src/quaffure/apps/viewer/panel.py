@@ -4,8 +4,8 @@ from typing import TypeVar
 
 from viser import GuiApi, GuiSliderHandle
 
+from quaffure.apps.render.camera import AZIMUTHS
 from quaffure.apps.viewer.catalogue import Catalogue
-from quaffure.apps.viewer.scene_nodes import AZIMUTHS
 
 JOINT_RANGES = {
     "Head": 60.0,

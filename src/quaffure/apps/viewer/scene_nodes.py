@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import cKDTree
 from viser import ClientHandle, LineSegmentsHandle, ViserServer
 
+from quaffure.apps.render.camera import AZIMUTHS
 from quaffure.apps.viewer.hair_colours import KEY_LIGHT, segments
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import HEAD
@@ -19,8 +20,6 @@ WIDEST_STRAND, WIDEST_COUNT, THINNEST_STRAND = 0.9e-3, 2400, 0.3e-3
 # The camera: a long lens, far enough for head and chest.
 FIELD_OF_VIEW, DISTANCE = np.radians(24.0), 1.75  # m
 TARGET_BELOW_HEAD = 0.06  # m below the Head joint
-AZIMUTHS = {"front": 0.0, "3/4": 40.0, "side": 90.0, "back": 180.0}
-"""Views by name: degrees from the face (-y) towards the body's left (+x)."""
 
 
 class SceneNodes:

@@ -1,6 +1,5 @@
 """The rod in edge directions: its compiled form against autograd, its properties, and theory."""
 
-import math
 from dataclasses import replace
 
 import pytest

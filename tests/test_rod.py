@@ -24,22 +24,22 @@ def _random(shape: tuple[int, ...], seed: int) -> Tensor:
     return torch.randn(shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
 
 
-def _strands(roughness: float, seed: int) -> Float[Tensor, "s n 3"]:
-    """Strands of edges about a centimetre long that turn at random."""
-    edges = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64) + roughness * _random((STRANDS, EDGES, 3), seed)
-    return torch.nn.functional.pad(0.01 * edges.cumsum(1), (0, 0, 1, 0))
+def _strands(change: float = 0.0, seed: int = 0) -> Float[Tensor, "s n 3"]:
+    """Strands of edges about a centimetre long that turn at random, and the same ones bent further."""
+    edges = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64) + 0.5 * _random((STRANDS, EDGES, 3), 0)
+    return torch.nn.functional.pad(0.01 * (edges + change * _random(tuple(edges.shape), seed)).cumsum(1), (0, 0, 1, 0))
 
 
-def _rest(seed: int = 0) -> RodRest:
+def _rest() -> RodRest:
     """A rod with every part of the equation at work: curled, twisted at rest, of uneven stiffness, partly held."""
-    rest = stress_free_rest(_strands(0.5, seed), 1 + _random((STRANDS, EDGES), seed + 1).abs())
+    rest = stress_free_rest(_strands(), 1 + _random((STRANDS, EDGES), 1).abs())
     weight = torch.where(torch.arange(EDGES) < 3, 2e-6, 0.0).double().expand(STRANDS, EDGES)
-    return replace(rest, rest_twist=0.3 * _random((STRANDS, EDGES), seed + 2), goal_weight=weight)
+    return replace(rest, rest_twist=0.3 * _random((STRANDS, EDGES), 2), goal_weight=weight)
 
 
-def _draped(seed: int = 5) -> tuple[Float[Tensor, "b s n 3"], Float[Tensor, "b s 3 3"]]:
-    positions = torch.stack([_strands(0.5, seed), _strands(0.4, seed + 1)])
-    return positions, matrix_from_axis_angle(0.5 * _random((2, STRANDS, 3), seed + 2))
+def _draped(change: float = 0.3) -> tuple[Float[Tensor, "b s n 3"], Float[Tensor, "b s 3 3"]]:
+    positions = torch.stack([_strands(change, 5), _strands(change, 6)])
+    return positions, matrix_from_axis_angle(0.3 * _random((2, STRANDS, 3), 7))
 
 
 def _gradient(energy: Tensor, positions: Tensor) -> Tensor:
@@ -50,7 +50,7 @@ def _relative(value: Tensor, truth: Tensor) -> float:
     return float((value.double() - truth).norm() / truth.norm())
 
 
-@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 3e-6), (torch.float32, 1e-5)])
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float64, 1e-8), (torch.float32, 1e-5)])
 def test_compiled_energy_and_gradient_equal_autograd(dtype: torch.dtype, tolerance: float) -> None:
     rest, (positions, rotation) = _rest(), _draped()
     positions.requires_grad_()
@@ -90,14 +90,28 @@ def test_twist_is_the_minimum() -> None:
     twist = equilibrium_twist(direction, rest, rotation).requires_grad_()
     energy = energy_at_twist(direction, twist, rest, rotation)
     (slope,) = torch.autograd.grad(energy.sum(), twist)
-    assert float(slope.abs().max()) < 1e-5 * float(rest.twisting_stiffness.mean())
+    assert float(slope.abs().max()) < 1e-8 * float(rest.twisting_stiffness.mean())
     for seed in range(5):
         other = energy_at_twist(direction, twist.detach() + 0.2 * _random(tuple(twist.shape), seed), rest, rotation)
         assert bool((other > energy).all())
 
 
+def test_twist_descends_from_any_shape(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Far from rest the bending energy is not convex in the twist, and plain Newton steps cycle."""
+    rest, (positions, rotation) = _rest(), _draped(1.5)
+    energies = []
+    for steps in range(12):
+        monkeypatch.setattr("quaffure.energies.rod.MOST_TWIST_STEPS", steps)
+        direction = directors(positions)
+        twist = equilibrium_twist(direction, rest, rotation)
+        energies.append(energy_at_twist(direction, twist, rest, rotation))
+    falls = -torch.stack(energies).diff(dim=0)
+    assert bool((falls > -1e-12 * energies[0]).all())
+    assert bool((falls[0] > 0.05 * energies[0]).all())
+
+
 def test_posed_rest_shape_is_free_of_energy_and_force() -> None:
-    strands = _strands(0.6, 3)
+    strands = _strands()
     rotation = matrix_from_axis_angle(_random((1, STRANDS, 3), 4))
     positions = (strands @ rotation.mT).requires_grad_()
     energy = fused_rod(positions, rod_arrays(stress_free_rest(strands), torch.float64), rotation)

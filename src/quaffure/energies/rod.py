@@ -1,12 +1,14 @@
 """Kirchhoff rod in edge directions: bending relative to the previous edge, twist at its equilibrium.
 
-    E = sum_i  B_i / 2 |t_i - M_(i-1) r_i|^2  +  C_i / 2 (phi_i - phi_(i-1) - psi_i)^2  +  G_i / 2 |t_i - R g_i|^2
+    E = sum_i  B_i / 2 |t_i - M_i r_i|^2  +  C_i / 2 (phi_i - phi_(i-1) - psi_i)^2  +  G_i / 2 |t_i - R g_i|^2
 
-t_i are the unit directions of the edges. M_i is the material frame of edge i: the root's frame, transported along the
-strand without twist (F_i) and rotated by the twist angle phi_i about t_i. The root's frame R (tangent, normal,
-binormal) stands in for edge -1, with phi_(-1) = 0. r_i is the rest direction of edge i in the frame of the edge before,
-psi_i the rest twist. B_i = scale_i EI / l_i and C_i = scale_i GJ / l_i, l_i the length between the middles of two
-edges, half an edge at the root. The last sum is Eq. 6 with a weight of its own, for hair that is held.
+t_i are the unit directions of the edges and F_i their frames (tangent, normal, binormal): the root's frame R,
+transported along the strand without twist. phi_i is the angle by which hair is twisted about t_i relative to F_i. The
+joint before edge i bends from the material frame M_i = F_(i-1) rotated about t_(i-1) by (phi_(i-1) + phi_i) / 2; with
+phi_(i-1) alone the error would be of first order in the edges' length instead of second. R stands in for the frame of
+an edge -1 with phi_(-1) = 0. r_i is the rest direction of edge i in M_i, psi_i the rest twist. B_i = scale_i EI / l_i and
+C_i = scale_i GJ / l_i, l_i the length between the middles of two edges, half an edge at the root. The last sum is Eq. 6
+with a weight of its own, for hair that is held.
 
 The twist angles are no unknowns of a solver: they minimise E at every shape (quasi-static material frame; Bergou et
 al. 2008, "Discrete Elastic Rods"). The derivative of E by phi is zero there, so the gradient by t needs no derivative
@@ -32,8 +34,8 @@ LEAST_ALIGNMENT = 1e-3
 """Least 1 + cos(angle) between edges in the transport of a frame, which is undefined where an edge folds back."""
 MOST_TWIST_STEPS = 30
 TWIST_TOLERANCE = 1e-5
-"""A step that changes twist less than this is the last one [rad]. The error left is of its square, but of its size where a
-joint is far from its own minimum."""
+"""A step that changes twist less than this is the last one [rad]. The error left is of its square, or of its own size
+where a joint is far from its own minimum."""
 SAFE_CURVATURE = 0.472
 """Least curvature of -cos(x) that Newton's method assumes, over cos(x / 2): no less than half of sin(x) / x, which is
 the curvature of the parabola that touches -cos at x and lies above it elsewhere. So no step raises the energy."""
@@ -80,7 +82,7 @@ class RodRest:
 
 
 def joint_lengths(rest_length: RestLengths) -> RestLengths:
-    """Length over which the strand bends before each edge: between the middles of two edges, half an edge at the root."""
+    """Length that each joint stands for [m]: between the middles of two edges, half an edge at the root."""
     joints = torch.cat([0.5 * rest_length[:, :1], 0.5 * (rest_length[:, 1:] + rest_length[:, :-1])], dim=1)
     return joints.clamp(min=SHORTEST_JOINT)
 
@@ -182,13 +184,18 @@ def twist_strain(twist: Twist, rest: RodRest) -> Twist:
     return twist.diff(dim=-1, prepend=torch.zeros_like(twist[..., :1])) - rest.rest_twist
 
 
+def _joint_twist(twist: Twist) -> Twist:
+    """Mean of the twist angles before and after each joint [rad]."""
+    return 0.5 * (twist + torch.nn.functional.pad(twist[..., :-1], (1, 0)))
+
+
 def rest_targets(direction: EdgeVectors, twist: Twist, rest: RodRest, rotation: RootRotations) -> EdgeVectors:
-    """M_(i-1) r_i: where the rest shape points each edge."""
+    """M_i r_i: where the rest shape points each edge."""
     tangent, normal = _frames_before(direction, rest, rotation)
     binormal = torch.linalg.cross(tangent, normal)
-    before = torch.nn.functional.pad(twist[..., :-1], (1, 0))
+    middle = _joint_twist(twist)
     along, across, aside = rest.rest_direction.unbind(-1)
-    cosine, sine = before.cos(), before.sin()
+    cosine, sine = middle.cos(), middle.sin()
     return (
         along[..., None] * tangent
         + (across * cosine - aside * sine)[..., None] * normal
@@ -208,46 +215,55 @@ def _frames_before(direction: EdgeVectors, rest: RodRest, rotation: RootRotation
 def equilibrium_twist(direction: EdgeVectors, rest: RodRest, rotation: RootRotations) -> Twist:
     """The angles phi that minimise the energy of given directions, by Newton's method from phi = 0 [rad].
 
-    As a function of phi_i, bending before edge i + 1 is a constant less P_i cos phi_i + Q_i sin phi_i, so the second
-    derivative is tridiagonal. Where a joint is more than 67 degrees of twist from its own minimum, its curvature is
-    raised (`SAFE_CURVATURE`); elsewhere these are plain Newton steps.
+    The bending energy of joint i is a constant less P_i cos + Q_i sin of the mean twist there, so the second derivative
+    is tridiagonal. Where a joint is more than 67 degrees of twist from its own minimum, its curvature is raised
+    (`SAFE_CURVATURE`); elsewhere these are plain Newton steps.
     """
     cosine_part, sine_part = _bending_by_twist(direction, rest, rotation)
     amplitude = torch.hypot(cosine_part, sine_part)
-    stiffness = rest.twisting_stiffness
-    beyond = torch.nn.functional.pad(stiffness[:, 1:], (0, 1))
     twist = torch.zeros_like(cosine_part)
     for _ in range(MOST_TWIST_STEPS):
-        cosine, sine = twist.cos(), twist.sin()
-        moment = stiffness * twist_strain(twist, rest)
-        slope = cosine_part * sine - sine_part * cosine + moment - torch.nn.functional.pad(moment[..., 1:], (0, 1))
+        middle = _joint_twist(twist)
+        cosine, sine = middle.cos(), middle.sin()
         bending = cosine_part * cosine + sine_part * sine
         safe = SAFE_CURVATURE * (0.5 * amplitude * (amplitude + bending).clamp(min=0)).sqrt()
-        step = _solve_tridiagonal(torch.maximum(bending, safe) + stiffness + beyond, beyond, slope)
+        curvature = 0.25 * torch.maximum(bending, safe)
+        bent = 0.5 * (cosine_part * sine - sine_part * cosine)
+        moment = rest.twisting_stiffness * twist_strain(twist, rest)
+        step = _solve_tridiagonal(
+            _sum_of_both_joints(curvature + rest.twisting_stiffness),
+            curvature - rest.twisting_stiffness,
+            bent + moment + torch.nn.functional.pad((bent - moment)[..., 1:], (0, 1)),
+        )
         twist = twist - step
         if float(step.abs().max()) < TWIST_TOLERANCE:
             break
     return twist
 
 
+def _sum_of_both_joints(value: Twist) -> Twist:
+    """Of each edge, what its joint before and its joint beyond have together; the last edge has none beyond."""
+    return value + torch.nn.functional.pad(value[..., 1:], (0, 1))
+
+
 def _bending_by_twist(direction: EdgeVectors, rest: RodRest, rotation: RootRotations) -> tuple[Twist, Twist]:
-    """P and Q of every edge's twist; zero for the last edge, beyond which nothing bends."""
+    """P and Q of every joint: its bending energy is a constant less P cos + Q sin of the twist at the joint."""
     tangent, normal = _frames_before(direction, rest, rotation)
     _, along_normal, along_binormal = in_frames(direction, tangent, normal).unbind(-1)
     _, across, aside = rest.rest_direction.unbind(-1)
     cosine_part = rest.bending_stiffness * (across * along_normal + aside * along_binormal)
     sine_part = rest.bending_stiffness * (across * along_binormal - aside * along_normal)
-    return tuple(torch.nn.functional.pad(part[..., 1:], (0, 1)) for part in (cosine_part, sine_part))
+    return cosine_part, sine_part
 
 
-def _solve_tridiagonal(diagonal: Twist, off: Float[Tensor, "s e"], right: Twist) -> Twist:
-    """Solves a symmetric positive definite system with entries -`off`[i] between i and i + 1."""
+def _solve_tridiagonal(diagonal: Twist, before: Twist, right: Twist) -> Twist:
+    """Solves a symmetric positive definite system whose entries between i - 1 and i are `before`[i]."""
     pivots, rights = [diagonal[..., 0]], [right[..., 0]]
     for i in range(1, diagonal.shape[-1]):
-        ratio = off[:, i - 1] / pivots[-1]
-        pivots.append(diagonal[..., i] - ratio * off[:, i - 1])
-        rights.append(right[..., i] + ratio * rights[-1])
+        ratio = before[..., i] / pivots[-1]
+        pivots.append(diagonal[..., i] - ratio * before[..., i])
+        rights.append(right[..., i] - ratio * rights[-1])
     solution = [rights[-1] / pivots[-1]]
     for i in range(diagonal.shape[-1] - 2, -1, -1):
-        solution.append((rights[i] + off[:, i] * solution[-1]) / pivots[i])
+        solution.append((rights[i] - before[..., i + 1] * solution[-1]) / pivots[i])
     return torch.stack(solution[::-1], dim=-1)

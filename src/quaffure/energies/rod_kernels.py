@@ -53,6 +53,7 @@ class RodWorkspace(NamedTuple):
     bending_by_twist: np.ndarray
     pivot: np.ndarray
     right: np.ndarray
+    coupling: np.ndarray
 
 
 def rod_arrays(rest: RodRest, dtype: torch.dtype = torch.float32) -> RodArrays:
@@ -132,6 +133,7 @@ def rod_workspace(edges: int, like: np.ndarray) -> RodWorkspace:
         np.empty(edges, dtype),
         np.empty(edges + 1, dtype),
         np.empty((edges, 2), dtype),
+        np.empty(edges, dtype),
         np.empty(edges, dtype),
         np.empty(edges, dtype),
     )
@@ -241,34 +243,43 @@ def solve_twist(rest: RodArrays, strand: int, work: RodWorkspace) -> None:
 
 
 @njit(cache=True, fastmath=True, inline="always")
+def _joint_derivatives(rest: RodArrays, strand: int, work: RodWorkspace, joint: int) -> tuple:
+    """Of the energy of a joint, by the mean of its two twist angles: half the slope, a quarter of the curvature; and
+    its twist moment and twisting stiffness."""
+    angle, beyond = work.twist[joint], work.twist[joint + 1]
+    middle = _HALF * (angle + beyond)
+    cosine, sine = np.cos(middle), np.sin(middle)
+    p, q = work.bending_by_twist[joint, 0], work.bending_by_twist[joint, 1]
+    bending, amplitude = p * cosine + q * sine, np.sqrt(p * p + q * q)
+    safe = _SAFE_CURVATURE * np.sqrt(_HALF * amplitude * max(amplitude + bending, _ZERO))
+    stiffness = rest.twisting[strand, joint]
+    moment = stiffness * (beyond - angle - rest.rest_twist[strand, joint])
+    return _HALF * (p * sine - q * cosine), _HALF * _HALF * max(bending, safe), moment, stiffness
+
+
+@njit(cache=True, fastmath=True, inline="always")
 def _twist_step(rest: RodArrays, strand: int, work: RodWorkspace) -> float:
-    """One step of Newton's method: forward elimination root to tip, substitution back. Returns the largest change."""
-    twist, pivot, right = work.twist, work.pivot, work.right
+    """One step of Newton's method: elimination from root to tip, substitution back. Returns the largest change."""
+    twist, pivot, right, coupling = work.twist, work.pivot, work.right, work.coupling
     edges = len(pivot)
-    stiffness = rest.twisting[strand, 0]
-    moment = stiffness * (twist[1] - rest.rest_twist[strand, 0])
-    coupling, pivot_before, right_before = _ZERO, _ONE, _ZERO
+    slope, curvature, moment, stiffness = _joint_derivatives(rest, strand, work, 0)
+    pivot_before, right_before = _ONE, _ZERO
     for edge in range(edges):
-        slope, curvature, beyond, moment_beyond = moment, stiffness, _ZERO, _ZERO
+        # Edge -1 is the root, which has no twist.
+        between = curvature - stiffness if edge > 0 else _ZERO
+        diagonal, total = curvature + stiffness, slope + moment
         if edge + 1 < edges:
-            angle = twist[edge + 1]
-            cosine, sine = np.cos(angle), np.sin(angle)
-            p, q = work.bending_by_twist[edge + 1, 0], work.bending_by_twist[edge + 1, 1]
-            beyond = rest.twisting[strand, edge + 1]
-            moment_beyond = beyond * (twist[edge + 2] - angle - rest.rest_twist[strand, edge + 1])
-            slope += p * sine - q * cosine - moment_beyond
-            bending, amplitude = p * cosine + q * sine, np.sqrt(p * p + q * q)
-            safe = _SAFE_CURVATURE * np.sqrt(_HALF * amplitude * max(amplitude + bending, _ZERO))
-            curvature += max(bending, safe) + beyond
-        ratio = coupling / pivot_before
-        pivot_before = curvature - ratio * coupling
-        right_before = slope + ratio * right_before
-        pivot[edge], right[edge] = pivot_before, right_before
-        stiffness, moment, coupling = beyond, moment_beyond, beyond
+            slope, curvature, moment, stiffness = _joint_derivatives(rest, strand, work, edge + 1)
+            diagonal += curvature + stiffness
+            total += slope - moment
+        ratio = between / pivot_before
+        pivot_before = diagonal - ratio * between
+        right_before = total - ratio * right_before
+        pivot[edge], right[edge], coupling[edge] = pivot_before, right_before, between
     step, largest = _ZERO, _ZERO
     for edge in range(edges - 1, -1, -1):
-        coupling = rest.twisting[strand, edge + 1] if edge + 1 < edges else _ZERO
-        step = (right[edge] + coupling * step) / pivot[edge]
+        beyond = coupling[edge + 1] if edge + 1 < edges else _ZERO
+        step = (right[edge] - beyond * step) / pivot[edge]
         largest = max(largest, abs(step))
         twist[edge + 1] -= step
     return largest
@@ -304,11 +315,11 @@ def _energy_and_adjoint(
     for edge in range(len(work.pivot) - 1, -1, -1):
         t, u = _load(work.tangent, edge), _load(work.tangent, edge + 1)
         a = _load(work.normal, edge)
-        angle = work.twist[edge]
+        angle = _HALF * (work.twist[edge] + work.twist[edge + 1])
         bent, by_t, by_a, by_u = bend_joint(
             t, a, u, _load(rest.rest_direction[strand], edge), np.cos(angle), np.sin(angle), rest.bending[strand, edge]
         )
-        strain = work.twist[edge + 1] - angle - rest.rest_twist[strand, edge]
+        strain = work.twist[edge + 1] - work.twist[edge] - rest.rest_twist[strand, edge]
         energy += bent + _HALF * rest.twisting[strand, edge] * strain * strain
         frame_a, frame_t, frame_u = transported_adjoint(a, t, u, upstream)
         gx, gy, gz = by_u[0] + frame_u[0] + carry[0], by_u[1] + frame_u[1] + carry[1], by_u[2] + frame_u[2] + carry[2]

@@ -8,7 +8,7 @@ With f_j the forces on the vertices of the design (weight and support s_j n_j), 
 tau_i = sum over j > i of (x_j - x_i) x f_j. For the rod of `quaffure.energies.rod` that determines its rest shape
 edge by edge, in closed form: the twist moment T_i and the bending moment m_i are
 
-    T_i = tau_i . t_i,    m_i = tau_i - T_i (t_(i-1) + t_i) / (1 + t_(i-1) . t_i)
+    T_i = tau_i . (t_(i-1) + t_i) / 2,    m_i = tau_i - tau_i . t_i (t_(i-1) + t_i) / (1 + t_(i-1) . t_i)
 
 so that psi_i = -T_i / C_i, and the direction to rest at is p_i = sqrt(1 - |q_i|^2) t_i + q_i with q_i = t_i x m_i / B_i.
 At these every derivative of the energy is zero, by directions and by twist angles (phi = 0). Where |q_i| or |psi_i| would

@@ -111,14 +111,13 @@ def _row(array: np.ndarray, index: int) -> tuple:
 @njit(cache=True, inline="always")
 def split_moment(moment: tuple, before: tuple, direction: tuple) -> tuple:
     """Bending and twist moment m and T of a joint between edges of directions `before` and `direction`."""
-    twist = dot(moment, direction)
-    share = twist / max(1 + dot(before, direction), LEAST_ALIGNMENT)
+    share = dot(moment, direction) / max(1 + dot(before, direction), LEAST_ALIGNMENT)
     bending = (
         moment[0] - share * (before[0] + direction[0]),
         moment[1] - share * (before[1] + direction[1]),
         moment[2] - share * (before[2] + direction[2]),
     )
-    return bending, twist
+    return bending, 0.5 * (dot(moment, before) + dot(moment, direction))
 
 
 @njit(cache=True, parallel=True)
@@ -197,9 +196,7 @@ def _descend(available: np.ndarray, problem: _LeastSquares, support: np.ndarray)
 
 
 @njit(cache=True, parallel=True)
-def _moments(
-    forces: _Forces, support: np.ndarray, bending: np.ndarray, twisting: np.ndarray, goal: np.ndarray
-) -> None:
+def _moments(forces: _Forces, support: np.ndarray, bending: np.ndarray, twisting: np.ndarray, goal: np.ndarray) -> None:
     for strand in prange(len(twisting)):
         _moments_of_strand(forces, strand, support[strand], bending[strand], twisting[strand], goal[strand])
 
@@ -223,8 +220,9 @@ def _moments_of_strand(
         moment = (moment[0] + added[0], moment[1] + added[1], moment[2] + added[2])
         direction, before = _row(forces.direction[strand], edge), _row(forces.direction[strand], max(edge - 1, 0))
         part, twist = split_moment(moment, before, direction)
-        twisting[edge] = twist
         taken = goal if held[edge] else bending
         taken[edge, 0], taken[edge, 1], taken[edge, 2] = part[0], part[1], part[2]
         if held[edge]:
             moment = (moment[0] - part[0], moment[1] - part[1], moment[2] - part[2])
+            twist -= 0.5 * dot(part, before)
+        twisting[edge] = twist

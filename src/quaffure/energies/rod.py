@@ -6,9 +6,9 @@ t_i are the unit directions of the edges and F_i their frames (tangent, normal, 
 transported along the strand without twist. phi_i is the angle by which hair is twisted about t_i relative to F_i. The
 joint before edge i bends from the material frame M_i = F_(i-1) rotated about t_(i-1) by (phi_(i-1) + phi_i) / 2; with
 phi_(i-1) alone the error would be of first order in the edges' length instead of second. R stands in for the frame of
-an edge -1 with phi_(-1) = 0. r_i is the rest direction of edge i in M_i, psi_i the rest twist. B_i = scale_i EI / l_i and
-C_i = scale_i GJ / l_i, l_i the length between the middles of two edges, half an edge at the root. The last sum is Eq. 6
-with a weight of its own, for hair that is held.
+an edge -1 with phi_(-1) = 0. r_i is the rest direction of edge i in M_i, psi_i the rest twist. B_i = scale_i EI / l_i
+and C_i = scale_i GJ / l_i, l_i the length between the middles of two edges, half an edge at the root. The last sum is
+Eq. 6 with a weight of its own, for hair that is held.
 
 The twist angles are no unknowns of a solver: they minimise E at every shape (quasi-static material frame; Bergou et
 al. 2008, "Discrete Elastic Rods"). The derivative of E by phi is zero there, so the gradient by t needs no derivative

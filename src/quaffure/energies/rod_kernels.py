@@ -142,7 +142,7 @@ def rod_workspace(edges: int, like: np.ndarray) -> RodWorkspace:
 @njit(cache=True, fastmath=True)
 def rod_of_strand(
     x: np.ndarray, rotation: np.ndarray, rest: RodArrays, strand: int, work: RodWorkspace, gradient: np.ndarray
-) -> float:
+) -> np.floating:
     """Energy of one strand [J]; its gradient by the vertices [N] is added to `gradient`."""
     transport_frames(x, rotation, rest, strand, work)
     solve_twist(rest, strand, work)
@@ -258,7 +258,7 @@ def _joint_derivatives(rest: RodArrays, strand: int, work: RodWorkspace, joint: 
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def _twist_step(rest: RodArrays, strand: int, work: RodWorkspace) -> float:
+def _twist_step(rest: RodArrays, strand: int, work: RodWorkspace) -> np.floating:
     """One step of Newton's method: elimination from root to tip, substitution back. Returns the largest change."""
     twist, pivot, right, coupling = work.twist, work.pivot, work.right, work.coupling
     edges = len(pivot)
@@ -307,7 +307,7 @@ def bend_joint(t: tuple, a: tuple, u: tuple, r: tuple, cosine: float, sine: floa
 @njit(cache=True, fastmath=True, inline="always")
 def _energy_and_adjoint(
     rotation: np.ndarray, rest: RodArrays, strand: int, work: RodWorkspace, gradient: np.ndarray
-) -> float:
+) -> np.floating:
     """Energy, and from tip to root the gradient by directions and frames, passed on to the vertices."""
     energy = _ZERO
     upstream = (_ZERO, _ZERO, _ZERO)  # gradient by the normal of this edge's frame

@@ -10,9 +10,10 @@ edge by edge, in closed form: the twist moment T_i and the bending moment m_i ar
 
     T_i = tau_i . (t_(i-1) + t_i) / 2,    m_i = tau_i - tau_i . t_i (t_(i-1) + t_i) / (1 + t_(i-1) . t_i)
 
-so that psi_i = -T_i / C_i, and the direction to rest at is p_i = sqrt(1 - |q_i|^2) t_i + q_i with q_i = t_i x m_i / B_i.
-At these every derivative of the energy is zero, by directions and by twist angles (phi = 0). Where |q_i| or |psi_i| would
-exceed a limit, the edge is made stiffer.
+so that psi_i = -T_i / C_i, and the rest direction is p_i = sqrt(1 - |q_i|^2) t_i + q_i with q_i = t_i x m_i / B_i.
+With these every derivative of the energy is zero, by directions and by twist angles (phi = 0): the equations are the
+balance of moments when all beyond a joint rotates rigidly. Where |q_i| or |psi_i| would exceed a limit, the edge is
+made stiffer.
 """
 
 from dataclasses import dataclass

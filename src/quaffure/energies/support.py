@@ -1,10 +1,11 @@
 """Forces by which the body supports a groom's design: those that leave the least elastic energy in the strands.
 
-    min over s >= 0 of  sum_i |m_i|^2 / B_i + T_i^2 / C_i  +  sum_j c_j s_j^2
+    min over 0 <= s <= s_max of  sum_i |m_i|^2 / B_i + T_i^2 / C_i  +  sum_j c_j s_j^2
 
 with m_i and T_i the bending and twist moments of `quaffure.energies.sag_free`, linear in the support forces s_j n_j at
 the vertices. What the body carries in this sense is more than weight: a strand bent over the crown presses on it by its
-tension times its curvature. Non-negative least squares of at most 23 unknowns a strand, by coordinate descent.
+tension times its curvature. Least squares within bounds, of at most 23 unknowns a strand, by coordinate descent. Without
+an upper bound, a vertex beside a kink or a tie would push with thousands of its weights on a lever of no length.
 """
 
 from dataclasses import dataclass, fields
@@ -20,6 +21,8 @@ from quaffure.geometry.polyline import directors
 from quaffure.types import Bool, Float, Tensor
 
 SWEEPS = 60
+MOST_SUPPORT = 2.0
+"""Largest force on a vertex, in weights of the strand from there to its tip: what a rope over a pulley presses with."""
 REGULARIZATION = 1e-3
 """c of a vertex that is near the skin, relative to the mean diagonal of the least-squares problem."""
 DISTANT = 100.0
@@ -129,7 +132,7 @@ def _supports(forces: _Forces, available: np.ndarray, support: np.ndarray) -> No
         )
         _fill_rows(forces, strand, available[strand], problem)
         _fill_normal_equations(available[strand], problem)
-        _descend(available[strand], problem, support[strand])
+        _descend(available[strand], forces.weight[strand], problem, support[strand])
 
 
 @njit(cache=True, inline="always")
@@ -183,8 +186,9 @@ def _fill_normal_equations(available: np.ndarray, problem: _LeastSquares) -> Non
 
 
 @njit(cache=True)
-def _descend(available: np.ndarray, problem: _LeastSquares, support: np.ndarray) -> None:
+def _descend(available: np.ndarray, weight: np.ndarray, problem: _LeastSquares, support: np.ndarray) -> None:
     edges = len(problem.right)
+    most = MOST_SUPPORT * np.cumsum(weight[::-1])[::-1]
     for _ in range(SWEEPS):
         for vertex in range(edges):
             if available[vertex + 1] <= 0 or problem.normal_matrix[vertex, vertex] <= 0:
@@ -192,7 +196,8 @@ def _descend(available: np.ndarray, problem: _LeastSquares, support: np.ndarray)
             slope = problem.right[vertex]
             for other in range(edges):
                 slope -= problem.normal_matrix[vertex, other] * support[other + 1]
-            support[vertex + 1] = max(support[vertex + 1] + slope / problem.normal_matrix[vertex, vertex], 0.0)
+            best = support[vertex + 1] + slope / problem.normal_matrix[vertex, vertex]
+            support[vertex + 1] = min(max(best, 0.0), most[vertex + 1])
 
 
 @njit(cache=True, parallel=True)

@@ -16,7 +16,7 @@ balance of moments when all beyond a joint rotates rigidly. Where |q_i| or |psi_
 made stiffer.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -32,6 +32,7 @@ from quaffure.energies.rod import (
     previous_frames,
 )
 from quaffure.energies.rod_kernels import rod_arrays, rod_energies_and_gradient
+from quaffure.energies.stability import Design, stable_factors
 from quaffure.energies.support import StrandForces, solve_support, transmitted_moments
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface
@@ -120,24 +121,64 @@ def sag_free_rest(
     margin = torch.minimum(state.collision_margin, distance)
     pressed = distance + (support / (3 * material.k_body_collision)).sqrt()
     moments = transmitted_moments(forces, support)
+    scale = _scale_for_preload(forces, moments)
+    contact = 2 * (3 * material.k_body_collision * support).sqrt()
+    scale = scale * _factors_for_stability(direction, forces, moments, scale, support, contact)
     return SagFreeRest(
-        rod=_preloaded(direction, forces, moments),
+        rod=_preloaded(direction, forces, moments, scale),
         collision_margin=torch.where(support > 0, pressed, margin),
         support=support,
         normal=normal,
     )
 
 
-def _preloaded(
-    direction: Float[Tensor, "s e 3"], forces: StrandForces, moments: tuple[Tensor, Tensor, Tensor]
-) -> RodRest:
-    """Rest directions, rest twist, goals and the stiffness that the moments ask for (the module's equations)."""
-    bending, twisting, goal = moments
+def _scale_for_preload(forces: StrandForces, moments: tuple[Tensor, Tensor, Tensor]) -> Float[Tensor, "s e"]:
+    """The stiffness scale at which no edge exceeds the limits of q and psi."""
+    bending, twisting, _ = moments
     needed = bending.norm(dim=-1) / (MOST_PRELOAD * forces.bending_stiffness)
-    scale = torch.maximum(needed, twisting.abs() / (MOST_REST_TWIST * forces.twisting_stiffness)).clamp(min=1)
+    return torch.maximum(needed, twisting.abs() / (MOST_REST_TWIST * forces.twisting_stiffness)).clamp(min=1)
+
+
+def _factors_for_stability(
+    direction: Float[Tensor, "s e 3"],
+    forces: StrandForces,
+    moments: tuple[Tensor, Tensor, Tensor],
+    scale: Float[Tensor, "s e"],
+    support: Float[Tensor, "s n"],
+    contact_stiffness: Float[Tensor, "s n"],
+) -> Float[Tensor, "s e"]:
+    """How many times stiffer each edge has to be for the design to be a minimum."""
+    bending, twisting, goal = moments
+    stiff = replace(
+        forces,
+        bending_stiffness=scale * forces.bending_stiffness,
+        twisting_stiffness=scale * forces.twisting_stiffness,
+    )
+    weight = _goal_weights(forces.held, goal, stiff.bending_stiffness)
+    pull = weight[..., None] * _leaned(direction, goal / weight.clamp(min=1e-30)[..., None])
+    arrays = (support, contact_stiffness, bending, twisting, pull)
+    factors = torch.ones_like(scale)
+    stable_factors(Design(*stiff.arrays(), *(array.contiguous().numpy() for array in arrays)), factors.numpy())
+    return factors
+
+
+def _goal_weights(
+    held: Bool[Tensor, "s e"], goal: Float[Tensor, "s e 3"], stiffness: Float[Tensor, "s e"]
+) -> Float[Tensor, "s e"]:
+    """Weight of the goals of held edges that take a moment `goal` [J]."""
+    return torch.where(held, goal.norm(dim=-1) / MOST_GOAL_PRELOAD + GOAL_STIFFNESS * stiffness, 0.0)
+
+
+def _preloaded(
+    direction: Float[Tensor, "s e 3"],
+    forces: StrandForces,
+    moments: tuple[Tensor, Tensor, Tensor],
+    scale: Float[Tensor, "s e"],
+) -> RodRest:
+    """Rest directions, rest twist and goals that transmit the moments (the module's equations)."""
+    bending, twisting, goal = moments
     stiffness = scale * forces.bending_stiffness
-    weight = goal.norm(dim=-1) / MOST_GOAL_PRELOAD + GOAL_STIFFNESS * stiffness
-    weight = torch.where(forces.held, weight, 0.0)
+    weight = _goal_weights(forces.held, goal, stiffness)
     before, normal = previous_frames(direction)
     return RodRest(
         bending_stiffness=stiffness,

@@ -4,8 +4,8 @@
 
 with m_i and T_i the bending and twist moments of `quaffure.energies.sag_free`, linear in the support forces s_j n_j at
 the vertices. What the body carries in this sense is more than weight: a strand bent over the crown presses on it by its
-tension times its curvature. Least squares within bounds, of at most 23 unknowns a strand, by coordinate descent. Without
-an upper bound, a vertex beside a kink or a tie would push with thousands of its weights on a lever of no length.
+tension times its curvature. Least squares within bounds, of at most 23 unknowns a strand, by coordinate descent.
+Without an upper bound, a vertex beside a kink or a tie would push with thousands of weights on a lever of no length.
 """
 
 from dataclasses import dataclass, fields

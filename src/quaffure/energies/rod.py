@@ -30,7 +30,7 @@ TWISTING_STIFFNESS = BENDING_STIFFNESS / 1.35
 """GJ of the same hair, a round rod of Poisson's ratio 0.35 [N m^2]."""
 SHORTEST_JOINT = 2e-4
 """Least length over which a joint bends [m]: edges of no length must not be infinitely stiff."""
-LEAST_ALIGNMENT = 1e-3
+LEAST_ALIGNMENT = 1e-5
 """Least 1 + cos(angle) between edges in the transport of a frame, which is undefined where an edge folds back."""
 MOST_TWIST_STEPS = 30
 TWIST_TOLERANCE = 1e-5

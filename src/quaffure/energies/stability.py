@@ -114,9 +114,7 @@ def _rest_at(design: Design, strand: int, edge: int, normal: tuple, factor: floa
 
 
 @njit(cache=True)
-def _fill_joint(
-    design: Design, strand: int, edge: int, normal: tuple, factor: float, derivative: np.ndarray
-) -> None:
+def _fill_joint(design: Design, strand: int, edge: int, normal: tuple, factor: float, derivative: np.ndarray) -> None:
     """K of a joint: derivative of its moment by the rotation of the edge beyond, by central differences."""
     direction = _row(design.direction[strand], edge)
     before = _row(design.direction[strand], max(edge - 1, 0))
@@ -221,9 +219,7 @@ def _stable_factors(design: Design, strand: int, factors: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def _first_unstable(
-    design: Design, strand: int, normals: np.ndarray, factors: np.ndarray, hessian: np.ndarray
-) -> int:
+def _first_unstable(design: Design, strand: int, normals: np.ndarray, factors: np.ndarray, hessian: np.ndarray) -> int:
     """The edge, from tip to root, up to which the strand is stable no more if clamped before it; -1 for none."""
     x, derivative = design.strands[strand], np.empty((3, 3))
     for edge in range(len(factors) - 1, -1, -1):

@@ -5,7 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
+from benchmarks.rods.direction_rod import CASES, RIGID, errors_mm, spring_compliance
 from quaffure.energies.rod import (
+    TWISTING_STIFFNESS,
     RodRest,
     energy_at_twist,
     energy_rod,
@@ -148,3 +150,29 @@ def test_edge_without_length_gets_no_force() -> None:
     positions.requires_grad_()
     gradient = _gradient(fused_rod(positions, rod_arrays(rest, torch.float64), rotation), positions)
     assert bool(torch.isfinite(gradient).all())
+
+
+# Largest distance from the heavy rod at 24 vertices [mm].
+HEAVY_ROD = {"straight": 1.5, "curl": 3.5, "hanging curl": 3.5, "curl raised by 45 deg": 3.5}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HEAVY_ROD)
+def test_rod_converges_to_the_heavy_rod(name: str) -> None:
+    coarse, medium, fine = (errors_mm(CASES[name], vertices)[1] for vertices in (12, 24, 48))
+    assert medium < HEAVY_ROD[name]
+    assert fine < medium / 2.5
+    assert medium < coarse / 1.5
+
+
+@pytest.mark.slow
+def test_curl_needs_twist() -> None:
+    """With frames that can't twist, a curl is off by a centimetre."""
+    assert errors_mm(CASES["curl"], 24, RIGID * TWISTING_STIFFNESS)[1] > 8
+
+
+def test_helix_stretches_as_a_spring() -> None:
+    found, theory = spring_compliance(24)
+    assert found == pytest.approx(theory, rel=0.15)
+    assert abs(spring_compliance(48)[0] / spring_compliance(48)[1] - 1) < 0.04
+    assert spring_compliance(24, RIGID * TWISTING_STIFFNESS)[0] < 0.6 * theory

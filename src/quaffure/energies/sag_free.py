@@ -222,7 +222,7 @@ def sag_free_report(groom: Groom, rest: SagFreeRest, material: HairMaterial | No
     return SagFreeReport(
         stiffened_percent=100 * len(stiffened) / max(len(scale), 1),
         median_scale=float(stiffened.median()) if len(stiffened) else 1.0,
-        above_10_percent=100 * float((scale > 10).double().mean()),
+        above_10_percent=100 * int((scale > 10).sum()) / max(len(scale), 1),
         supported_percent=100 * float((rest.support[:, 1:] > 0).double().mean()),
         largest_residual=float(residual(groom, rest, material).max()),
     )

@@ -4,9 +4,10 @@
     python benchmarks/loss_kernels.py --contact CLIP [CLIP ...] [--json]
 
 The first prints milliseconds a sample, median of five, of the strand kernel (Eqs. 6, 7, 9, 10), of hair against hair
-(Eqs. 11-13) and of a posed body with its contact look-up, for hair as posed, bent at random, as an untrained network
-leaves it (the closed-form sag, much of it inside the body) and as the shipped network drapes it. Beside the wall time
-stands the time of all processors over the number of threads: the same on an idle machine, and of use on a busy one.
+(Eqs. 11-13) and of a posed body with its contact search, for hair as posed, bent at random, as an untrained network
+leaves it (the closed-form gravity equilibrium, much of it inside the body) and as the shipped network drapes it. With
+the wall time stands the time of all processors over the number of threads: the same on an idle machine, and of use on
+a busy one.
 
 The second compares distance and sign with libigl's exact query, over frames of motion clips on three bodies.
 """
@@ -23,23 +24,23 @@ import numpy as np
 import torch
 
 from quaffure.apps.cli.console import print_json, print_rows
-from quaffure.benchmark.evaluation_set import evaluation_motions
+from quaffure.benchmark.evaluation_set import load_evaluation_set
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import resample
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.energies.closed_form import equilibrium_vectors
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.geometry.occupancy_grid import FREE, OUTSIDE, REACH, OccupancyGrid, classify
+from quaffure.geometry.occupancy_grid import FREE, FREE_DISTANCE, OUTSIDE, classify
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.geometry.surface import Surface
+from quaffure.geometry.surface import Surface, occupancy_of
 from quaffure.io.load_groom import load_groom
 from quaffure.io.read_motion import read_motion
 from quaffure.model.quaffure_model import load_model
 from quaffure.procedural.generator import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training.pose_sampler import PoseSampler
-from quaffure.types import Energy, Positions
+from quaffure.types import Positions
 
 VERTICES = 2000 * 24
 """Of the sample that the figures are scaled to."""
@@ -78,13 +79,10 @@ def kernel_rows(body: BodyModel, name: str, batch: int) -> list[dict[str, object
     share = batch * energy.rest.mass.numel() / VERTICES
     body_wall, body_cpu = cost(lambda: BodyBatch(body, poses, shapes).surface, batch)
 
-    def along_strands(positions: Positions) -> Energy:
-        return energy.along_strands(positions, scene.director, scene.surface)
-
     rows: list[dict[str, object]] = []
     for state, draped in states(scene, energy).items():
-        strands = cost(lambda x=draped: with_gradient(along_strands, x), share)
-        density = cost(lambda x=draped: with_gradient(energy.self_collision, x), share)
+        strands = cost(lambda x=draped: with_gradient(energy.without("self_collision"), x, scene), share)
+        density = cost(lambda x=draped: with_gradient(energy.only("self_collision"), x, scene), share)
         inside = (signed_distance(draped.flatten(1, 2), scene.surface) < 0).float().mean()
         rows.append(
             {
@@ -106,7 +104,7 @@ def kernel_rows(body: BodyModel, name: str, batch: int) -> list[dict[str, object
 def states(scene: Scene, energy: HairEnergy) -> dict[str, Positions]:
     """Hair at four stages of a training run."""
     rest, roots = energy.rest, scene.posed[:, :, 0]
-    sag = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
+    gravity = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
     generator = torch.Generator().manual_seed(1)
     bend = torch.randn(*scene.director.shape[:2], 1, 3, generator=generator)
     bend = scene.director + bend * torch.linspace(0, 1, scene.director.shape[2])[:, None]
@@ -114,13 +112,13 @@ def states(scene: Scene, energy: HairEnergy) -> dict[str, Positions]:
         return {
             "posed": scene.posed.contiguous(),
             "bent": integrate_directions(roots, bend, rest.rest_length),
-            "sagged": integrate_directions(roots, sag, rest.rest_length),
+            "gravity equilibrium": integrate_directions(roots, gravity, rest.rest_length),
             "network": load_model().draper.drape(scene),
         }
 
 
-def with_gradient(energy: Callable[[Positions], Energy], positions: Positions) -> None:
-    energy(positions.requires_grad_()).sum().backward()
+def with_gradient(energy: HairEnergy, positions: Positions, scene: Scene) -> None:
+    energy.total(positions.requires_grad_(), scene).sum().backward()
 
 
 def cost(work: Callable[[], object], samples: float) -> tuple[float, float]:
@@ -150,7 +148,7 @@ def contact_rows(body: BodyModel, clips: list[Path]) -> list[dict[str, object]]:
         distance = signed_distance(points, scene.surface).double().numpy()
         found = [compared(points[k], distance[k], scene.surface, k) for k in range(len(points))]
         rows.append(
-            {"clip": clip.stem, "held_out": clip.stem in evaluation_motions(), "bodies": len(found)}
+            {"clip": clip.stem, "held_out": clip.stem in load_evaluation_set().motions, "bodies": len(found)}
             | {"points": sum(int(each["points"]) for each in found)}
             | {"largest_error_mm": max(each["largest_error_mm"] for each in found)}
             | {name: sum(int(each[name]) for each in found) for name in ("other_sign", "wrong_map")}
@@ -165,8 +163,8 @@ def queries(scene: Scene) -> torch.Tensor:
     vertices = scene.bodies.posed.vertices
     shell = vertices[:, torch.randint(vertices.shape[1], (6000,), generator=generator)]
     shell = shell + 0.02 * (2 * torch.rand(shell.shape, generator=generator) - 1)
-    sag = states(scene, HairEnergy(scene.groom))["sagged"]
-    return torch.cat([scene.posed.flatten(1, 2), sag.flatten(1, 2), shell], dim=1)
+    settled = states(scene, HairEnergy(scene.groom))["gravity equilibrium"]
+    return torch.cat([scene.posed.flatten(1, 2), settled.flatten(1, 2), shell], dim=1)
 
 
 def compared(points: torch.Tensor, found: np.ndarray, surface: Surface, sample: int) -> dict[str, float]:
@@ -175,14 +173,14 @@ def compared(points: torch.Tensor, found: np.ndarray, surface: Surface, sample: 
     faces = surface.topology.faces.numpy()
     exact = igl.signed_distance(exact_points, vertices, faces, sign_type=igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)[0]
     winding = igl.fast_winding_number(vertices, faces, exact_points)
-    space = OccupancyGrid(*(field[sample] for field in surface.map))
+    space = occupancy_of(surface.sample_arrays(sample))
     known = np.array([classify(*point, space) for point in points.numpy()])
     matters = np.abs(exact) > ROUNDING
     return {
         "points": len(points),
         "largest_error_mm": 1000 * float(np.abs(np.abs(found) - np.abs(exact)).max()),
         "other_sign": int(((found < 0) != (exact < 0))[matters].sum()),
-        "wrong_map": int(((known == FREE) & (exact < REACH)).sum() + ((known == OUTSIDE) & (exact < 0)).sum()),
+        "wrong_map": int(((known == FREE) & (exact < FREE_DISTANCE)).sum() + ((known == OUTSIDE) & (exact < 0)).sum()),
         "other_winding_percent": 100 * float(((found < 0) != (winding > 0.5))[matters].mean()),
     }
 

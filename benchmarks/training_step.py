@@ -19,14 +19,16 @@ import torch
 
 from quaffure.body.body_model import load_body
 from quaffure.body.pose_prior import load_pose_prior
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies import hair_energy
 from quaffure.io.load_groom import load_groom
 from quaffure.model.neural import NeuralDraper
 from quaffure.scene import BodyBatch
 from quaffure.training.averaged_adam import AveragedAdam
+from quaffure.training.loop import Training
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_config import TrainConfig
-from quaffure.training.train_decoder import DecoderTraining
+from quaffure.training.train_decoder import DecoderRecipe
+from quaffure.training.validation import prior_validation
 
 WARM_UP, STEPS = 8, 24
 
@@ -40,9 +42,9 @@ class Stopwatch:
     def around(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*args: Any, **kwargs: Any) -> Any:
             start = time.perf_counter()
-            answer = function(*args, **kwargs)
+            result = function(*args, **kwargs)
             self.seconds[part] += time.perf_counter() - start
-            return answer
+            return result
 
         return timed
 
@@ -59,11 +61,11 @@ def main() -> None:
         runs=3, frames=2, bf16=True, self_collision_every=options.self_collision_every, log_every=10_000
     )
     with TemporaryDirectory() as folder:
-        training = DecoderTraining(config, body, grooms, PoseSampler(load_pose_prior()), Path(folder))
-        measure(training)
+        recipe = DecoderRecipe(config, body, grooms, PoseSampler(load_pose_prior()), prior_validation())
+        measure(Training(recipe, Path(folder)))
 
 
-def measure(training: DecoderTraining) -> None:
+def measure(training: Training[DecoderRecipe]) -> None:
     """Print samples per second, and the share of each part by wrapping the functions that a step calls."""
     steps = training.steps()
     for _ in range(WARM_UP):
@@ -73,22 +75,22 @@ def measure(training: DecoderTraining) -> None:
         start = time.perf_counter()
         next(steps)
         times.append(time.perf_counter() - start)
-    samples = training.samples_per_step
+    samples = training.recipe.samples_per_step
     mean = statistics.mean(times)
     print(f"{samples / mean:.1f} samples/s, {1000 * mean / samples:.1f} ms a sample, {samples} samples a step")
-    print(f"torch threads: {torch.get_num_threads()}, grooms: {[(g.name, len(g)) for g in training.grooms]}")
+    print(f"torch threads: {torch.get_num_threads()}, grooms: {[(g.name, len(g)) for g in training.recipe.grooms]}")
 
     watch = Stopwatch()
     parts = (
         (PoseSampler, "sample", "poses and shapes"),
-        (HairEnergy, "along_strands", "Eqs. 6, 7, 9, 10, value and gradient"),
-        (HairEnergy, "self_collision", "Eqs. 11-13, value and gradient"),
+        (hair_energy, "strand_energy", "Eqs. 6, 7, 9, 10, value and gradient"),
+        (hair_energy, "fused_self_collision", "Eqs. 11-13, value and gradient"),
         (NeuralDraper, "deform", "posing and network, forward"),
         (torch.Tensor, "backward", "backward"),
         (AveragedAdam, "update", "update of weights and their average"),
     )
     patches = [mock.patch.object(owner, name, watch.around(part, getattr(owner, name))) for owner, name, part in parts]
-    for cached, part in (("posed", "body"), ("surface", "contact look-up")):
+    for cached, part in (("posed", "body"), ("surface", "contact search")):
         function = getattr(BodyBatch, cached).func
         patches.append(mock.patch.object(getattr(BodyBatch, cached), "func", watch.around(part, function)))
     for patch in patches:
@@ -98,7 +100,7 @@ def measure(training: DecoderTraining) -> None:
         next(steps)
     total = time.perf_counter() - start
     mock.patch.stopall()
-    # The body is posed inside the first groom's draping, its look-up inside the energy's arguments.
+    # The body is posed inside the first groom's draping, its search structure inside the energy's arguments.
     watch.seconds["posing and network, forward"] -= watch.seconds["body"]
     watch.seconds["everything else"] = total - sum(watch.seconds.values())
     for part, seconds in sorted(watch.seconds.items(), key=lambda item: -item[1]):

@@ -31,7 +31,7 @@ TRAINING_SAMPLES, HELD_OUT_SAMPLES, SHAPE_COUNT = 600, 100, 10
 # Fingers go: what is left of the rig are the 27 joints of the paper.
 REMOVED_BONES = ("LThumb", "RThumb", "LeftHandFinger1", "RightHandFinger1")
 CAVITIES = ["eye_cavity.L", "eye_cavity.R", "mouth_cavity"]
-# Grown people of all kinds. Sampling all of every range gives impossible bodies.
+# Adults of all kinds. Sampling all of every range gives impossible bodies.
 PHENOTYPE_RANGES = {
     "age": (2 / 3, 1.0),
     "height": (0.3, 0.7),

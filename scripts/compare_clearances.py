@@ -5,18 +5,18 @@ their collision margin; means over grooms and poses, energies in the unit of the
 """
 
 import sys
+from copy import copy
+from dataclasses import replace
 
 import torch
 
 from quaffure.body.body_model import load_body
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.energies.rest_state import rest_state
 from quaffure.io.load_groom import load_groom
 from quaffure.model.neural import NeuralDraper
-from quaffure.model.projection import projected
 from quaffure.model.quaffure_model import load_model
 from quaffure.scene import BodyBatch, Scene
-from quaffure.training.validation import prior_validation, validation_figures
+from quaffure.training.validation import prior_validation, validation_metrics
 from quaffure.types import Positions
 
 SHARES = (None, 0.0, 0.25, 0.5, 1.0)
@@ -28,15 +28,20 @@ class ClearedDraper:
     name = "cleared"
 
     def __init__(self, network: NeuralDraper, share: float | None) -> None:
-        self.network, self.material, self.share = network, network.material, share
+        """
+        Args:
+            share: None to leave the hair as the network predicts it.
+        """
+        self.material, self.share, layers = network.material, share, copy(network.network)
+        projection = replace(layers.config.projection, clearance_share=share or 0.0)
+        layers.config = replace(layers.config, projection=projection)
+        self.draper = NeuralDraper(layers, self.material, network.bf16)
 
     def drape(self, scene: Scene) -> Positions:
+        if self.share is not None:
+            return self.draper.drape(scene)
         with torch.no_grad():
-            hair = self.network.deform(scene)
-        if self.share is None:
-            return hair
-        rest = rest_state(scene.groom.rest_strands, self.material)
-        return projected(hair, rest.rest_length, self.share * rest.collision_margin, scene.bodies)
+            return self.draper.deform(scene)
 
 
 def main(names: list[str]) -> None:
@@ -47,7 +52,7 @@ def main(names: list[str]) -> None:
     print("| out to | elastic | body contact | hair contact | sum | inside the body [%] |")
     print("|---|---|---|---|---|---|")
     for share in SHARES:
-        means = validation_figures(ClearedDraper(network, share), pairs)
+        means = validation_metrics(ClearedDraper(network, share), pairs)
         print(
             f"| {'as the network has it' if share is None else f'{share:g} of the margin'} |"
             f" {means['stretch_shear'] + means['stretch']:.3f} | {means['body_collision']:.3f} |"

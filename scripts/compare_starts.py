@@ -19,13 +19,14 @@ from quaffure.geometry.polyline import integrate_directions
 from quaffure.hair.strand_blocks import cluster_representatives
 from quaffure.io.load_groom import load_groom
 from quaffure.model.initial_shape import resolve_contact_twice
-from quaffure.model.initial_shape_kernels import PROPAGATED_SHARE
+from quaffure.model.network_config import InitialShapeConfig
 from quaffure.model.prepared_groom import initial_clearance
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training.pose_sampler import PoseSampler
 
 POSES, SEED = 6, 20_000
-SHARES = (0.15, PROPAGATED_SHARE, 0.5)
+CONFIG = InitialShapeConfig()
+SHARES = (0.15, CONFIG.propagated_share, 0.5)
 
 
 def main(names: list[str]) -> None:
@@ -39,7 +40,7 @@ def main(names: list[str]) -> None:
         scene, energy = Scene(groom, bodies), HairEnergy(groom, HairMaterial())
         for start, edges in _starts(scene, energy).items():
             hair = integrate_directions(scene.posed[:, :, 0], edges, energy.rest.rest_length)
-            terms = energy.terms(hair, scene.director, scene.surface)
+            terms = energy.by_term(hair, scene)
             means = {key: float(energy.per_vertex(value).mean()) for key, value in terms.items()}
             inside = float(intersection_percent(hair, scene).mean())
             print(
@@ -50,22 +51,23 @@ def main(names: list[str]) -> None:
 
 def _starts(scene: Scene, energy: HairEnergy) -> dict[str, torch.Tensor]:
     rest, body, root = energy.rest, scene.bodies.body, scene.posed[:, :, 0]
-    sag = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
-    surface = mls_body(body, scene.bodies.posed)
-    layered = initial_clearance(scene.groom, rest, energy.material, body)
-    margins = {"slid": rest.collision_margin, "slid in layers": layered}
-    slid = {
-        name: resolve_contact_reference(root, sag, rest.rest_length, margin, surface)[0]
+    free = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, energy.material.k_cosserat)
+    surface = mls_body(body, scene.bodies.posed, CONFIG.body)
+    layered = initial_clearance(scene.groom, rest, energy.material, body, CONFIG)
+    margins = {"contact resolved": rest.collision_margin, "the same in layers": layered}
+    once = {
+        name: resolve_contact_reference(root, free, rest.rest_length, margin, surface)[0]
         for name, margin in margins.items()
     }
-    alone, leader = torch.arange(len(scene.groom)), cluster_representatives(scene.groom)
+    alone = torch.arange(len(scene.groom))
+    _, representative = cluster_representatives(scene.groom, CONFIG.cluster_size, CONFIG.cluster_radius)
 
-    def twice(leader: torch.Tensor, share: float) -> torch.Tensor:
-        return resolve_contact_twice(root, sag, rest.rest_length, layered, surface, leader, share)[0]
+    def twice(representative: torch.Tensor, share: float) -> torch.Tensor:
+        return resolve_contact_twice(root, free, rest.rest_length, layered, surface, representative, share)[0]
 
-    handed = {f"slid twice, {share:g} handed back": twice(leader, share) for share in SHARES}
-    handed[f"the same with {PROPAGATED_SHARE:g}, each feeling for itself"] = twice(alone, PROPAGATED_SHARE)
-    return {"posed": scene.director, "sag": sag, **slid, **handed}
+    propagated = {f"resolved twice, {share:g} propagated": twice(representative, share) for share in SHARES}
+    propagated["the same, every strand its own representative"] = twice(alone, CONFIG.propagated_share)
+    return {"posed": scene.director, "equilibrium": free, **once, **propagated}
 
 
 if __name__ == "__main__":

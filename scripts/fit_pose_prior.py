@@ -16,7 +16,7 @@ from scipy.stats import norm, rankdata
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion, joint_matrices, without_heading
-from quaffure.body.pose_prior import PRIOR_FILE, PosePrior, check_prior
+from quaffure.body.pose_prior import PRIOR_FILE, PosePrior
 from quaffure.body.retargeting import body_bone
 from quaffure.errors import InputError
 from quaffure.io.atomic import replacing
@@ -27,7 +27,7 @@ EVALUATION_SET = PRIOR_FILE.with_name("evaluation_set.json")
 LARGEST_SCORE = 2.6
 EXPLAINED_VARIANCE = 0.99
 BACKWARD_ELBOW_SINE = 0.3  # 17 degrees: elbows overextend by 10 at most
-# People in the clips look ahead; hair needs heads that turn. Range of the head relative to the chest [degrees], about
+# People in the clips face ahead; hair needs heads that turn. Range of the head relative to the chest [degrees], about
 # x (bend), y (lean), z (turn), evenly filled: just inside what healthy necks do (about 45-60, 45 and 60-80).
 HEAD_RANGE_DEGREES = (45.0, 30.0, 70.0)
 NECK_SHARES = {"Neck": 0.28, "Neck1": 0.34, "Head": 0.38}
@@ -50,6 +50,21 @@ def main() -> None:
         )
     frames = sum(map(len, clips))
     print(f"{len(clips)} clips, {frames} frames, {len(prior.rates)} components -> {PRIOR_FILE.name}")
+
+
+def check_prior(prior: PosePrior, source: str) -> None:
+    """Check a fitted prior.
+
+    Raises:
+        InputError: a number is not finite, a table falls, or a row of the loadings has not unit length.
+    """
+    tensors = (prior.mean_pose, prior.scores, prior.quantiles, prior.loadings, prior.rates)
+    if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors):
+        raise InputError(source, "finite numbers", "NaN or infinity")
+    if bool((prior.quantiles.diff(dim=0) < 0).any()):
+        raise InputError(source, "quantiles that rise", "a table that falls")
+    if not torch.allclose(prior.loadings.norm(dim=1), torch.ones(81), atol=1e-4):
+        raise InputError(source, "rows of loadings of unit length", f"{prior.loadings.norm(dim=1)}")
 
 
 def training_clips(folder: Path, body: BodyModel) -> list[Motion]:

@@ -19,7 +19,7 @@ from quaffure.solvers.refined import RefinedDraper
 
 STEPS = (0, 1, 3, 10, 30)
 EVERY = 3
-FIGURES = ("body_intersection_percent", "orientation_error_deg", "density_excess_percent", "energy")
+METRICS = ("body_intersection_percent", "orientation_error_deg", "density_excess_percent", "energy")
 
 
 def main(motion_folder: str, groom_folder: str) -> None:
@@ -41,13 +41,13 @@ def main(motion_folder: str, groom_folder: str) -> None:
 
 
 def _measured(draper: Draper, scene: Scene) -> list[float]:
-    """Figures of merit, and the processor time of a second drape [ms]: the first may compile."""
+    """Metrics, and the processor time of a second drape [ms]: the first may compile."""
     draper.drape(scene)
     start = time.process_time()
     draped = draper.drape(scene).detach()
     took = 1000 * (time.process_time() - start)
-    figures = metrics(draped, scene, HairEnergy(scene.groom, draper.material))
-    return [*(float(figures[name]) for name in FIGURES), took]
+    values = metrics(draped, scene, HairEnergy(scene.groom, draper.material))
+    return [*(float(values[name]) for name in METRICS), took]
 
 
 if __name__ == "__main__":

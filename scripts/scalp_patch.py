@@ -3,7 +3,7 @@
 import igl
 import numpy as np
 
-# The hairline of a grown person on the mean body, seen from its left side: (y, z) [m], y growing to the back.
+# The hairline of an adult on the mean body, in profile from its left side: (y, z) [m], y increasing to the back.
 # In turn: forehead, receding corner, temple, sideburn, around the ear, down behind it, nape; then beyond the head.
 HAIRLINE = np.array(
     [

@@ -9,28 +9,11 @@ if TYPE_CHECKING:
     from quaffure.body.body_model import BodyModel
     from quaffure.geometry.surface import Surface
 
-SOLVERS = Path(__file__).parents[1] / "src" / "quaffure" / "solvers"
-
 if importlib.util.find_spec("beartype") is not None:
-    from jaxtyping import install_import_hook
-
     # Shapes are code: every annotated function checks its arrays while the tests run.
-    _hook = install_import_hook(
-        [
-            f"quaffure.{room}"
-            for room in (
-                "hair",
-                "procedural",
-                "body",
-                "energies.elastic",
-                "energies.gravity",
-                "model",
-                *(f"solvers.{file.stem}" for file in SOLVERS.glob("[a-z]*.py")),
-                "baselines",
-            )
-        ],
-        "beartype.beartype",
-    )
+    from tests import shape_checks
+
+    shape_checks.install()
 
 SHARED_DATA = Path(__file__).parents[2] / "shared" / "data"
 

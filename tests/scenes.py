@@ -9,6 +9,7 @@ from scipy.spatial import ConvexHull
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface, posed_surface, surface_topology
 from quaffure.hair.groom import Groom
+from quaffure.scene import PosedScene
 
 
 def sphere_mesh(radius: float = 0.1, count: int = 400) -> tuple[torch.Tensor, torch.Tensor]:
@@ -49,6 +50,12 @@ def sphere_groom(**options: int | float) -> Groom:
         root_barycentric=torch.full((count, 3), 1 / 3),
         root_uv=torch.rand(count, 2, generator=torch.Generator().manual_seed(1)),
     )
+
+
+def posed_scene(groom: Groom, posed: torch.Tensor | None = None, surface: Surface | None = None) -> PosedScene:
+    """A groom, at rest or posed [b s n 3], on a sphere of radius 0.1 m or on another surface."""
+    posed = groom.rest_strands[None] if posed is None else posed
+    return PosedScene(groom, posed, surface or sphere_surface(len(posed), dtype=posed.dtype))
 
 
 def bent_inwards(groom: Groom, batch: int = 2, seed: int = 3) -> tuple[torch.Tensor, torch.Tensor]:

@@ -162,7 +162,7 @@ def _rewritten(tmp_path: Path, **changes: np.ndarray | None) -> Path:
         ({"faces": None}, "no array faces"),
         ({"rest_joints": np.zeros((26, 3), np.float32)}, "rest_joints of shape"),
         ({"skin_weights": np.zeros((5, 7), np.float32)}, "skin_weights of shape"),
-        ({"rest_joints": np.full((27, 3), np.nan, np.float32)}, "finite numbers in rest_joints"),
+        ({"rest_joints": np.full((27, 3), np.nan, np.float32)}, "finite rest_joints"),
         ({"faces": np.full((4, 3), 10**6, np.int32)}, "below 12408 in faces"),
         ({"joint_parents": np.arange(27, dtype=np.int32)}, "parents"),
     ],
@@ -173,7 +173,7 @@ def test_a_contradictory_file_is_refused(tmp_path: Path, changes: dict[str, np.n
 
 
 def test_files_of_other_kinds_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match="No such file"):
         load_body(tmp_path / "missing.npz")
     (tmp_path / "text.npz").write_text("no archive")
     with pytest.raises(InputError, match=r"text\.npz"):

@@ -23,7 +23,8 @@ from quaffure.io.read_strands import read_strands
 from quaffure.io.usd import write_usd
 from quaffure.model import quaffure_model
 from quaffure.model.checkpoint import save_network
-from quaffure.model.quaffure_network import NetworkConfig, build_network
+from quaffure.model.network_config import NetworkConfig
+from quaffure.model.quaffure_network import build_network
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import STYLES
 from tests.synthetic_drape import drape as synthetic_drape
@@ -95,6 +96,35 @@ def posed(groom: Path | str, *more: str) -> tuple[str, ...]:
 # --- what is written -------------------------------------------------------------------------------------------------
 
 
+def test_each_frame_is_posed_once_measuring_and_writing_included(
+    tmp_path: Path, inputs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames: list[int] = []
+    kinematics = BodyModel._forward_kinematics
+
+    def counted(self: BodyModel, pose: torch.Tensor, joints: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        frames.append(len(pose))
+        return kinematics(self, pose, joints)
+
+    outputs = [part for name in ("d.npz", "d.usda") for part in ("--out", str(tmp_path / name))]
+    reference = ("--reference", str(tmp_path / "d.npz"))
+    main([*posed(inputs / "tiny.npz"), "--motion", "nod", "--frames", "0:12", *outputs])
+    monkeypatch.setattr(BodyModel, "_forward_kinematics", counted)
+    main(
+        [
+            *posed(inputs / "tiny.npz"),
+            "--motion",
+            "nod",
+            "--frames",
+            "0:12",
+            *reference,
+            "--out",
+            str(tmp_path / "e.npz"),
+        ]
+    )
+    assert sum(frames) == 12
+
+
 def test_drape_writes_every_format_and_prints_figures(
     tmp_path: Path, inputs: Path, groom: Groom, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -117,11 +147,11 @@ def test_drape_writes_every_format_and_prints_figures(
     assert printed["meta"]["groom"] == groom.name
     assert printed["milliseconds"] > 0
     assert printed["with_preparation"] is True
-    figures = printed["per_frame"]["posed"]
-    assert all(len(per_frame) == 3 for per_frame in figures.values())
-    assert max(figures["orientation_error_deg"]) < 1e-3
-    assert max(figures["length_error_percent"]) < 0.01
-    assert min(figures["body_intersection_percent"]) >= 0
+    metrics = printed["per_frame"]["posed"]
+    assert all(len(per_frame) == 3 for per_frame in metrics.values())
+    assert max(metrics["orientation_error_deg"]) < 1e-3
+    assert max(metrics["length_error_percent"]) < 0.01
+    assert min(metrics["body_intersection_percent"]) >= 0
 
 
 def test_adam_settles_one_frame_and_serves_as_reference(
@@ -134,12 +164,12 @@ def test_adam_settles_one_frame_and_serves_as_reference(
     assert str(reference) in table.replace("\n", "")
     out = ["--out", str(tmp_path / "posed.npz"), "--json"]
     main([*posed(groom, "--frames", "40:41", "--reference", str(reference)), *out])
-    figures = json.loads(capfd.readouterr().out)["per_frame"]["posed"]
-    assert figures["excess_energy"][0] > 0
-    assert figures["distance_mm"][0] > 1
+    metrics = json.loads(capfd.readouterr().out)["per_frame"]["posed"]
+    assert metrics["excess_energy"][0] > 0
+    assert metrics["distance_mm"][0] > 1
 
 
-def test_neural_drapes_with_weights_of_ones_own(tmp_path: Path, inputs: Path) -> None:
+def test_neural_drapes_with_own_weights(tmp_path: Path, inputs: Path) -> None:
     out = tmp_path / "hair.npz"
     weights = str(inputs / "tiny.safetensors")
     main(["drape", str(inputs / "tiny.npz"), "--weights", weights, "--frames", "0:1", "--out", str(out)])
@@ -158,11 +188,11 @@ def test_refining_lowers_the_energy(tmp_path: Path, inputs: Path, capfd: pytest.
     assert energies[1] < energies[0]
 
 
-def test_refining_a_clip_says_that_it_trembles(tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    for frames, said in (("40:41", False), ("40:42", True)):
+def test_refining_a_clip_warns_of_jitter(tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    for frames, message in (("40:41", False), ("40:42", True)):
         out = str(tmp_path / "drape.npz")
         main(["drape", str(inputs / "tiny.npz"), "--frames", frames, "--refine", "1", "--out", out])
-        assert ("tremble" in capfd.readouterr().out) == said
+        assert ("jitter" in capfd.readouterr().out) == message
 
 
 def test_grooms_keep_their_contract(capfd: pytest.CaptureFixture[str]) -> None:
@@ -177,7 +207,7 @@ def test_grooms_keep_their_contract(capfd: pytest.CaptureFixture[str]) -> None:
         assert isinstance(row["held_out"], bool)
 
 
-def test_info_tells_terms(inputs: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_info_prints_terms(inputs: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(quaffure_model, "WEIGHTS", inputs / "tiny.safetensors")
     main(["info", "--json"])
     rows = {row["part"]: row for row in json.loads(capfd.readouterr().out)}
@@ -245,7 +275,7 @@ def test_grooms_with_nan(refusal: Refusal, inputs: Path) -> None:
         arrays = dict(file)
     arrays["rest_strands"][0, 5] = np.nan
     path = refusal.saved("nan.npz", npz_bytes(**arrays))
-    assert f"{path}: expected finite rest_strands, found NaN" in refusal(*posed(path))
+    assert f"{path}: expected a groom file (.npz) with finite rest_strands, found NaN" in refusal(*posed(path))
 
 
 EMPTY = {
@@ -362,7 +392,7 @@ def test_bad_shape_vectors(refusal: Refusal, shape: str, expected: str) -> None:
     ("name", "content", "expected"),
     [
         ("missing.txt", None, "No such file"),
-        ("missing.npz", None, "No such file"),
+        ("missing.npz", None, "no such file"),
         ("three.txt", b"1 2 3\n", "expected 10 coefficients, found 3"),
         ("words.csv", b"a,b,c", "expected numbers separated by commas, found 'a'"),
         ("binary.txt", b"\xff\xfe\x00", "expected a text file"),
@@ -451,7 +481,7 @@ def test_missing_weights(refusal: Refusal) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["drape", "bob", "--draper", "magic"], "--draper: expected one of neural, groomgen, adam"),
         (["drape", "bob", "--draper", "adam", "--refine", "3"], "--refine: expected the draper neural, found 'adam'"),
@@ -462,13 +492,13 @@ def test_missing_weights(refusal: Refusal) -> None:
         ([], "drape, train"),
     ],
 )
-def test_bad_options(refusal: Refusal, arguments: list[str], said: str) -> None:
+def test_bad_options(refusal: Refusal, arguments: list[str], message: str) -> None:
     line = refusal(*arguments, without_out="bob" not in arguments or "--motion" in arguments)
-    assert said in line
+    assert message in line
     assert "│" not in line
 
 
-def test_reasons_of_several_lines_are_told_in_one(refusal: Refusal) -> None:
+def test_reasons_of_several_lines_are_printed_in_one(refusal: Refusal) -> None:
     path = refusal.folder / "two\nlines.hair"
     assert "two lines.hair: expected" in refusal(*posed(path))
 
@@ -483,6 +513,6 @@ def test_the_time_of_a_few_frames_holds_what_is_prepared_once(frames: int, prepa
     assert with_preparation(range(frames)) is prepared
 
 
-@pytest.mark.parametrize(("milliseconds", "said"), [(4.213, "4.21 ms"), (999.0, "999 ms"), (12345.0, "12.3 s")])
-def test_times_are_said_in_their_own_unit(milliseconds: float, said: str) -> None:
-    assert duration(milliseconds) == said
+@pytest.mark.parametrize(("milliseconds", "message"), [(4.213, "4.21 ms"), (999.0, "999 ms"), (12345.0, "12.3 s")])
+def test_times_are_printed_in_ms_or_s(milliseconds: float, message: str) -> None:
+    assert duration(milliseconds) == message

@@ -2,9 +2,10 @@ import torch
 
 from quaffure.config import HairMaterial
 from quaffure.energies.closed_form import equilibrium_edges, equilibrium_vectors
-from quaffure.energies.elastic import energy_stretch, energy_stretch_shear
 from quaffure.energies.gravity import energy_gravity
 from quaffure.energies.rest_state import rest_state
+from quaffure.energies.stretch import energy_stretch
+from quaffure.energies.stretch_shear import energy_stretch_shear
 from quaffure.geometry.polyline import directors
 from tests.scenes import strands_round_sphere
 

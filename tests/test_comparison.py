@@ -1,8 +1,6 @@
 """The evaluation set, drapes that are kept, and the figures that are made of them."""
 
-import json
-import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from unittest import mock
@@ -12,9 +10,10 @@ import pytest
 import torch
 
 from quaffure.baselines.posed import PosedDraper
-from quaffure.benchmark import draping, sources
-from quaffure.benchmark.comparison import compare, summarize
+from quaffure.benchmark import drape_key, draping
+from quaffure.benchmark.comparison import compare, measure_case, summarize
 from quaffure.benchmark.drape_cache import DrapeCache, TimedDrape
+from quaffure.benchmark.drape_key import draper_key
 from quaffure.benchmark.draping import CaseDraper
 from quaffure.benchmark.evaluation_set import (
     CaseEntry,
@@ -23,8 +22,8 @@ from quaffure.benchmark.evaluation_set import (
     load_cases,
     load_evaluation_set,
 )
-from quaffure.benchmark.fingerprint import fingerprint
-from quaffure.benchmark.methods import POSED, ROWS, Competitor, methods
+from quaffure.benchmark.machine_facts import machine
+from quaffure.benchmark.methods import Method
 from quaffure.benchmark.metrics import measure, metrics, total_energy
 from quaffure.body.body_model import BodyModel
 from quaffure.body.clips import CLIP_NAMES, bundled_clip
@@ -34,13 +33,15 @@ from quaffure.drape_motion import drape_motion
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
+from quaffure.model.network_config import NetworkConfig
 from quaffure.model.neural import NeuralDraper
-from quaffure.model.quaffure_network import NetworkConfig, build_network
+from quaffure.model.quaffure_network import build_network
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import HELD_OUT, STYLES
 from quaffure.scene import Scene
 from quaffure.solvers.adam import AdamDraper
 from quaffure.solvers.refined import RefinedDraper
+from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting
 from quaffure.types import Positions
 
 STRANDS = 40
@@ -133,7 +134,7 @@ CALLS: list[int] = []
 
 def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path, case: EvaluationCase, body: BodyModel) -> None:
     CALLS.clear()
-    row = Competitor("counting", Counting())
+    row = Method("counting", Counting())
     first = CaseDraper(body, DrapeCache(tmp_path))
     made = first.drape(row, case, 0)
     # One drape of a few strands to warm up, the drape itself, and its repetitions for the clock.
@@ -148,19 +149,16 @@ def test_a_run_that_is_killed_goes_on_where_it_was(tmp_path: Path, case: Evaluat
     fetched = again.drape(row, case, 0)
     assert CALLS == []
     torch.testing.assert_close(fetched.strands, made.strands, rtol=0, atol=0)
-    assert (fetched.milliseconds, fetched.machine) == (made.milliseconds, draping.machine())
+    assert (fetched.milliseconds, fetched.machine) == (made.milliseconds, machine())
     assert again.known(row, case, 1) is None
     again.drape(row, case, 1)
     assert (again.made, again.fetched) == (1, 1)
-    notes = [json.loads(path.read_text()) for path in tmp_path.glob("*.json")]
-    assert sorted((note["case"], note["frame"], note["draper"]) for note in notes) == [
-        ("tiny-bow", 40, "counting"),
-        ("tiny-bow", 41, "counting"),
-    ]
+    notes = [str(np.load(path)["made"]) for path in tmp_path.glob("*.npz")]
+    assert sorted(notes) == ["tiny-bow, frame 40, counting", "tiny-bow, frame 41, counting"]
 
 
 def test_two_runs_on_one_folder_lose_nothing(tmp_path: Path, case: EvaluationCase, body: BodyModel) -> None:
-    row = Competitor("counting", Counting())
+    row = Method("counting", Counting())
     both = [CaseDraper(body, DrapeCache(tmp_path)) for _ in range(2)]
     for frame, one in enumerate(both):
         one.drape(row, case, frame)
@@ -170,31 +168,35 @@ def test_two_runs_on_one_folder_lose_nothing(tmp_path: Path, case: EvaluationCas
     assert both[0].known(row, case, 1) is not None
 
 
-def test_a_drape_counts_once_its_note_is_written(tmp_path: Path) -> None:
-    drape = TimedDrape(torch.zeros(2, 3, 3), 1.0, "a machine")
+def test_a_drape_that_is_half_written_is_none(tmp_path: Path) -> None:
+    drape = TimedDrape(torch.zeros(2, 3, 3), None, "a machine")
+    cache = DrapeCache(tmp_path)
     with (
-        mock.patch("quaffure.benchmark.drape_cache.json.dumps", side_effect=KeyboardInterrupt),
+        mock.patch("quaffure.benchmark.drape_cache.np.savez", side_effect=KeyboardInterrupt),
         pytest.raises(KeyboardInterrupt),
     ):
-        DrapeCache(tmp_path).put("key", drape, "case", 0, "posed")
-    assert [path.name for path in tmp_path.iterdir()] == ["key.npz"]
-    assert DrapeCache(tmp_path).get("key") is None
+        cache.put("key", drape, "case", 0, "posed")
+    assert list(tmp_path.iterdir()) == []
+    assert cache.get("key") is None
+    cache.put("key", drape, "case", 0, "posed")
+    kept = cache.get("key")
+    assert (kept.milliseconds, kept.machine) == (None, "a machine")
 
 
 def test_slow_drapes_are_timed_by_the_run_that_makes_them(
     tmp_path: Path, case: EvaluationCase, body: BodyModel
 ) -> None:
     CALLS.clear()
-    with mock.patch.object(draping, "PATIENCE", 0.0):
-        CaseDraper(body, DrapeCache(tmp_path)).drape(Competitor("counting", Counting()), case, 0)
+    with mock.patch.object(draping, "SLOW_SECONDS", 0.0):
+        CaseDraper(body, DrapeCache(tmp_path)).drape(Method("counting", Counting()), case, 0)
     assert CALLS == [8, STRANDS]
 
 
-def test_whatever_decides_a_drape_is_in_its_fingerprint(tmp_path: Path, case: EvaluationCase, body: BodyModel) -> None:
+def test_whatever_decides_a_drape_is_in_its_key(tmp_path: Path, case: EvaluationCase, body: BodyModel) -> None:
     draper = CaseDraper(body, DrapeCache(tmp_path))
-    draper.drape(Competitor("counting", Counting()), case, 0)
+    draper.drape(Method("counting", Counting()), case, 0)
 
-    def known(row: Competitor = Competitor("counting", Counting()), of: EvaluationCase = case) -> bool:  # noqa: B008
+    def known(row: Method = Method("counting", Counting()), of: EvaluationCase = case) -> bool:  # noqa: B008
         return CaseDraper(body, draper.cache).known(row, of, 0) is not None
 
     def moved(by: float, strands: slice = slice(None)) -> EvaluationCase:
@@ -205,7 +207,7 @@ def test_whatever_decides_a_drape_is_in_its_fingerprint(tmp_path: Path, case: Ev
     assert known()
     assert known(of=moved(1e-6))
     assert known(of=replace(case, name="another", frames=(7, 8, 9)))
-    assert not known(Competitor("counting", Counting(shift=1e-6)))
+    assert not known(Method("counting", Counting(shift=1e-6)))
     assert not known(of=moved(1e-4))
     assert not known(of=moved(1e-4, slice(7, 8)))
     assert not known(of=replace(case, groom=replace(case.groom, root_uv=case.groom.root_uv + 1e-2)))
@@ -214,28 +216,50 @@ def test_whatever_decides_a_drape_is_in_its_fingerprint(tmp_path: Path, case: Ev
     assert not known(of=replace(case, motion=replace(case.motion, body_pose=case.motion.body_pose + 1e-6)))
 
 
-def test_fingerprints_see_weights_settings_and_material() -> None:
+def test_weights_settings_and_material_are_in_the_key_of_a_draper() -> None:
     torch.manual_seed(0)
     network = build_network(NetworkConfig(texel_channels=4, strand_width=8))
-    before = fingerprint(network)
-    assert fingerprint(network) == before
+    draper = NeuralDraper(network, HairMaterial())
+    before = draper_key(draper)
+    assert draper_key(draper) == before
+    assert draper_key(NeuralDraper(network, HairMaterial(k_cosserat=1e-7))) != before
+    refined = draper_key(RefinedDraper(draper))
     with torch.no_grad():
         next(network.parameters())[0] += 1e-3
-    assert fingerprint(network) != before
-    prints = {
-        fingerprint(AdamDraper()),
-        fingerprint(AdamDraper(steps=301)),
-        fingerprint(AdamDraper(HairMaterial(k_cosserat=1e-7))),
-        fingerprint(PosedDraper()),
+    assert draper_key(draper) != before
+    assert draper_key(RefinedDraper(draper)) != refined
+    keys = {
+        draper_key(AdamDraper()),
+        draper_key(AdamDraper(steps=301)),
+        draper_key(AdamDraper(HairMaterial(k_cosserat=1e-7))),
+        draper_key(XpbdDraper()),
+        draper_key(XpbdDraper(setting=XpbdSetting(steps=7))),
+        draper_key(PosedDraper()),
     }
-    assert len(prints) == 4
+    assert len(keys) == 6
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".json"])
-def test_a_damaged_drape_is_made_again(tmp_path: Path, case: EvaluationCase, body: BodyModel, suffix: str) -> None:
-    row = Competitor("counting", Counting())
+def test_a_renamed_class_or_file_keeps_its_drapes_and_another_version_does_not(
+    tmp_path: Path, case: EvaluationCase, body: BodyModel
+) -> None:
+    draper = CaseDraper(body, DrapeCache(tmp_path))
+    draper.drape(Method("counting", Counting()), case, 0)
+
+    class Renamed(Counting):
+        __module__ = "elsewhere"
+
+    known = CaseDraper(body, draper.cache).known
+    assert known(Method("counting", Renamed()), case, 0) is not None
+    with mock.patch.object(Renamed, "name", "another"):
+        assert CaseDraper(body, draper.cache).known(Method("counting", Renamed()), case, 0) is None
+    with mock.patch.object(drape_key, "DRAPE_VERSION", drape_key.DRAPE_VERSION + 1):
+        assert known(Method("counting", Counting()), case, 0) is None
+
+
+def test_a_damaged_drape_is_made_again(tmp_path: Path, case: EvaluationCase, body: BodyModel) -> None:
+    row = Method("counting", Counting())
     CaseDraper(body, DrapeCache(tmp_path)).drape(row, case, 0)
-    (file,) = tmp_path.glob(f"*{suffix}")
+    (file,) = tmp_path.glob("*.npz")
     file.write_bytes(file.read_bytes()[:40])
     again = CaseDraper(body, DrapeCache(tmp_path))
     again.drape(row, case, 0)
@@ -243,62 +267,9 @@ def test_a_damaged_drape_is_made_again(tmp_path: Path, case: EvaluationCase, bod
     assert again.known(row, case, 0) is not None
 
 
-@pytest.fixture
-def changed(tmp_path: Path) -> Iterator[Callable[[str], None]]:
-    """Changes a module in a copy of the package, which fingerprints are then made of."""
-    copy = shutil.copytree(
-        sources.PACKAGE, tmp_path / "quaffure", ignore=shutil.ignore_patterns("assets", "__pycache__")
-    )
-
-    def change(module: str) -> None:
-        path = copy / module
-        path.write_text(path.read_text() + "ANOTHER = 1\n")
-        sources.sources_of.cache_clear()
-
-    with mock.patch.object(sources, "PACKAGE", copy):
-        sources.sources_of.cache_clear()
-        yield change
-    sources.sources_of.cache_clear()
-
-
-def test_a_changed_energy_makes_other_drapes(changed: Callable[[str], None]) -> None:
-    rows = {row.name: row.draper for row in methods(ROWS, {})}
-
-    def prints() -> dict[str, str]:
-        return {name: fingerprint(draper) for name, draper in rows.items()}
-
-    before = prints()
-    changed("apps/render/__init__.py")
-    changed("benchmark/metrics.py")
-    assert prints() == before
-    changed("energies/gravity.py")  # imported by what solvers import, not by themselves
-    after_energy = prints()
-    assert {name for name in rows if after_energy[name] == before[name]} == {POSED}
-    changed("geometry/rotation.py")
-    after_geometry = prints()
-    assert not {name for name in rows if after_geometry[name] == after_energy[name]}
-
-
-def test_words_in_a_source_do_not_count() -> None:
-    bare = 'class C(Error):\n    x: int = 1\n\ndef f():\n    return "a"\n'
-    said = (
-        '"""What."""\n\nclass C(Error):\n    """Why."""\n    x: int = 1\n    """One."""\n\n'
-        'def f():\n    """How."""\n    return "a"  # yes\n'
-    )
-    assert sources._without_words(bare) == sources._without_words(said)
-    assert sources._without_words(bare) != sources._without_words(bare.replace('"a"', '"b"'))
-
-
-def test_imports_inside_of_functions_count() -> None:
-    source = (
-        "def late():\n    from quaffure.energies import gravity\n    import quaffure.geometry.mesh\n    import torch\n"
-    )
-    assert list(sources._imported(source)) == ["quaffure.energies.gravity", "quaffure.geometry.mesh"]
-
-
 def test_a_drape_of_nan_is_refused(tmp_path: Path, case: EvaluationCase, body: BodyModel) -> None:
     with pytest.raises(InputError, match="counting: expected finite vertices in tiny-bow"):
-        CaseDraper(body, DrapeCache(tmp_path)).drape(Competitor("counting", Counting(float("nan"))), case, 0)
+        CaseDraper(body, DrapeCache(tmp_path)).drape(Method("counting", Counting(float("nan"))), case, 0)
     assert not list(tmp_path.glob("*.npz"))
 
 
@@ -330,7 +301,7 @@ def test_the_reference_is_the_lowest_solver_of_each_frame(case: EvaluationCase, 
     material = HairMaterial(k_cosserat=1e-12, k_stretch=1e-6, k_body_collision=0.0, k_self_collision=0.0)
     (result,) = compare([still], rows, ("first", "second"), body, material)
     assert result.reference == ("first", "second", "first")
-    figures = result.figures
+    figures = result.metrics
     assert figures["first"]["excess_energy"][0] == 0
     assert figures["first"]["excess_energy"][1] > 0
     assert figures["network"]["excess_energy"][1] < 0  # a row that is no solver may be lower than all of them
@@ -348,19 +319,31 @@ def test_the_reference_is_the_lowest_solver_of_each_frame(case: EvaluationCase, 
     )
 
 
+def test_each_frame_of_a_case_is_posed_once_for_all_rows(case: EvaluationCase, body: BodyModel) -> None:
+    drapes = {
+        name: [lifted(body, dict.fromkeys(range(3), 0.0))(case, frame) for frame in range(3)]
+        for name in ("a", "b", "c")
+    }
+    with mock.patch.object(
+        BodyModel, "_forward_kinematics", autospec=True, side_effect=BodyModel._forward_kinematics
+    ) as kinematics:
+        measure_case(case, drapes, ["a", "b"], body, HairMaterial())
+    assert kinematics.call_count == len(case.frames)
+
+
 def test_without_solvers_there_is_no_reference_and_isolated_frames_do_not_tremble(
     case: EvaluationCase, body: BodyModel
 ) -> None:
     flat = dict.fromkeys(range(3), 0.0)
     (alone,) = compare([case], {"network": lifted(body, flat)}, (), body, HairMaterial())
     assert alone.reference == ()
-    assert not {"excess_energy", "distance_mm", "jitter"} & set(alone.figures["network"])
+    assert not {"excess_energy", "distance_mm", "jitter"} & set(alone.metrics["network"])
     apart = replace(case, frames=(10, 20, 30))
     (isolated,) = compare([apart], {"xpbd": lifted(body, flat)}, ("xpbd",), body, HairMaterial())
     assert isolated.reference == ("xpbd",) * 3
-    assert "jitter" not in isolated.figures["xpbd"]
+    assert "jitter" not in isolated.metrics["xpbd"]
     (without,) = compare([case], {"none": lambda case, frame: None}, (), body, HairMaterial())
-    assert without.figures == {}
+    assert without.metrics == {}
 
 
 def test_hair_that_does_not_move_has_no_jitter(case: EvaluationCase, body: BodyModel) -> None:
@@ -369,7 +352,7 @@ def test_hair_that_does_not_move_has_no_jitter(case: EvaluationCase, body: BodyM
     rows = {"xpbd": lifted(body, flat), "network": lifted(body, flat, wave=1e-3)}
     (result,) = compare([still], rows, ("xpbd",), body, HairMaterial())
     assert result.reference == ("xpbd",) * 3
-    for figures in result.figures.values():
+    for figures in result.metrics.values():
         assert "distance_mm" in figures
         assert "jitter" not in figures
     assert "jitter" not in summarize([result])["all"]["network"]
@@ -386,12 +369,12 @@ def test_a_run_weighs_no_more_than_a_frame(case: EvaluationCase, body: BodyModel
     results = compare([case, single], rows, (), body, HairMaterial())
     summary = summarize(results)
     assert list(summary) == ["all", "seen", "unseen", "clip bow"]
-    energies = [result.figures["posed"]["energy"] for result in results]
+    energies = [result.metrics["posed"]["energy"] for result in results]
     assert summary["all"]["posed"]["energy"]["mean"] == pytest.approx(np.mean([np.mean(e) for e in energies]))
     assert summary["all"]["posed"]["energy"]["worst"] == max(energies[0] + energies[1])
     assert summary["unseen"]["posed"]["energy"] == {"mean": energies[1][0], "worst": energies[1][0]}
     assert summary["all"]["posed"]["milliseconds"] == {"median": 15.0, "worst": 30.0}
-    assert summarize([results[0], replace(results[1], figures={})])["all"] == {}
+    assert summarize([results[0], replace(results[1], metrics={})])["all"] == {}
 
 
 def test_refinement_lowers_the_energy_and_keeps_lengths(case: EvaluationCase, body: BodyModel) -> None:

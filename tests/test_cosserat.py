@@ -3,6 +3,7 @@ import math
 import pytest
 import torch
 
+from benchmarks.rods.elastic_potentials import MODELS, ElasticPotential, cosserat
 from quaffure.energies.cosserat import (
     RodStiffness,
     bend_twist_strain,
@@ -16,7 +17,7 @@ from quaffure.energies.cosserat import (
     third_axis,
     transported_frames,
 )
-from quaffure.energies.elastic_model import ELASTIC_MODELS, Cosserat, ElasticState, elastic_model
+from quaffure.energies.hair_terms import ELASTIC_MODELS, hair_terms
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.rotation import matrix_from_axis_angle, quaternion_from_matrix, quaternion_multiply
@@ -32,7 +33,7 @@ def posed_strands() -> tuple[torch.Tensor, torch.Tensor]:
     return posed, posed[0].diff(dim=1).norm(dim=-1)
 
 
-def disturbed(state: ElasticState, posed: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def disturbed(state: ElasticPotential, posed: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Positions and unknowns of two samples, well away from rest."""
     generator = torch.Generator().manual_seed(2)
     x = posed.expand(2, -1, -1, -1) + 0.004 * torch.randn(2, *posed.shape[1:], generator=generator).double()
@@ -44,10 +45,10 @@ def quaternion_about_z(angle: float) -> torch.Tensor:
     return torch.tensor([math.cos(angle / 2), 0, 0, math.sin(angle / 2)], dtype=torch.float64)
 
 
-@pytest.mark.parametrize("name", list(ELASTIC_MODELS))
+@pytest.mark.parametrize("name", list(MODELS))
 def test_gradients_match_central_differences_away_from_rest(name: str) -> None:
     posed, rest_length = posed_strands()
-    state = elastic_model(name).on(posed, rest_length)
+    state = MODELS[name](posed, rest_length)
     x, unknowns = (value.requires_grad_() for value in disturbed(state, posed))
     energy = state.energy(x, unknowns)
     assert energy.shape == (2,)
@@ -66,10 +67,10 @@ def test_gradients_match_central_differences_away_from_rest(name: str) -> None:
         torch.testing.assert_close((up - down) / (2 * step), (gradient * direction).sum(), rtol=1e-5, atol=0)
 
 
-@pytest.mark.parametrize("name", list(ELASTIC_MODELS))
+@pytest.mark.parametrize("name", list(MODELS))
 def test_posed_rest_is_unstrained_in_any_pose_and_disturbed_it_is_not(name: str) -> None:
     posed, rest_length = posed_strands()
-    state = elastic_model(name).on(posed, rest_length)
+    state = MODELS[name](posed, rest_length)
     at_rest, away = state.energy(posed, state.unknowns), state.energy(*disturbed(state, posed))
     assert (at_rest.abs() < 1e-16 * away.min()).all() or (at_rest.abs() < 1e-24).all()
     x = posed.clone().requires_grad_()
@@ -77,15 +78,14 @@ def test_posed_rest_is_unstrained_in_any_pose_and_disturbed_it_is_not(name: str)
     assert gradient.abs().max() < 1e-12
 
 
-@pytest.mark.parametrize("name", list(ELASTIC_MODELS))
+@pytest.mark.parametrize("name", list(MODELS))
 def test_energy_does_not_change_when_head_and_hair_move_rigidly_together(name: str) -> None:
     posed, rest_length = posed_strands()
-    model = elastic_model(name)
-    state = model.on(posed, rest_length)
+    state = MODELS[name](posed, rest_length)
     x, unknowns = disturbed(state, posed)
     energy = state.energy(x, unknowns)
     for turn in (TURN, torch.diag(torch.tensor([-1.0, 1.0, -1.0], dtype=torch.float64))):
-        moved_state = model.on(posed @ turn.mT + 1.5, rest_length)
+        moved_state = MODELS[name](posed @ turn.mT + 1.5, rest_length)
         moved = unknowns
         if name == "cosserat":
             # The transported frames of the moved strands are the moved frames but for a spin about their directors.
@@ -137,7 +137,7 @@ def test_one_bent_twisted_and_stretched_pair_by_hand() -> None:
 
 def test_a_quaternion_and_its_negative_are_one_rotation() -> None:
     posed, rest_length = posed_strands()
-    state = Cosserat(STIFF).on(posed, rest_length)
+    state = cosserat(STIFF)(posed, rest_length)
     x, unknowns = disturbed(state, posed)
     signs = torch.where(torch.arange(9) % 2 == 0, 1.0, -1.0).double()[:, None]
     torch.testing.assert_close(state.energy(x, signs * unknowns), state.energy(x, unknowns))
@@ -153,13 +153,13 @@ def test_bending_by_the_rest_angle_to_the_wrong_side_is_not_taken_for_rest() -> 
 
 def test_clamp_resists_a_turn_of_the_whole_strand() -> None:
     posed, rest_length = posed_strands()
-    state = Cosserat(STIFF).on(posed, rest_length)
+    state = cosserat(STIFF)(posed, rest_length)
     angle = 0.3
     turn = matrix_from_axis_angle(angle * directors(posed)[0, 0, 0])
     x = (posed - posed[:, :, :1]) @ turn.mT + posed[:, :, :1]
     q = quaternion_multiply(quaternion_from_matrix(turn), state.unknowns)
     # The first strand turns about its own first edge: pure twist over half that edge.
-    one = Cosserat(STIFF).on(posed[:, :1], rest_length[:1])
+    one = cosserat(STIFF)(posed[:, :1], rest_length[:1])
     energy = one.energy(x[:, :1], q[:, :1]).item()
     half = 0.5 * rest_length[0, 0].item()
     assert energy == pytest.approx(0.5 * 3e-9 * half * (2 / half * math.sin(angle / 2)) ** 2, rel=1e-6)
@@ -167,5 +167,5 @@ def test_clamp_resists_a_turn_of_the_whole_strand() -> None:
 
 def test_unknown_model_is_refused_with_the_names() -> None:
     with pytest.raises(InputError, match="modified_cosserat, cosserat, mass_spring"):
-        elastic_model("rubber")
-    assert [elastic_model(name).name for name in ELASTIC_MODELS] == list(ELASTIC_MODELS)
+        hair_terms("rubber")
+    assert list(ELASTIC_MODELS) == list(MODELS)

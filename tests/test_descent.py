@@ -5,19 +5,22 @@ from dataclasses import replace
 import pytest
 import torch
 
+from quaffure.backend import Backend
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.draper import Draper
 from quaffure.energies.closed_form import equilibrium_edges, equilibrium_vectors
-from quaffure.energies.elastic_model import ELASTIC_MODELS
+from quaffure.energies.cosserat import Cosserat
+from quaffure.energies.energy_term import HairState
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.hair_terms import ELASTIC_MODELS, hair_terms
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
 from quaffure.solvers.by_name import DESCENTS, MODIFIED_ONLY, SOLVERS, solver
 from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
 from quaffure.solvers.stopping import energy_and_gradient, relative_gradient, without_tensions
-from tests.scenes import bent_inwards, sphere_groom, sphere_surface
-from tests.test_xpbd import scene_of, strands_by_hand
+from tests.scenes import bent_inwards, posed_scene, sphere_groom
+from tests.test_xpbd import strands_by_hand
 
 SOFT = HairMaterial(k_cosserat=5e-8)
 """Strands of 10 cm sag a good deal."""
@@ -43,12 +46,12 @@ def test_free_strands_descend_towards_the_closed_form(
     draper: AdamPositionsDraper | LbfgsPositionsDraper, share: float
 ) -> None:
     """At least a `share` of the energy between the posed groom and the exact minimum goes, and never more than all."""
-    scene = scene_of(sphere_groom(strands=12))
+    scene = posed_scene(sphere_groom(strands=12))
     energy = HairEnergy(scene.groom, FREE)
     rest = energy.rest
     edges = equilibrium_edges(scene.director, rest.rest_length, rest.mass_beyond, FREE.k_cosserat, FREE.k_stretch)
     exact = torch.cat([scene.posed[:, :, :1], scene.posed[:, :, :1] + edges.cumsum(2)], dim=2)
-    least, most = (float(energy.total(x, scene.director, scene.surface)) for x in (exact, scene.posed))
+    least, most = (float(energy.total(x, scene)) for x in (exact, scene.posed))
     draped, report = draper.solve(scene)
     assert least < most
     assert share < (most - report.energy) / (most - least) < 1.001
@@ -57,14 +60,14 @@ def test_free_strands_descend_towards_the_closed_form(
 
 def test_lbfgs_on_directions_pushes_the_sag_out_of_the_body_and_keeps_lengths() -> None:
     material = replace(SOFT, k_self_collision=0.0)
-    scene = scene_of(sphere_groom(strands=12))
+    scene = posed_scene(sphere_groom(strands=12))
     energy = HairEnergy(scene.groom, material)
     rest = energy.rest
     sag = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, material.k_cosserat)
     start = integrate_directions(scene.posed[:, :, 0], sag, rest.rest_length)
-    before = float(energy.per_vertex(energy.total(start, scene.director, scene.surface)))
+    before = float(energy.per_vertex(energy.total(start, scene)))
     draped, report = LbfgsDraper(material).solve(scene)
-    after = float(energy.per_vertex(torch.tensor(report.energy)))
+    after = float(energy.per_vertex(torch.tensor([report.energy])))
     assert after < before - 0.1
     assert torch.allclose(draped.diff(dim=2).norm(dim=-1), rest.rest_length.expand(1, -1, -1), rtol=1e-4)
     assert torch.equal(draped[:, :, 0], scene.posed[:, :, 0])
@@ -78,7 +81,7 @@ def test_every_name_makes_a_draper_that_knows_its_name() -> None:
         assert draper.name == name.removesuffix("_paper")
     for name in DESCENTS:
         for elastic in ELASTIC_MODELS:
-            assert solver(name, FREE, elastic).elastic == elastic  # type: ignore[attr-defined]
+            assert solver(name, FREE, elastic).terms == hair_terms(elastic)  # type: ignore[attr-defined]
 
 
 def test_unknown_names_and_models_that_a_solver_does_not_take_are_refused() -> None:
@@ -113,7 +116,7 @@ def test_tensions_along_the_edges_are_taken_out_of_a_gradient_and_nothing_else()
 
 
 def test_solvers_on_directions_and_on_positions_end_at_the_same_measure() -> None:
-    scene = scene_of(sphere_groom(strands=12, vertices=8))
+    scene = posed_scene(sphere_groom(strands=12, vertices=8))
     energy = HairEnergy(scene.groom, FREE)
     posed = relative_gradient(energy, scene.posed, energy_and_gradient(energy, scene, scene.posed)[1])
     weights = STANDARD_GRAVITY * energy.rest.mass[:, 1:].norm()
@@ -139,9 +142,9 @@ def test_solvers_on_directions_and_on_positions_end_at_the_same_measure() -> Non
     ],
 )
 def test_a_strand_hangs_as_its_elastic_model_is_documented_to(elastic: str, tip: tuple[float, float, float]) -> None:
-    scene = scene_of(strands_by_hand(horizontal_strand() + torch.tensor([0.1, 0.0, 0.5])))
+    scene = posed_scene(strands_by_hand(horizontal_strand() + torch.tensor([0.1, 0.0, 0.5])))
     free = replace(HairMaterial(), k_body_collision=0.0, k_self_collision=0.0)
-    draped, report = AdamDraper(free, elastic=elastic).solve(scene)
+    draped, report = AdamDraper(free, terms=hair_terms(elastic)).solve(scene)
     distance = (1000 * (draped[0, 0, -1] - draped[0, 0, 0]) - torch.tensor(tip)).norm()
     assert distance < 2
     assert report.relative_gradient < 0.02
@@ -151,51 +154,49 @@ def test_a_strand_hangs_as_its_elastic_model_is_documented_to(elastic: str, tip:
 def test_gradient_of_the_whole_energy_is_that_of_finite_differences(elastic: str) -> None:
     groom = sphere_groom(strands=4, vertices=9)
     groom = replace(groom, rest_strands=groom.rest_strands.double())
-    energy = HairEnergy(groom, HairMaterial(k_self_collision=1e-4), elastic)
-    surface = sphere_surface(1, dtype=torch.float64)
+    energy = HairEnergy(groom, HairMaterial(k_self_collision=1e-4), hair_terms(elastic))
+    scene = posed_scene(groom)
     # Not as deep as they start: Eq. 10's cubic would drown the elastic part.
-    bent, director = (part.double() for part in bent_inwards(groom, batch=1))
+    bent = bent_inwards(groom, batch=1)[0].double()
     bent = groom.rest_strands + 0.2 * (bent - groom.rest_strands)
-    turns = energy.no_turns(director) + 0.05 * torch.randn_like(energy.no_turns(director))
+    variables = energy.initial_variables(scene)
+    assert list(variables) == (["elastic"] if elastic == "cosserat" else [])
     free = bent[:, :, 1:].clone().requires_grad_()
-    turns = turns.detach().requires_grad_()
+    disturbed = [(value + 0.05 * torch.randn_like(value)).requires_grad_() for value in variables.values()]
 
-    def total(free: torch.Tensor, turns: torch.Tensor) -> torch.Tensor:
+    def total(free: torch.Tensor, *values: torch.Tensor) -> torch.Tensor:
         positions = torch.cat([bent[:, :, :1], free], dim=2)
-        unknowns = energy.following(positions, director, turns)
-        return 1e6 * energy.total(positions, director, surface, unknowns)
+        return 1e6 * energy.total(positions, scene, dict(zip(variables, values)))
 
-    (gradient,) = torch.autograd.grad(total(free, turns).sum(), free)
+    (gradient,) = torch.autograd.grad(total(free, *disturbed).sum(), free)
     assert gradient.abs().min() > 0
-    assert torch.autograd.gradcheck(total, (free, turns), eps=1e-7, atol=1e-3, rtol=1e-4)
+    assert torch.autograd.gradcheck(total, (free, *disturbed), eps=1e-7, atol=1e-3, rtol=1e-4)
 
 
 def test_compiled_and_reference_energy_agree_for_every_elastic_model() -> None:
     groom = sphere_groom(strands=6)
-    positions, director = bent_inwards(groom, batch=1)
+    positions, scene = bent_inwards(groom, batch=1)[0], posed_scene(groom)
     for elastic in ELASTIC_MODELS:
-        energy = HairEnergy(groom, elastic=elastic)
-        unknowns = energy.following(positions, director, energy.no_turns(director))
-        compiled = energy.terms(positions, director, sphere_surface(1), unknowns)
-        reference = energy.reference_terms(positions, director, sphere_surface(1), unknowns)
+        energy, twin = (HairEnergy(groom, None, hair_terms(elastic), backend) for backend in Backend)
+        compiled, reference = energy.by_term(positions, scene), twin.by_term(positions, scene)
         assert compiled.keys() >= {"gravity", "body_collision", "self_collision"}
         assert ("elastic" in compiled) == (elastic != "modified_cosserat")
-        total = energy.total(positions, director, sphere_surface(1), unknowns)
+        total = energy.total(positions, scene)
         torch.testing.assert_close(total, torch.stack(list(reference.values())).sum(0), rtol=1e-4, atol=0)
         torch.testing.assert_close(total, torch.stack(list(compiled.values())).sum(0), rtol=1e-4, atol=0)
 
 
-def test_the_full_rod_asks_for_its_quaternions() -> None:
-    groom = sphere_groom(strands=2)
-    positions, director = bent_inwards(groom, batch=1)
-    with pytest.raises(ValueError, match="unknowns of the elastic model cosserat"):
-        HairEnergy(groom, elastic="cosserat").total(positions, director, sphere_surface(1))
-
-
-def test_frames_follow_their_edges() -> None:
+def test_frames_follow_their_edges_unless_variables_rotate_them() -> None:
     groom = sphere_groom(strands=5)
-    positions, director = bent_inwards(groom, batch=1)
-    energy = HairEnergy(groom, elastic="cosserat")
-    w, x, y, z = energy.following(positions, director, energy.no_turns(director)).unbind(-1)
+    positions, scene = bent_inwards(groom, batch=1)[0], posed_scene(groom)
+    rod = Cosserat()
+    energy = HairEnergy(groom, terms=(rod,))
+    start = energy.initial_variables(scene)
+    torch.testing.assert_close(energy.total(positions, scene), energy.total(positions, scene, start))
+    rotated = {name: value + 0.1 for name, value in start.items()}
+    assert (energy.total(scene.posed, scene, rotated) > 100 * energy.total(scene.posed, scene)).all()
+    prepared = {rod.name: rod.prepare(energy.rest, scene)}
+    hair = HairState(positions, energy.rest, energy.material, prepared=prepared)
+    w, x, y, z = rod.frames(hair).unbind(-1)
     third = torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z], dim=-1)
     torch.testing.assert_close(third, torch.nn.functional.normalize(positions.diff(dim=2), dim=-1), atol=1e-4, rtol=0)

@@ -14,7 +14,6 @@ from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.training.distributed import Worker, joined_workers
 from quaffure.training.pose_sampler import PoseSampler
-from quaffure.training.train_decoder import DecoderTraining
 from tests.training_runs import LONGEST_WAIT, QUAFFURE, TINY, checkpoint, rows_of, tiny_groom, train_command, training
 
 
@@ -34,7 +33,7 @@ def test_two_processes_take_the_mean_of_their_gradients(
     own = []
     config = replace(TINY, steps=1)
     for rank in range(2):
-        run = training(body, groom, tmp_path / f"{rank}", config, rank)
+        run = training(body, groom, tmp_path / f"{rank}", config, Worker(rank))
         norm = next(run.steps())["gradient_norm"]
         own.append([moment / 0.1 * max(1.0, norm) for moment in first_moments(run.optimizer.adam.state_dict())])
     mean = [(first + second) / 2 for first, second in zip(*own)]
@@ -63,7 +62,7 @@ def test_every_step_of_every_process_has_poses_of_its_own(body: BodyModel, groom
             return poses, shapes
 
     for rank in range(2):
-        run = DecoderTraining(TINY, body, (groom,), Recording(load_pose_prior()), tmp_path, Worker(rank))
+        run = training(body, groom, tmp_path, TINY, Worker(rank), Recording(load_pose_prior()))
         for _ in islice(run.steps(), 2):
             pass
     apart = torch.cdist(torch.stack(drawn).flatten(1), torch.stack(drawn).flatten(1))

@@ -51,17 +51,18 @@ def test_compressed_file_is_read_too(path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"posed": None}, "no posed"),
+        ({"posed": None}, "no array posed"),
         ({"posed": np.zeros((2, 150, 8, 3), np.float32)}, r"posed of shape \(3, 150, 8, 3\)"),
         ({"rest_lengths": np.zeros((150, 8), np.float32)}, "a rest length for each segment"),
         ({"body_pose": np.zeros((3, 80), np.float32)}, r"body_pose of shape \(3, 81\)"),
         ({"body_shape": np.full(10, np.nan, np.float32)}, "finite body_shape"),
         ({"body_faces": np.array([[0, 1, 10**6]], np.int32)}, "body_faces within"),
         ({"body_faces": np.array([[0, 1, -1]], np.int32)}, "body_faces within"),
-        ({"body_faces": np.zeros((1, 3), np.float32)}, "body_faces of int32"),
-        ({"strands": np.zeros((3, 150, 8, 3), complex)}, "strands of float32"),
+        ({"body_faces": np.zeros((1, 3), np.float32)}, "body_faces of type integer"),
+        ({"strands": np.zeros((3, 150, 8, 3), complex)}, "strands of type floating or integer"),
         ({"fps": np.array(0.0)}, "a positive fps"),
         ({"meta": np.array("[1]")}, "a JSON object"),
+        ({"meta": np.array(3)}, "meta of type str"),
         ({"meta": np.array("{")}, "a JSON object"),
     ],
 )
@@ -72,7 +73,7 @@ def test_broken_file_is_named(path: Path, changes: dict[str, np.ndarray | None],
 
 
 def test_pickle_is_not_opened(path: Path) -> None:
-    with pytest.raises(InputError, match="plain array"):
+    with pytest.raises(InputError, match="posed of type floating"):
         read_drape(altered(path, posed=np.array([{}], dtype=object)))
 
 
@@ -84,20 +85,20 @@ def test_forged_size_is_refused_before_allocating(path: Path) -> None:
             content = BytesIO()
             np.save(content, file[name])
             archive.writestr(f"{name}.npy", header.getvalue() if name == "posed" else content.getvalue())
-    with pytest.raises(InputError, match=r"posed\.npy.*1099511627776"):
+    with pytest.raises(InputError, match=r"posed \[1099511627776\]"):
         read_drape(path.with_name("forged.npz"))
 
 
 def test_what_is_no_archive(tmp_path: Path) -> None:
     (tmp_path / "text.npz").write_text("not a zip")
     for name in ("text.npz", "missing.npz"):
-        with pytest.raises(InputError, match="a drape file"):
+        with pytest.raises(InputError, match="drape file"):
             read_drape(tmp_path / name)
 
 
 def test_truncated_file(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:5000])
-    with pytest.raises(InputError, match="a drape file"):
+    with pytest.raises(InputError, match="drape file"):
         read_drape(path)
 
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 import pytest
 import torch
 
+from quaffure.backend import Backend
 from quaffure.config import HairMaterial
 from quaffure.energies.body_collision import energy_body_collision
-from quaffure.energies.elastic import energy_stretch, energy_stretch_shear, orientation_errors
 from quaffure.energies.force_limit import MAX_FORCE, clip_gradients
 from quaffure.energies.gravity import energy_gravity, energy_gravity_above_root
 from quaffure.energies.hair_energy import HairEnergy
@@ -19,9 +19,11 @@ from quaffure.energies.self_collision import (
     kernel_volume,
     smoothing_kernel,
 )
+from quaffure.energies.stretch import energy_stretch
+from quaffure.energies.stretch_shear import energy_stretch_shear, orientation_errors
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.signed_distance import signed_distance
-from tests.scenes import bent_inwards, sphere_groom, sphere_surface, strands_round_sphere
+from tests.scenes import bent_inwards, posed_scene, sphere_groom, sphere_surface, strands_round_sphere
 
 MATERIAL = HairMaterial(k_self_collision=1e-5, smoothing_length=0.03)
 
@@ -157,37 +159,36 @@ def test_masses_add_up_to_density_times_length() -> None:
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)])
 def test_compiled_kernels_and_reference_agree_in_value_and_gradient(device: str) -> None:
     groom = sphere_groom(strands=300)
-    positions, director = bent_inwards(groom)
+    positions, _ = bent_inwards(groom)
     material = HairMaterial(k_self_collision=1e-4, smoothing_length=0.01)
-    energy, twin, surface = HairEnergy(groom, material), HairEnergy(groom.to(device), material), sphere_surface(2)
-    reference = twin.reference_terms(positions.to(device), director.to(device), surface)
-    for name, value in energy.terms(positions, director, surface).items():
+    scene = posed_scene(groom, groom.rest_strands.expand(2, -1, -1, -1))
+    twin_scene = replace(scene, posed=scene.posed.to(device))
+    energy, twin = HairEnergy(groom, material), HairEnergy(groom.to(device), material, backend=Backend.TORCH)
+    reference = twin.by_term(positions.to(device), twin_scene)
+    for name, value in energy.by_term(positions, scene).items():
         assert reference[name].abs().min() > 0, name
         torch.testing.assert_close(value, reference[name].cpu(), rtol=2e-5, atol=0, msg=name)
     gradients = []
-    for total, at in (
-        (energy.total, "cpu"),
-        (lambda *s: torch.stack(list(twin.reference_terms(*s).values())).sum(0), device),
-    ):
+    for whole, on, at in ((energy, scene, "cpu"), (twin, twin_scene, device)):
         x = positions.to(at).clone().requires_grad_()
-        value = total(x, director.to(at), surface)
-        (gradient,) = torch.autograd.grad(value @ torch.tensor([1.0, 2.0], device=at), x)
+        (gradient,) = torch.autograd.grad(whole.total(x, on) @ torch.tensor([1.0, 2.0], device=at), x)
         gradients.append(gradient[:, :, 1:].cpu())
     assert (gradients[0] - gradients[1]).norm() < 2e-5 * gradients[1].norm()
 
 
 def test_a_crowd_has_the_density_and_gradient_of_its_twin() -> None:
     groom = sphere_groom(strands=100)
-    energy = HairEnergy(groom, HairMaterial(k_self_collision=1e-4, smoothing_length=0.01))
+    material = HairMaterial(k_self_collision=1e-4, smoothing_length=0.01)
     generator = torch.Generator().manual_seed(2)
     # Some thousand vertices within reach of each other, some alone: where nothing is dense there is no gradient.
     positions = 0.05 * torch.rand(2, 100, 24, 3, generator=generator)
     positions[:, 60:] = 3 * torch.rand(2, 40, 24, 3, generator=generator) + 1
-    scene = directors(groom.rest_strands.expand(2, -1, -1, -1)), sphere_surface(2)
+    scene = posed_scene(groom, groom.rest_strands.expand(2, -1, -1, -1))
     gradients = []
-    for total in (energy.self_collision, lambda x: energy.reference_terms(x, *scene)["self_collision"]):
+    for backend in Backend:
+        energy = HairEnergy(groom, material, backend=backend).only("self_collision")
         x = positions.clone().requires_grad_()
-        (gradient,) = torch.autograd.grad(total(x).sum(), x)
+        (gradient,) = torch.autograd.grad(energy.total(x, scene).sum(), x)
         gradients.append(gradient)
     assert gradients[1][:, :60].norm(dim=-1).min() > 0
     assert gradients[0][:, 60:].norm(dim=-1).max() <= 1e-6 * gradients[1].norm(dim=-1).max()
@@ -197,26 +198,27 @@ def test_a_crowd_has_the_density_and_gradient_of_its_twin() -> None:
 @pytest.mark.parametrize("strands", [15, 16, 17, 33])
 def test_contact_of_any_number_of_strands_is_that_of_its_twin(strands: int) -> None:
     groom = sphere_groom(strands=strands)
-    positions, director = bent_inwards(groom, batch=3)
-    energy, surface = HairEnergy(groom), sphere_surface(3)
-    expected = energy.reference_terms(positions, director, surface)["body_collision"]
-    assert expected.min() > 0
-    torch.testing.assert_close(
-        energy.terms(positions, director, surface)["body_collision"], expected, rtol=2e-5, atol=0
+    positions, _ = bent_inwards(groom, batch=3)
+    scene = posed_scene(groom, groom.rest_strands.expand(3, -1, -1, -1))
+    found, expected = (
+        HairEnergy(groom, backend=backend).by_term(positions, scene)["body_collision"] for backend in Backend
     )
+    assert expected.min() > 0
+    torch.testing.assert_close(found, expected, rtol=2e-5, atol=0)
 
 
 def test_each_compiled_term_has_the_gradient_of_its_twin() -> None:
     groom = sphere_groom(strands=300)
-    positions, director = bent_inwards(groom)
+    positions, _ = bent_inwards(groom)
+    scene = posed_scene(groom, groom.rest_strands.expand(2, -1, -1, -1))
     silent = {"k_cosserat": 0.0, "k_stretch": 0.0, "k_body_collision": 0.0, "k_self_collision": 0.0}
     for name in (*silent, "gravity"):
         loud = {name: getattr(HairMaterial(), name)} if name != "gravity" else {}
-        energy = HairEnergy(groom, HairMaterial(**(silent | loud), smoothing_length=0.01))
+        material = HairMaterial(**(silent | loud), smoothing_length=0.01)
         gradients = []
-        for total in (energy.total, lambda *s, e=energy: torch.stack(list(e.reference_terms(*s).values())).sum(0)):
+        for backend in Backend:
             x = positions.clone().requires_grad_()
-            (gradient,) = torch.autograd.grad(total(x, director, sphere_surface(2)).sum(), x)
+            (gradient,) = torch.autograd.grad(HairEnergy(groom, material, backend=backend).total(x, scene).sum(), x)
             gradients.append(gradient[:, :, 1:])
         assert (gradients[0] - gradients[1]).norm() < 2e-5 * gradients[1].norm(), name
 
@@ -256,10 +258,9 @@ def test_large_forces_are_scaled_down_and_small_ones_kept() -> None:
 
 def test_kernels_refuse_what_is_not_finite() -> None:
     groom = sphere_groom(strands=4)
-    energy, surface = HairEnergy(groom), sphere_surface()
+    energy, scene = HairEnergy(groom), posed_scene(groom)
     broken = groom.rest_strands[None].clone()
     broken[0, 1, 3] = float("nan")
-    with pytest.raises(ValueError, match="finite"):
-        energy.along_strands(broken, directors(groom.rest_strands[None]), surface)
-    with pytest.raises(ValueError, match="finite"):
-        energy.self_collision(broken)
+    for part in (energy.without("self_collision"), energy.only("self_collision")):
+        with pytest.raises(ValueError, match="finite"):
+            part.total(broken, scene)

@@ -18,14 +18,15 @@ from quaffure.benchmark.evaluation_set import (
     GroomSource,
 )
 from quaffure.benchmark.methods import methods
-from quaffure.benchmark.report import FIGURES, PAGE, PICTURE, RATIOS, page, shown
+from quaffure.benchmark.report import METRICS, PAGE, PICTURE, RATIOS, cell_text, page
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.io.groom_file import write_groom
 from quaffure.model.checkpoint import save_network
-from quaffure.model.quaffure_network import NetworkConfig, build_network
+from quaffure.model.network_config import NetworkConfig
+from quaffure.model.quaffure_network import build_network
 from tests.test_comparison import STRANDS, tiny_groom
 
 MATERIAL = HairMaterial(k_cosserat=1e-7)
@@ -105,7 +106,7 @@ def check_page(text: str, results: dict) -> None:
         table = rows_of(text, title)
         assert list(table) == list(everything)
         for row, figures in everything.items():
-            for key in FIGURES:
+            for key in METRICS:
                 known = figures.get(key, {}).get(time_kind if key == "milliseconds" else kind)
                 assert table[row][key] == ("" if known is None else f"{known:.4g}"), (row, key)
     solvers = everything.keys() & {"adam", "lbfgs", "xpbd", "groomgen"}
@@ -154,7 +155,7 @@ def test_evaluate_writes_the_same_on_file_page_and_screen(
     assert only["figures"]["xpbd"]["jitter"] == [1]
     assert min(only["figures"]["posed"]["excess_energy"]) > 0
     for key, figure in results["summary"]["all"]["mine"].items():
-        assert re.search(rf"{key} .*{re.escape(shown(figure['worst']))}", screen), key
+        assert re.search(rf"{key} .*{re.escape(cell_text(figure['worst']))}", screen), key
     run("evaluate", "--out", out, "--json", *chosen, *weights)
     again = json.loads(capfd.readouterr().out)
     assert again == json.loads(out.read_text())
@@ -247,7 +248,7 @@ def test_answers_from_elsewhere_are_scored_like_our_own(
     assert "roots within 1 mm" in refused("score", answer("millimetres", strands=1000 * strands))
     assert "the body_pose of the case" in refused("score", answer("turned", body_pose=arrays["body_pose"] + 0.1))
     assert "hair of" in refused("score", answer("soft", meta={"material": {}}))
-    assert "one answer to tiny-bow-a" in refused("score", path, answer("twice"))
+    assert "one drape of tiny-bow-a" in refused("score", path, answer("twice"))
     assert "no such file" in refused("score", tmp_path / "none.npz")
     assert "--name" in refused("score", path, "--name", "xpbd")
     assert "13_26.bvh" in refused("score", answer("far", meta={"case": "tiny-13_26-a"}))

@@ -8,15 +8,15 @@ import torch
 
 from quaffure.apps.cli import train_code
 from quaffure.apps.cli.main import main
-from quaffure.benchmark.groom_code_figures import (
+from quaffure.benchmark.groom_code_metrics import (
     betweenness,
-    code_figures,
+    code_metrics,
     codes_of,
-    growing_scatter,
     half_of,
-    half_way_figures,
+    interpolation_metrics,
     reconstruction,
     scatter_of_styles,
+    style_scatter,
 )
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
@@ -46,7 +46,8 @@ from quaffure.model.groom_texture import (
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import HELD_OUT, STYLES
 from quaffure.training.groom_batches import batch_of, mean_strands, mirrored, part_of, patch_of, scaled
-from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeTraining, train
+from quaffure.training.loop import Training, train
+from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeRecipe, finish
 
 NARROW = (16, 16, 16, 16)
 TINY = GroomCodeConfig(steps=6, batch=4, warmup=1, widths=NARROW, save_every_seconds=0)
@@ -180,8 +181,8 @@ def test_parts_and_lengths_of_samples(samples: list[GroomSample]) -> None:
 
 
 def test_training_lowers_the_loss(samples: list[GroomSample], tmp_path: Path) -> None:
-    training = GroomCodeTraining(replace(TINY, steps=40, learning_rate=3e-3), samples[::2], [], tmp_path)
-    losses = [training.train_step() for _ in range(40)]
+    training = Training(GroomCodeRecipe(replace(TINY, steps=40, learning_rate=3e-3), samples[::2], []), tmp_path)
+    losses = [metrics["loss"] for metrics in training.steps()]
     assert np.mean(losses[-8:]) < 0.8 * np.mean(losses[:8])
 
 
@@ -189,23 +190,39 @@ def test_a_stopped_run_ends_like_an_unbroken_one(samples: list[GroomSample], tmp
     library, family = samples[:3], samples[3:]
     (tmp_path / "broken").mkdir()
     steps: list[int] = []
-    whole = train(GroomCodeTraining(TINY, library, family, tmp_path), lambda step, loss: steps.append(step))
+    unbroken = Training(GroomCodeRecipe(TINY, library, family), tmp_path)
+    train(unbroken, lambda step, metrics: steps.append(step))
+    whole = finish(unbroken)
     assert steps == [*range(1, 7)]
-    first = GroomCodeTraining(TINY, library, family, tmp_path / "broken")
+    first = Training(GroomCodeRecipe(TINY, library, family), tmp_path / "broken")
     assert not first.resume()
-    for _ in range(3):
-        first.train_step()
+    for _ in zip(range(3), first.steps()):
+        pass
     first.save()
-    second = GroomCodeTraining(TINY, library, family, tmp_path / "broken")
+    second = Training(GroomCodeRecipe(TINY, library, family), tmp_path / "broken")
     assert second.resume()
     assert second.step == 3
-    resumed = train(second, lambda step, loss: None)
+    train(second, lambda step, metrics: None)
+    resumed = finish(second)
     for name, value in whole.state_dict().items():
         assert torch.allclose(value, resumed.state_dict()[name], atol=1e-6), name
 
 
+def test_a_checkpoint_of_an_older_version_is_resumed(samples: list[GroomSample], tmp_path: Path) -> None:
+    """Then the step was a number of its own, and nothing else was counted."""
+    run = Training(GroomCodeRecipe(TINY, samples, []), tmp_path)
+    next(run.steps())
+    run.save()
+    state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    del state["counters"]
+    torch.save(state | {"step": 1}, tmp_path / "checkpoint.pt")
+    again = Training(GroomCodeRecipe(TINY, samples, []), tmp_path)
+    assert again.resume()
+    assert (again.step, again.best) == (1, float("inf"))
+
+
 def test_a_run_leaves_the_encoder_with_and_without_its_decoder(samples: list[GroomSample], tmp_path: Path) -> None:
-    network = GroomCodeTraining(TINY, samples, [], tmp_path).finish()
+    network = finish(Training(GroomCodeRecipe(TINY, samples, []), tmp_path))
     codes = codes_of(network.encoder, samples)
     assert torch.allclose(codes.std(0), torch.ones(16), atol=1e-2)
     read = load_groom_autoencoder(tmp_path / "groom_autoencoder.safetensors")
@@ -215,16 +232,17 @@ def test_a_run_leaves_the_encoder_with_and_without_its_decoder(samples: list[Gro
 
 
 def test_a_decoder_trained_on_leaves_all_codes_as_they_are(samples: list[GroomSample], tmp_path: Path) -> None:
-    GroomCodeTraining(TINY, samples, [], tmp_path).finish()
+    finish(Training(GroomCodeRecipe(TINY, samples, []), tmp_path))
     begun = load_groom_autoencoder(tmp_path / "groom_autoencoder.safetensors")
-    training = GroomCodeTraining(TINY, samples[:3], [], tmp_path / "on", begun)
-    finished = train(training, lambda step, loss: None)
+    training = Training(GroomCodeRecipe(TINY, samples[:3], [], begun), tmp_path / "on")
+    train(training, lambda step, metrics: None)
+    finished = finish(training)
     kept = finished.encoder.state_dict()
     assert all(torch.equal(kept[name], value) for name, value in begun.encoder.state_dict().items())
     assert not torch.equal(finished.decoder.texture.dense[0].weight, begun.decoder.texture.dense[0].weight)
     other = replace(TINY, widths=(32, 32, 32, 32))
     with pytest.raises(InputError, match="as the decoder to be trained on"):
-        GroomCodeTraining(other, samples[:3], [], tmp_path / "other", begun)
+        GroomCodeRecipe(other, samples[:3], [], begun)
 
 
 def test_the_command_grows_trains_and_measures(
@@ -232,7 +250,12 @@ def test_the_command_grows_trains_and_measures(
 ) -> None:
     trained = ["bob", "afro"]
     few = {name: STYLES[name] for name in (*trained, HELD_OUT[0])}
-    for name, value in {"STYLES": few, "TRAINED": trained, "ANEW": range(50, 51), "UNSEEN_DRAWS": range(1)}.items():
+    for name, value in {
+        "STYLES": few,
+        "TRAINED": trained,
+        "NEW_SEEDS": range(50, 51),
+        "UNSEEN_SAMPLES": range(1),
+    }.items():
         monkeypatch.setattr(train_code, name, value)
     write_groom(tmp_path / "own.npz", replace(grooms["afro"], name="bob"))
     own, run = str(tmp_path / "own.npz"), str(tmp_path / "run")
@@ -259,7 +282,7 @@ def test_what_cannot_be_trained_on_is_refused_in_one_line(
     def too_late(*arguments: object) -> None:
         raise AssertionError("grew its grooms first")
 
-    monkeypatch.setattr(train_code, "grow_samples", too_late)
+    monkeypatch.setattr(train_code, "cached_samples", too_late)
     write_groom(tmp_path / "mine.npz", replace(grooms["afro"], name="Ratboy_mohawk"))
     (tmp_path / "file").touch()
     for options, complaint in (
@@ -279,20 +302,20 @@ def test_scatter_is_what_growings_differ_by(
     samples: list[GroomSample], anew: dict[str, Groom], body: BodyModel
 ) -> None:
     straight, again = samples[0], sample_of(anew["long_straight"], body, "long_straight")
-    assert 1 < growing_scatter(straight, [again]) < 5
-    longer = growing_scatter(straight, [scaled(again, 1.5)])
+    assert 1 < style_scatter(straight, [again]) < 5
+    longer = style_scatter(straight, [scaled(again, 1.5)])
     # Half a length too long: in the mean over the vertices a quarter of a length off.
     assert 18 < longer < 30
     assert list(scatter_of_styles([straight, again, samples[1]])) == ["long_straight"]
 
 
 def test_a_folder_of_other_grooms_is_refused(samples: list[GroomSample], tmp_path: Path) -> None:
-    GroomCodeTraining(TINY, samples[:2], [], tmp_path).save()
+    Training(GroomCodeRecipe(TINY, samples[:2], []), tmp_path).save()
     with pytest.raises(InputError, match="2 grooms"):
-        GroomCodeTraining(TINY, samples[:3], [], tmp_path).resume()
+        Training(GroomCodeRecipe(TINY, samples[:3], []), tmp_path).resume()
     (tmp_path / "checkpoint.pt").write_bytes(b"nothing")
     with pytest.raises(InputError, match="checkpoint"):
-        GroomCodeTraining(TINY, samples[:2], [], tmp_path).resume()
+        Training(GroomCodeRecipe(TINY, samples[:2], []), tmp_path).resume()
 
 
 def test_impossible_settings_are_refused() -> None:
@@ -349,7 +372,7 @@ def test_half_way_between_codes_of_a_linear_decoder(samples: list[GroomSample]) 
     row = betweenness(network, samples[0], samples[2])
     assert row["share"] == pytest.approx(0.5, abs=1e-3)
     assert row["detour"] == pytest.approx(0, abs=1e-3)
-    figures = half_way_figures(network, samples[:3])
+    figures = interpolation_metrics(network, samples[:3])
     assert figures["share"]["pairs"] == 3
 
 
@@ -373,7 +396,7 @@ def test_codes_tell_styles_apart_grown_anew_and_thinned(
     body: BodyModel, samples: list[GroomSample], anew: dict[str, Groom]
 ) -> None:
     encoder = load_groom_encoder()
-    figures = code_figures(encoder, samples, [sample_of(groom, body, name) for name, groom in anew.items()])
+    figures = code_metrics(encoder, samples, [sample_of(groom, body, name) for name, groom in anew.items()])
     # One of the four is a style that no training has seen.
     for row in figures.values():
         assert row["style_accuracy_percent"] == 100

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from quaffure.apps.cli.main import main
-from quaffure.apps.cli.outputs import writer_for
+from quaffure.apps.cli.outputs import check_outputs
 from quaffure.apps.cli.style_settings import ABOVE_ZERO, with_settings
-from quaffure.apps.render import before_after, pictures, video
+from quaffure.apps.render import pictures, video
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.errors import InputError
 from quaffure.io.groom_file import read_groom, write_groom
@@ -42,7 +42,7 @@ def drape(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures of 64 pixels: a software rasteriser takes a second for a large one."""
-    for module, name in ((before_after, "write_before_after"), (pictures, "write_picture"), (video, "write_video")):
+    for module, name in ((pictures, "write_before_after"), (pictures, "write_picture"), (video, "write_video")):
         monkeypatch.setattr(module, name, partial(getattr(module, name), tile=64))
 
 
@@ -96,7 +96,7 @@ def test_controls_that_must_be_positive_exist() -> None:
 
 
 @pytest.mark.parametrize(
-    ("setting", "said"),
+    ("setting", "message"),
     [
         ("length", "expected control=value"),
         ("lenght=1", "expected one of the controls length, "),
@@ -117,11 +117,11 @@ def test_controls_that_must_be_positive_exist() -> None:
         ("ties.0.radius=0.01", "expected a part of this style"),
     ],
 )
-def test_bad_settings_are_named(setting: str, said: str) -> None:
+def test_bad_settings_are_named(setting: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         with_settings(HairStyle(), (setting,))
     assert str(caught.value).startswith(f"--set {setting}: ")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_bad_new_grooms(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -157,9 +157,9 @@ def test_import_registers_and_shows(
     out, picture = tmp_path / "theirs.npz", tmp_path / "theirs.png"
     files = [str(foreign / "a.npz"), str(foreign / "b.npz")]
     main(["groom", "import", *files, "--out", str(out), "--picture", str(picture), "--licence", "CC-BY 4.0"])
-    said = " ".join(capfd.readouterr().out.split())
-    assert "read in cm with +y up" in said
-    assert "mm from the scalp in the median" in said
+    message = " ".join(capfd.readouterr().out.split())
+    assert "read in cm with +y up" in message
+    assert "mm from the scalp in the median" in message
     groom = read_groom(out, body)
     assert (groom.name, groom.licence) == ("theirs", "CC-BY 4.0")
     assert len(groom) > 300
@@ -232,4 +232,4 @@ def test_usd_that_would_not_fit_memory_is_refused(
     monkeypatch.setattr("quaffure.apps.cli.outputs.MOST_BYTES", 1e6)
     line = refused(capfd, "render", drape, "--strands", "900", "--out", tmp_path / "hair.usd")
     assert "--strands: expected at most 868 for 2 frames of USD, found 900" in line
-    assert writer_for(tmp_path / "hair.png")
+    check_outputs([tmp_path / "hair.png"])

@@ -32,7 +32,8 @@ from quaffure.training.groomgen_data import (
     drawn_turn,
     started_folder,
 )
-from quaffure.training.train_groomgen import GroomGenConfig, GroomGenTraining, train
+from quaffure.training.loop import Training, train
+from quaffure.training.train_groomgen import GroomGenConfig, GroomGenRecipe
 from quaffure.types import Positions
 from tests.training_runs import rows_of, tiny_groom
 
@@ -187,7 +188,7 @@ def test_damaged_folders_of_drapes_are_refused(drapes: DrapeFolder, groom: Groom
         {"body_pose": whole["body_pose"].astype(np.float64)},
     ):
         np.savez(pose, **(whole | damage))
-        with pytest.raises(InputError, match=r"pose_00003\.npz: expected finite"):
+        with pytest.raises(InputError, match=r"pose_00003\.npz: expected a draped pose .* with "):
             drapes.read()
     pose.write_bytes(b"none")
     with pytest.raises(InputError, match="pose_00003"):
@@ -228,35 +229,37 @@ def test_training_learns_what_a_solver_did(drapes: DrapeFolder, tmp_path: Path) 
     displacement[:, :, 1:, 0] = 0.02 * turn[:, 2, None, None]
     data = DrapedPoses(turn, displacement.half())
     config = replace(TINY, steps=80, batch=8, warmup=5, learning_rate=3e-3)
-    training = GroomGenTraining(config, drapes, data, tmp_path / "run")
+    training = Training(GroomGenRecipe(config, drapes, data), tmp_path / "run")
     before = training.validate()
-    untrained = training.network(turn[:1]).detach()[0]
-    torch.testing.assert_close(untrained, data.displacement[training.trained].float().mean(0), atol=1e-6, rtol=0)
+    untrained = training.recipe.network(turn[:1]).detach()[0]
+    torch.testing.assert_close(untrained, data.displacement[training.recipe.trained].float().mean(0), atol=1e-6, rtol=0)
     train(training, lambda step, figures: None)
     after = training.validate()
     assert after["posed_distance_mm"] == before["posed_distance_mm"] > 1
     assert after["distance_mm"] < 0.2 * before["distance_mm"]
     assert after["distance_mm"] <= after["rms_mm"]
     network = load_groomgen(tmp_path / "run/best.safetensors")[0].network
-    off = (network(turn[training.validated]).detach() - displacement[training.validated])[:, :, 1:].norm(dim=-1)
+    off = (network(turn[training.recipe.validated]).detach() - displacement[training.recipe.validated])[:, :, 1:].norm(
+        dim=-1
+    )
     assert 1000 * float(off.mean()) == pytest.approx(training.best, rel=0.02)
 
 
 def test_a_tenth_of_the_poses_is_never_trained_on(drapes: DrapeFolder, tmp_path: Path) -> None:
     data = DrapedPoses(torch.zeros(40, 3), torch.zeros(40, *drapes.groom.rest_strands.shape).half())
-    training = GroomGenTraining(replace(TINY, batch=200), drapes, data, tmp_path / "run")
-    assert len(training.validated) == 4
-    assert sorted([*training.validated.tolist(), *training.trained.tolist()]) == list(range(40))
+    training = Training(GroomGenRecipe(replace(TINY, batch=200), drapes, data), tmp_path / "run")
+    assert len(training.recipe.validated) == 4
+    assert sorted([*training.recipe.validated.tolist(), *training.recipe.trained.tolist()]) == list(range(40))
     # What is validated would show as NaN.
-    data.displacement[training.validated] = torch.nan
-    assert math.isfinite(training.train_step())
+    data.displacement[training.recipe.validated] = torch.nan
+    assert math.isfinite(next(training.steps())["train_rms_mm"])
     with pytest.raises(InputError, match="two draped poses or more"):
-        GroomGenTraining(TINY, drapes, DrapedPoses(data.turn[:1], data.displacement[:1]), tmp_path / "run")
+        Training(GroomGenRecipe(TINY, drapes, DrapedPoses(data.turn[:1], data.displacement[:1])), tmp_path / "run")
 
 
 def test_a_stopped_training_ends_like_an_unbroken_one(drapes: DrapeFolder, tmp_path: Path) -> None:
     data = drapes.read()
-    whole = GroomGenTraining(TINY, drapes, data, tmp_path / "whole")
+    whole = Training(GroomGenRecipe(TINY, drapes, data), tmp_path / "whole")
     train(whole, lambda step, figures: None)
 
     class Stopped(Exception):
@@ -266,28 +269,34 @@ def test_a_stopped_training_ends_like_an_unbroken_one(drapes: DrapeFolder, tmp_p
         if step == 4:
             raise Stopped
 
-    stopped = GroomGenTraining(TINY, drapes, data, tmp_path / "stopped")
+    stopped = Training(GroomGenRecipe(TINY, drapes, data), tmp_path / "stopped")
     with pytest.raises(Stopped):
         train(stopped, stop)
-    resumed = GroomGenTraining(TINY, drapes, data, tmp_path / "stopped")
+    resumed = Training(GroomGenRecipe(TINY, drapes, data), tmp_path / "stopped")
     assert resumed.resume()
     assert 0 < resumed.step < TINY.steps
     train(resumed, lambda step, figures: None)
     for name, value in whole.optimizer.averaged.state_dict().items():
         assert torch.equal(resumed.optimizer.averaged.state_dict()[name], value), name
     assert resumed.best == whole.best < math.inf
-    assert rows_of(tmp_path / "stopped/validation.csv") == rows_of(tmp_path / "whole/validation.csv")
+    logs = [rows_of(tmp_path / run / "validation.csv") for run in ("stopped", "whole")]
+    for row in (*logs[0], *logs[1]):
+        row.pop("seconds")
+    assert logs[0] == logs[1]
     assert [row["step"] for row in rows_of(tmp_path / "whole/validation.csv")] == ["2", "4", "6"]
-    other = GroomGenTraining(replace(TINY, seed=1), drapes, data, tmp_path / "stopped")
+    other = Training(GroomGenRecipe(replace(TINY, seed=1), drapes, data), tmp_path / "stopped")
     with pytest.raises(InputError, match="seed 1"):
         other.resume()
 
 
-def test_the_best_weights_are_kept(drapes: DrapeFolder, body: BodyModel, tmp_path: Path) -> None:
-    training = GroomGenTraining(TINY, drapes, drapes.read(), tmp_path / "run")
+def test_the_best_weights_are_kept(
+    drapes: DrapeFolder, body: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    training = Training(GroomGenRecipe(TINY, drapes, drapes.read()), tmp_path / "run")
     for distance, step in ((2.0, 1), (1.0, 2), (1.5, 3)):
         training.step = step
-        training.keep_if_best(distance)
+        monkeypatch.setattr(training.recipe, "validate", lambda averaged, distance=distance: {"distance_mm": distance})
+        training.validate()
     draper, notes = load_groomgen(tmp_path / "run/best.safetensors")
     assert (notes["step"], notes["groom"], notes["solver"]) == ("2", drapes.groom.name, "leaning")
     assert draper.knows(drapes.groom, body)
@@ -373,7 +382,7 @@ def test_from_drapes_to_an_evaluation(
     main(["train-groomgen", str(data), "--out", str(run), "--steps", "2", *OPTIONS])
     main(["train-groomgen", str(data), "--out", str(run), "--steps", "4", *OPTIONS])
     printed = capfd.readouterr().out
-    assert "carrying on from step 2" in printed
+    assert "resuming from step 2" in printed
     assert "step 4 of 4" in printed
     weights = run / "best.safetensors"
     draped = tmp_path / "draped.npz"

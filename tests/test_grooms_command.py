@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from quaffure.apps.cli import grooms as command
+from quaffure.apps.cli import groom as command
 from quaffure.apps.cli.main import main
 from quaffure.apps.render import contact_sheet
 from quaffure.body.body_model import BodyModel
@@ -23,7 +23,7 @@ def three_small_styles(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(contact_sheet, "SUPERSAMPLING", 1)
 
 
-def test_the_sheet_is_written_beside_the_list(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_sheet_is_written_next_to_the_list(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "grooms.png"
     main(["grooms", "--json", "--out", str(out)])
     rows = json.loads(capfd.readouterr().out)
@@ -40,7 +40,7 @@ def test_the_list_is_that_of_the_styles(body: BodyModel) -> None:
 
 
 @pytest.mark.parametrize(("name", "expected"), [("grooms.jpg", "suffix .png"), ("missing/grooms.png", "no folder")])
-def test_a_bad_out_costs_no_growing(
+def test_a_bad_out_is_refused_before_the_work(
     name: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(command, "make_groom", None)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from jaxtyping import Float
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.errors import InputError
@@ -14,13 +15,13 @@ from quaffure.geometry.signed_distance import signed_distance
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import (
+    GuideInterpolation,
     axis_projection,
     groom_of_drape,
     interpolation_of,
-    strands_reference,
     with_strands,
 )
-from quaffure.hair.guide_triangles import spread_places, togetherness, triangulate
+from quaffure.hair.guide_triangles import coherence, sample_roots, triangulate
 from quaffure.hair.registration import register_groom
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.io.read_strands import read_strands
@@ -30,16 +31,33 @@ ROWS, LENGTH, VERTICES = 24, 0.2, 24
 SHARE = torch.linspace(0, 1, VERTICES)
 
 
+def strands_reference(
+    interpolation: GuideInterpolation, guides: Float[np.ndarray, "s n 3"], body_vertices: Float[np.ndarray, "v 3"]
+) -> Float[np.ndarray, "m n 3"]:
+    """Slow twin of `GuideInterpolation.strands`, in the precision of its input."""
+    relative = guides - guides[:, :1]
+    axes = axis_projection(guides.shape[1]).astype(guides.dtype) @ relative
+    detail = (relative - axes)[interpolation.guides[:, 0]]
+    shares = interpolation.weights.astype(guides.dtype)
+    first, others = interpolation.guides[:, :1], interpolation.guides[:, 1:]
+    pairs = np.stack([np.repeat(first, 2, axis=1), others], axis=-1)
+    shares[:, 1:] *= coherence(axes, interpolation.guide_lengths, pairs)
+    shares /= shares.sum(1, keepdims=True)
+    mixed = (shares[..., None, None] * axes[interpolation.guides]).sum(1)
+    roots = (interpolation.root_weights[..., None] * body_vertices[interpolation.carriers]).sum(1)
+    return roots[:, None] + mixed + detail
+
+
 @pytest.fixture(scope="module")
 def body() -> BodyModel:
     return load_body()
 
 
-def grown(body: BodyModel, offsets: torch.Tensor, uv: torch.Tensor) -> Groom:
+def groom_of(body: BodyModel, offsets: torch.Tensor, uv: torch.Tensor) -> Groom:
     """Strands `offsets` from their roots at `uv` of the scalp chart."""
     faces, weights = body.scalp.locate(uv)
     roots = (weights[..., None] * body.rest_vertices[body.faces[faces]]).sum(-2)
-    return Groom("grown", roots[:, None] + offsets, faces, weights, uv)
+    return Groom("sample", roots[:, None] + offsets, faces, weights, uv)
 
 
 def even_uv(body: BodyModel) -> torch.Tensor:
@@ -59,7 +77,7 @@ def parted(body: BodyModel) -> Groom:
     uv = even_uv(body)
     side = torch.where(uv[:, 0] < 0.5, -1.0, 1.0)
     direction = torch.stack([0.8 * side, torch.zeros_like(side), torch.full_like(side, 0.6)], -1)
-    return grown(body, straight(direction), uv)
+    return groom_of(body, straight(direction), uv)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +89,7 @@ def curly(body: BodyModel) -> Groom:
     radius = 0.008 * (SHARE * 6).clamp(max=1)
     wave = torch.stack([radius * phase.cos(), radius * phase.sin(), -LENGTH * SHARE.expand_as(phase)], -1)
     wave = (wave - wave[:, :1]) * (0.95 + 0.1 * torch.rand(len(uv), 1, 1, generator=generator))
-    return grown(body, wave, uv)
+    return groom_of(body, wave, uv)
 
 
 def numpy_rest(groom: Groom, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
@@ -97,7 +115,7 @@ def test_no_strand_averages_across_a_parting(body: BodyModel, parted: Groom) -> 
 def test_a_split_that_opens_in_the_drape_is_followed_smoothly(body: BodyModel) -> None:
     """Guides that hang together at rest swing apart: no strand is left half way, and none jumps."""
     uv = even_uv(body)
-    groom = grown(body, straight(torch.tensor([[0.0, 0.0, -1.0]]).expand(len(uv), -1)), uv)
+    groom = groom_of(body, straight(torch.tensor([[0.0, 0.0, -1.0]]).expand(len(uv), -1)), uv)
     interpolation = interpolation_of(groom, body, 3000)
     vertices = body.rest_vertices.numpy()
     side = np.where(uv[:, 0] < 0.5, -1.0, 1.0)
@@ -172,7 +190,7 @@ def test_roots_are_spread_evenly_and_the_same_for_the_same_seed(body: BodyModel,
 
 def test_places_fill_every_triangle_by_its_share() -> None:
     roots = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
-    triangle, shares = spread_places(np.array([[0, 1, 2], [0, 2, 3]]), roots, 1000, 0)
+    triangle, shares = sample_roots(np.array([[0, 1, 2], [0, 2, 3]]), roots, 1000, 0)
     assert np.bincount(triangle).tolist() == [500, 500]
     assert (shares >= 0).all()
     np.testing.assert_allclose(shares.sum(1), 1)
@@ -193,11 +211,11 @@ def test_gaps_stay_bald() -> None:
     assert ((triangles < 100).all(1) | (triangles >= 100).all(1)).all()
 
 
-def test_togetherness_falls_with_the_angle() -> None:
+def test_coherence_falls_with_the_angle() -> None:
     angles = np.radians([0, 10, 15, 20, 25, 40])
     axes = LENGTH * SHARE.numpy()[:, None] * np.stack([np.sin(angles), 0 * angles, -np.cos(angles)], -1)[:, None]
     pairs = np.stack([np.zeros(6, np.int64), np.arange(6)], -1)
-    together = togetherness(axes, np.full(6, LENGTH), pairs)
+    together = coherence(axes, np.full(6, LENGTH), pairs)
     assert together[:2].tolist() == [1, 1]
     assert together[-1] == 0
     assert (np.diff(together[1:]) < 0).all()
@@ -214,7 +232,7 @@ def drape_of(groom: Groom, body: BodyModel, poses: torch.Tensor) -> DrapeSequenc
         body_pose=poses.numpy(),
         body_shape=np.zeros(10, np.float32),
         fps=30.0,
-        meta={"groom": "grown"},
+        meta={"groom": "sample"},
     )
 
 
@@ -230,7 +248,7 @@ def test_the_groom_of_a_drape_is_found_again(body: BodyModel, curly: Groom) -> N
     assert dense.strands.shape == dense.posed.shape == (2, 400, VERTICES, 3)
     np.testing.assert_allclose(dense.strands, dense.posed, atol=1e-6)
     assert dense.rest_lengths.shape == (400, VERTICES - 1)
-    assert dense.meta == {"groom": "grown", "guides": len(curly)}
+    assert dense.meta == {"groom": "sample", "guides": len(curly)}
 
 
 def test_bad_input_is_named(body: BodyModel, parted: Groom) -> None:
@@ -238,7 +256,7 @@ def test_bad_input_is_named(body: BodyModel, parted: Groom) -> None:
         with pytest.raises(InputError, match=f"strands: expected 1 to 1000000, found {count}"):
             interpolation_of(parted, body, count)
     for few in (torch.arange(2), torch.arange(4)):  # the first four roots lie in one row
-        with pytest.raises(InputError, match="grown: expected three guides or more, not on a line"):
+        with pytest.raises(InputError, match="sample: expected three guides or more, not on a line"):
             interpolation_of(parted.select(few), body, 10)
     interpolation = interpolation_of(parted, body, 10)
     with pytest.raises(InputError, match=r"guides: expected .* found \(9, 24, 3\)"):

@@ -10,7 +10,7 @@ OUT = torch.tensor([1.0, 0.0, 0.0])
 
 
 def pushes(needs: list[float]) -> torch.Tensor:
-    """What is handed back where each edge, pulled straight down, needs a force along x to stay out of the skin."""
+    """Contact forces where each edge, pulled straight down, needs a force along x to stay out of the skin."""
     vectors = torch.tensor([0.0, 0.0, -2.0]).repeat(1, 1, len(needs), 1)
     needed = LENGTH * torch.tensor(needs)[:, None] * OUT
     # An edge of unit length has (u |w| - w) . x = need where its own x is need over |w|.
@@ -51,15 +51,15 @@ def test_a_push_counts_as_far_as_it_goes_the_normals_way() -> None:
     torch.testing.assert_close(above, 4.0 * aslant + (6.0 - 4.0 * 0.5**0.5) * OUT)
 
 
-def test_hair_that_slides_twice_lies_on_a_shoulder_at_less_energy() -> None:
-    """From above and beside a ball, the edges over its rim turn where sliding turns those on it alone."""
+def test_contact_resolved_twice_leaves_hair_on_a_shoulder_at_less_energy() -> None:
+    """Next to a ball, edges above its rim are deflected too, where resolving once deflects those on it alone."""
     angle = torch.linspace(0, 6.28, 50)
     root = torch.stack([0.7 * angle.cos(), 0.7 * angle.sin(), torch.full((50,), 1.2)], dim=-1)[None]
     vectors = torch.tensor([0.0, 0.0, -1.5]).repeat(1, 50, 20, 1)
     vectors[..., :2] = 0.3 * normalize(root, dim=-1)[:, :, None, :2]
     lengths, margin = torch.full((50, 20), 0.05), torch.full((50, 21), 0.02)
     once, _ = resolve_contact_reference(root, vectors, lengths, margin, ball())
-    twice, _ = resolve_contact_twice(root, vectors, lengths, margin, ball(), torch.arange(50))
+    twice, _ = resolve_contact_twice(root, vectors, lengths, margin, ball(), torch.arange(50), 0.3)
     ends = root[:, :, None] + (lengths[..., None] * twice).cumsum(2)
     assert ends.norm(dim=-1).min() > 0.99
     energy_once, energy_twice = (-(vectors * edges).sum((-1, -2)) for edges in (once, twice))

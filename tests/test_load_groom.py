@@ -92,8 +92,9 @@ def test_damaged_groom_files_are_refused(tmp_path: Path, groom: Groom, body: Bod
     np.savez(path, rest_strands=np.zeros((1, 2, 3)))
     with pytest.raises(InputError, match="root_faces"):
         read_groom(path, body)
-    np.savez(path, **{**{name: np.zeros(1) for name in NUMBERS}, "name": np.array([{}], dtype=object), "licence": ""})
-    with pytest.raises(InputError, match="name"):
+    write_groom(path, groom)
+    np.savez(path, **{**arrays_of(path), "name": np.array([{}], dtype=object)})
+    with pytest.raises(InputError, match="with name of type str, found object"):
         read_groom(path, body)
 
 

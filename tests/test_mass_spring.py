@@ -3,8 +3,7 @@ import math
 import pytest
 import torch
 
-from quaffure.energies.elastic_model import MassSpring
-from quaffure.energies.mass_spring import SpringStiffness, energy_springs, spring_lengths, with_ghosts
+from quaffure.energies.mass_spring import Springs, SpringStiffness, energy_springs, spring_lengths, with_ghosts
 
 STIFFNESS = SpringStiffness(k_edge=0.02, k_bend=3e-3, k_torsion=5e-4)
 
@@ -17,9 +16,7 @@ def zigzag(count: int = 6, angle: float = 0.5) -> torch.Tensor:
 
 
 def energy_of(positions: torch.Tensor, posed: torch.Tensor, stiffness: SpringStiffness = STIFFNESS) -> float:
-    rest_length = posed[0].diff(dim=1).norm(dim=-1)
-    state = MassSpring(stiffness).on(posed, rest_length)
-    return float(state.energy(positions, state.unknowns))
+    return float(Springs(stiffness, posed).energy(positions))
 
 
 def test_springs_reach_one_two_and_three_vertices() -> None:

@@ -2,7 +2,7 @@ import torch
 from torch.nn.functional import normalize
 
 from quaffure.body.body_model import BodyModel
-from quaffure.body.mls_body import mls_body
+from quaffure.body.mls_body import MlsBodyConfig, mls_body
 from quaffure.geometry.mls_surface import (
     LEAF,
     MlsSurface,
@@ -62,7 +62,7 @@ def test_compiled_views_are_those_of_the_twin() -> None:
     assert (views[..., 4] == 0).any()
 
 
-def test_strands_slide_out_of_the_way_and_nowhere_else() -> None:
+def test_strands_leave_the_surface_and_change_nowhere_else() -> None:
     root, vectors, lengths = strands(300)
     margin = torch.full((300, 13), 0.02)
     edges, _ = resolve_contact_reference(root, vectors, lengths, margin, ball())
@@ -76,14 +76,14 @@ def test_strands_slide_out_of_the_way_and_nowhere_else() -> None:
     torch.testing.assert_close(ends[free & never], merely[free & never], atol=1e-5, rtol=0)
 
 
-def test_the_soft_body_is_the_body_to_a_centimetre(body: BodyModel) -> None:
+def test_the_point_sampled_body_is_the_body_to_a_centimetre(body: BodyModel) -> None:
     generator = torch.Generator().manual_seed(2)
     posed = body.pose(0.15 * torch.randn(1, 81, generator=generator), torch.randn(1, 10, generator=generator))
-    surface = mls_body(body, posed)
+    surface = mls_body(body, posed, MlsBodyConfig())
     near = posed.vertices[:, ::7] + 0.01 * torch.randn(posed.vertices[:, ::7].shape, generator=generator)
     view = local_features_reference(near, surface)
     reached = view[..., 4] > 0.95
-    assert reached.float().mean() > 0.3  # the rest are legs, and folds in which few points are seen
+    assert reached.float().mean() > 0.3  # the rest are legs, and folds with few points
     exact = signed_distance(near, posed_surface(body.surface_topology, posed.vertices))
     gap = (surface.radius * view[..., 0] / view[..., 4] - exact)[reached].abs()
     assert gap.median() < 0.005

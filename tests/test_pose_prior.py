@@ -6,8 +6,9 @@ import torch
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import joint_matrices, without_heading
-from quaffure.body.pose_prior import PRIOR_FILE, PosePrior, check_prior, load_pose_prior
+from quaffure.body.pose_prior import PRIOR_FILE, PosePrior, load_pose_prior
 from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from scripts.fit_pose_prior import check_prior
 
 
 @pytest.fixture(scope="module")

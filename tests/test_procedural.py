@@ -9,14 +9,15 @@ from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import (
     CLEARANCE,
     CLEARANCE_RAMP,
+    arc_lengths,
     distances_and_normals,
     inside_share,
     pushed_out,
 )
 from quaffure.hair.groom import Groom
 from quaffure.hair.posing import root_positions
-from quaffure.procedural.curls import arc_lengths, curl_arc_factor
-from quaffure.procedural.generator import evenly, make_groom
+from quaffure.procedural.curls import curl_arc_factor
+from quaffure.procedural.generator import make_groom, resample_evenly
 from quaffure.procedural.hair_style import HELD_OUT, STYLES
 
 
@@ -171,7 +172,7 @@ def test_evenly_keeps_a_vertex_in_the_band() -> None:
     across = torch.cat([leg * torch.tensor([0.053, 0.0, 0.0]), leg[1:] * torch.tensor([0.0, 0.2, 0.0])])
     across[11:, 0] = 0.053
     corner = torch.tensor([0.053, 0.0, 0.0])
-    tied, free = (evenly(across[None], torch.tensor([length]))[0] for length in (0.053, 0.0))
+    tied, free = (resample_evenly(across[None], torch.tensor([length]))[0] for length in (0.053, 0.0))
     assert (tied - corner).norm(dim=1).min() < 1e-6
     assert (free - corner).norm(dim=1).min() > 1e-3
     for strand in (tied, free):

@@ -162,16 +162,14 @@ def test_contact_sheet_has_four_rows_and_columns(renderer: StrandRenderer, tmp_p
 def test_video_plays(renderer: StrandRenderer, tmp_path: Path, frames: int) -> None:
     import av
 
-    written: list[int] = []
     seq = drape(patch_of_strands((0.0, 0.0, 1.0)), frames=frames)
-    write_video(tmp_path / "drape.mp4", seq, tile=64, on_frame=written.append)
+    write_video(tmp_path / "drape.mp4", seq, tile=64)
     with av.open(str(tmp_path / "drape.mp4")) as container:
         stream = container.streams.video[0]
         decoded = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
         assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
         assert stream.average_rate == 30
     assert [frame.shape for frame in decoded] == [(64, 128, 3)] * frames
-    assert written == list(range(1, frames + 1))
     assert decoded[0].std() > 10
 
 
@@ -201,7 +199,7 @@ def test_frame_holds_hair_and_head() -> None:
     assert extent < 0.3
 
 
-def test_machine_without_opengl_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_machine_without_opengl_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     def no_library(**options: object) -> None:
         raise Exception("libEGL.so.1 not loaded\ndetails")
 

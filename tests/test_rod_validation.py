@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.rods.elastic_potentials import mass_spring, modified_cosserat
 from benchmarks.rods.heavy_rod import REAL_HAIR_WEIGHT, HeavyRod
 from benchmarks.rods.rod_validation import (
     Case,
@@ -26,7 +27,6 @@ from benchmarks.rods.rod_validation import (
     stretch_percent,
 )
 from quaffure.config import HairMaterial
-from quaffure.energies.elastic_model import MassSpring, elastic_model
 
 STRAIGHT, CURLY, HANGING_CURL = Case(0.25), Case(0.25, curl=Curl()), Case(0.25, -90.0, Curl())
 
@@ -81,8 +81,8 @@ def test_modified_energy_is_no_rod() -> None:
 def test_full_rod_is_nearer_to_the_truth_than_the_other_models() -> None:
     truth = CURLY.true_shape(24)
     rod = rms_mm(settle_rod(CURLY.strand(24)).positions, truth)
-    springs = rms_mm(settle_under_weight(MassSpring(), CURLY.strand(24), reach=3).positions, truth)
-    modified = rms_mm(settle_under_weight(elastic_model("modified_cosserat"), CURLY.strand(24)).positions, truth)
+    springs = rms_mm(settle_under_weight(mass_spring(), CURLY.strand(24), reach=3).positions, truth)
+    modified = rms_mm(settle_under_weight(modified_cosserat(), CURLY.strand(24)).positions, truth)
     assert rod < 1.0
     assert springs > 10 * rod
     assert modified > 10 * rod

@@ -15,13 +15,13 @@ def folder(tmp_path: Path) -> RunFolder:
 
 
 def test_a_checkpoint_comes_back_for_the_same_run_alone(folder: RunFolder) -> None:
-    assert folder.load("bob, seed 0") is None
+    assert folder.load({"identity": "bob, seed 0"}) is None
     folder.save({"identity": "bob, seed 0", "weights": torch.arange(3.0)})
-    state = folder.load("bob, seed 0")
+    state = folder.load({"identity": "bob, seed 0"})
     assert state is not None
     assert torch.equal(state["weights"], torch.arange(3.0))
     with pytest.raises(InputError, match=r"expected a run of bob, seed 1, found bob, seed 0"):
-        folder.load("bob, seed 1")
+        folder.load({"identity": "bob, seed 1"})
 
 
 def test_damaged_and_foreign_checkpoints_are_refused(folder: RunFolder) -> None:
@@ -31,10 +31,10 @@ def test_damaged_and_foreign_checkpoints_are_refused(folder: RunFolder) -> None:
     for damaged in (b"", b"PK\x03\x04 cut short", whole[: len(whole) // 2], whole[200:], b"junk"):
         path.write_bytes(damaged)
         with pytest.raises(InputError, match=r"checkpoint\.pt: expected a checkpoint of this training"):
-            folder.load("bob")
+            folder.load({"identity": "bob"})
     torch.save(Path("not a tensor"), path)  # would have to be unpickled
     with pytest.raises(InputError, match="checkpoint of this training"):
-        folder.load("bob")
+        folder.load({"identity": "bob"})
     folder.save({"weights": torch.arange(3.0), "identity": "bob"})
     with pytest.raises(InputError, match="checkpoint of this training"), folder.reading():
         torch.nn.Linear(2, 2).load_state_dict({"other": torch.zeros(1)})
@@ -43,7 +43,7 @@ def test_damaged_and_foreign_checkpoints_are_refused(folder: RunFolder) -> None:
 def test_what_a_killed_save_left_is_swept_away(folder: RunFolder) -> None:
     folder.save({"identity": "bob"})
     (folder.path / ".checkpoint-x1y2.pt").write_bytes(b"half of it")
-    assert folder.load("bob") == {"identity": "bob"}
+    assert folder.load({"identity": "bob"}) == {"identity": "bob"}
     assert [path.name for path in folder.path.iterdir()] == ["checkpoint.pt"]
 
 

@@ -7,12 +7,19 @@ import torch
 
 from quaffure.body.body_model import load_body
 from quaffure.body.pose_prior import load_pose_prior
-from quaffure.geometry.binary_bvh import LANES, MAX_DEPTH, search, squared_distance
-from quaffure.geometry.bvh import BVH_STACK, Bvh, nearest_face, search_all
+from quaffure.geometry.bvh import Bvh, faces_within, nearest_face, search_all, search_workspace
 from quaffure.geometry.mesh import opposite_faces
-from quaffure.geometry.occupancy_grid import FREE, OUTSIDE, REACH, UNKNOWN, OccupancyGrid, classify
+from quaffure.geometry.occupancy_grid import FREE, FREE_DISTANCE, OUTSIDE, UNKNOWN, classify
 from quaffure.geometry.signed_distance import closest_points, closest_points_reference, signed_distance
-from quaffure.geometry.surface import Surface, posed_surface, reference_surface_normals, surface_topology
+from quaffure.geometry.surface import (
+    Surface,
+    bvh_of,
+    occupancy_of,
+    posed_surface,
+    reference_surface_normals,
+    surface_topology,
+)
+from quaffure.geometry.triangle import squared_distance
 from quaffure.scene import BodyBatch
 from quaffure.training.pose_sampler import PoseSampler
 from tests.scenes import sphere_mesh, sphere_surface
@@ -65,8 +72,8 @@ def test_pseudonormals_and_their_twin_agree() -> None:
     vertices, faces = star()
     topology = surface_topology(vertices, faces)
     surface = posed_surface(topology, vertices[None])
-    twin = reference_surface_normals(topology, vertices[None])[:, topology.tree.face_order]
-    np.testing.assert_allclose(surface.normals, twin.numpy(), atol=2e-5)
+    twin = reference_surface_normals(topology, vertices[None])[:, topology.face_order]
+    np.testing.assert_allclose(surface.arrays.normals, twin.numpy(), atol=2e-5)
 
 
 def test_gradient_is_the_outward_direction() -> None:
@@ -108,33 +115,57 @@ def slivers() -> tuple[torch.Tensor, torch.Tensor]:
     return vertices, faces
 
 
-@pytest.mark.parametrize("mesh", [star, slivers, lambda: sphere_mesh(count=4), lambda: sphere_mesh(count=2500)])
-def test_wide_search_finds_what_the_binary_one_finds(mesh: Callable[[], tuple[torch.Tensor, torch.Tensor]]) -> None:
+MESHES = [star, slivers, lambda: sphere_mesh(count=4), lambda: sphere_mesh(count=2500)]
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_the_tree_finds_what_a_search_of_all_faces_finds(mesh: Callable[[], tuple[torch.Tensor, torch.Tensor]]) -> None:
     vertices, faces = mesh()
     surface = posed_surface(surface_topology(vertices, faces), vertices[None])
-    tree = surface.topology.tree
-    assert sorted(tree.face_order) == list(range(len(faces)))
-    stack = np.empty(MAX_DEPTH, np.int32)
-    for point, wide in zip(queries(300)[0].numpy(), search_all(queries(300)[0].numpy(), *one_body(surface))):
-        binary = search(point, 0, surface.corners[0], surface.bounds[0], tree.first, tree.second, stack)
-        to_wide, to_binary = (squared_distance(surface.corners[0, place], *point) for place in (wide, binary))
-        assert np.sqrt(to_wide) == pytest.approx(np.sqrt(to_binary), abs=1e-6)
+    assert sorted(surface.topology.face_order) == list(range(len(faces)))
+    corners, tree = one_body(surface)
+    points = queries(300)[0].numpy()
+    for point, leaf in zip(points, search_all(points, corners, tree)):
+        distances = distances_to_faces(corners, point)
+        assert distances[leaf] == pytest.approx(distances.min(), abs=1e-6)
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_the_tree_lists_all_faces_within_a_distance(mesh: Callable[[], tuple[torch.Tensor, torch.Tensor]]) -> None:
+    vertices, faces = mesh()
+    corners, tree = one_body(posed_surface(surface_topology(vertices, faces), vertices[None]))
+    workspace, found, most = search_workspace(), np.empty(len(faces), np.int32), 0
+    for point in queries(100)[0].numpy():
+        distances = distances_to_faces(corners, point)
+        limit = np.float32(distances.min() + 0.01)
+        listed = found[: faces_within(*point, limit, tree, *workspace, found)]
+        assert len(set(listed)) == len(listed)
+        assert set(np.flatnonzero(distances < limit - 1e-6)) <= set(listed)
+        assert (distances[listed] < limit + 1e-6).all()
+        most = max(most, len(listed))
+    assert most > 1
+    assert faces_within(*point, limit, tree, *workspace, found[:1]) == 1  # no more than there is memory for
+
+
+def distances_to_faces(corners: np.ndarray, point: np.ndarray) -> np.ndarray:
+    return np.sqrt([squared_distance(triangle, *point) for triangle in corners])
 
 
 def one_body(surface: Surface) -> tuple[np.ndarray, Bvh]:
-    return surface.corners[0], surface.bvh(0)
+    arrays = surface.sample_arrays(0)
+    return arrays.corners, bvh_of(arrays)
 
 
 def test_limited_search_finds_just_the_faces_within_its_limit() -> None:
     vertices, faces = star()
     surface = posed_surface(surface_topology(vertices, faces), vertices[None])
     corners, tree = one_body(surface)
-    stack, room = np.empty(BVH_STACK, np.int32), np.empty(BVH_STACK + 2 * LANES, np.float32)
+    workspace = search_workspace()
     points, limit = queries(1000), np.float32(0.01)
     nearest = search_all(points[0].numpy(), corners, tree)
     found = 0
     for point, distance, place in zip(points[0].numpy(), signed_distance(points, surface)[0].abs(), nearest):
-        answer = nearest_face(*point, -1, limit * limit, tree, stack, room)
+        answer = nearest_face(*point, -1, limit * limit, tree, *workspace)
         if abs(distance - limit) > 1e-6:
             assert (answer >= 0) == bool(distance < limit)
         if answer >= 0:
@@ -154,7 +185,7 @@ def test_points_that_are_not_numbers_or_far_away_break_nothing() -> None:
 
 
 def map_of(surface: Surface, points: torch.Tensor) -> np.ndarray:
-    space = OccupancyGrid(*(field[0] for field in surface.map))
+    space = occupancy_of(surface.sample_arrays(0))
     return np.array([classify(*point, space) for point in points.numpy()])
 
 
@@ -164,7 +195,7 @@ def test_the_map_never_calls_a_point_free_or_outside_that_is_not() -> None:
     surface = posed_surface(surface_topology(vertices, faces), vertices[None])
     points = 3.5 * queries(8000)[0]
     known, distance = map_of(surface, points), signed_distance(points[None], surface)[0].numpy()
-    assert distance[known == FREE].min() >= REACH
+    assert distance[known == FREE].min() >= FREE_DISTANCE
     assert distance[known == OUTSIDE].min() > 0
     assert (known[distance < 0] == UNKNOWN).all()
     # The map must be of use: most of the outside is known.
@@ -201,8 +232,8 @@ def test_distance_and_sign_on_posed_bodies_are_those_of_libigl() -> None:
         assert 0.2 < (exact < 0).mean() < 0.8
         np.testing.assert_allclose(np.abs(found[sample]), np.abs(exact), atol=1e-5)
         assert ((found[sample] < 0) == (exact < 0))[np.abs(exact) > 1e-5].all()
-        space = OccupancyGrid(*(field[sample] for field in surface.map))
+        space = occupancy_of(surface.sample_arrays(sample))
         known = np.array([classify(*point, space) for point in points[sample].numpy()])
-        assert exact[known == FREE].min() >= REACH - 1e-6
+        assert exact[known == FREE].min() >= FREE_DISTANCE - 1e-6
         assert exact[known == OUTSIDE].min() > 0
         assert (known == OUTSIDE).sum() > 100

@@ -8,8 +8,7 @@ from quaffure.apps.cli.main import main
 from quaffure.baselines.posed import PosedDraper
 from quaffure.benchmark.solver_benchmark import Budget, Case, budgets, run_benchmark
 from quaffure.config import HairMaterial
-from tests.scenes import sphere_groom
-from tests.test_xpbd import scene_of
+from tests.scenes import posed_scene, sphere_groom
 
 
 def bench(out: Path, *more: str) -> None:
@@ -51,7 +50,7 @@ def test_benchmark_writes_prints_and_plots(tmp_path: Path, capfd: pytest.Capture
 
 
 def test_a_table_without_a_plot_where_matplotlib_is_missing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    with mock.patch("quaffure.apps.cli.benchmark_file.importlib.util.find_spec", return_value=None):
+    with mock.patch("quaffure.apps.cli.benchmark.importlib.util.find_spec", return_value=None):
         bench(tmp_path / "bench.json", "--solver", "posed", "--frames", "3:5", "--motion", "nod")
     printed = capfd.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["bench.json"]
@@ -62,7 +61,7 @@ def test_a_table_without_a_plot_where_matplotlib_is_missing(tmp_path: Path, capf
 def test_a_part_of_a_run_is_extrapolated_and_the_best_has_no_excess() -> None:
     ticks = iter(range(100))
     parts = [Budget("posed", 1, PosedDraper), Budget("posed", 2, PosedDraper, share=0.25)]
-    case = Case("sphere", scene_of(sphere_groom(strands=3)))
+    case = Case("sphere", posed_scene(sphere_groom(strands=3)))
     with (
         mock.patch("quaffure.benchmark.solver_benchmark._compile"),
         mock.patch("quaffure.benchmark.solver_benchmark.time.perf_counter", side_effect=lambda: next(ticks)),
@@ -72,7 +71,7 @@ def test_a_part_of_a_run_is_extrapolated_and_the_best_has_no_excess() -> None:
     assert whole.excess_energy == part.excess_energy == 0
 
 
-def test_mistakes_are_told_in_one_line_before_the_work(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_are_printed_in_one_line_before_the_work(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "bench.json")
     assert "'magic'" in refused(capfd, "--out", out, "--solver", "magic")
     assert "'magic'" in refused(capfd, "--out", out, "--solver", "magic", "--quick")

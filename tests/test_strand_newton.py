@@ -7,16 +7,15 @@ import torch
 from quaffure.config import HairMaterial
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.surface import Surface, posed_surface, surface_topology
-from quaffure.scene import Scene
+from quaffure.scene import PosedScene
 from quaffure.solvers.newton.block_tridiagonal import factor_strand, solve_strand
-from quaffure.solvers.newton.rounded_contact import CREASE_WIDTH, body_arrays, rounded_distance
-from quaffure.solvers.newton.strand_hessian import hair_arrays, strand_hessian
+from quaffure.solvers.newton.rounded_contact import ROUNDING_WIDTH, body_arrays, rounded_distance
+from quaffure.solvers.newton.strand_hessian import StrandSystem, hair_arrays, strand_hessian
 from quaffure.solvers.newton.strand_newton import turn_edges
-from tests.scenes import bent_inwards, sphere_groom
-from tests.test_xpbd import scene_of
+from tests.scenes import bent_inwards, posed_scene, sphere_groom
 
 
-def near_the_sphere(scene: Scene) -> np.ndarray:
+def near_the_sphere(scene: PosedScene) -> np.ndarray:
     """Vertices within and beyond the margin of a sphere of radius 0.1 m, away from every rest length."""
     generator = torch.Generator().manual_seed(5)
     outward = torch.nn.functional.normalize(bent_inwards(scene.groom, 1)[0][0], dim=-1)
@@ -35,20 +34,19 @@ def dense(diagonal: np.ndarray, coupling: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("surface", ["sphere", "crease"])
 def test_strand_hessian_matches_differences_of_the_gradient(surface: str) -> None:
-    scene = scene_of(sphere_groom(strands=12), surface=crease() if surface == "crease" else None)
+    scene = posed_scene(sphere_groom(strands=12), surface=crease() if surface == "crease" else None)
     hair = hair_arrays(HairEnergy(scene.groom, HairMaterial()), scene.director[0])
     body = body_arrays(scene.surface, 0)
     positions = near_the_sphere(scene) if surface == "sphere" else near_the_crease(scene)
     count = positions.shape[1]
     bent = 0.0
     for strand, x in enumerate(positions):
-        places = np.zeros(count, np.int64)
+        leaves = np.zeros(count, np.int64)
 
-        def derivatives(at: np.ndarray, strand: int = strand, places: np.ndarray = places) -> tuple[np.ndarray, ...]:
-            gradient, diagonal = np.empty((count, 3)), np.empty((count, 3, 3))
-            coupling = np.empty((count - 1, 3, 3))
-            strand_hessian(at, strand, hair, body, places, 1.0, gradient, diagonal, coupling)
-            return gradient, diagonal, coupling
+        def derivatives(at: np.ndarray, strand: int = strand, leaves: np.ndarray = leaves) -> tuple[np.ndarray, ...]:
+            system = StrandSystem(np.empty((count, 3)), np.empty((count, 3, 3)), np.empty((count - 1, 3, 3)))
+            strand_hessian(at, strand, hair, body, leaves, 1.0, system)
+            return system
 
         matrix = dense(*derivatives(x)[1:])
         direction = np.random.default_rng(strand).normal(size=x.shape)
@@ -77,11 +75,11 @@ def outward(vertices: torch.Tensor, faces: torch.Tensor) -> Surface:
     return posed_surface(surface_topology(vertices, faces if volume > 0 else faces.flip(1)), vertices[None])
 
 
-def near_the_crease(scene: Scene) -> np.ndarray:
+def near_the_crease(scene: PosedScene) -> np.ndarray:
     """Vertices 2.5 mm off both faces of the hollow, within a few widths of where both are equally near."""
     generator = np.random.default_rng(7)
     strands, vertices = scene.groom.rest_strands.shape[:2]
-    x = CREASE_WIDTH * generator.normal(size=(strands, vertices))
+    x = ROUNDING_WIDTH * generator.normal(size=(strands, vertices))
     y = 0.01 * np.arange(vertices) - 0.1 + 0.002 * generator.normal(size=(strands, vertices))
     return np.stack([x, y, np.full_like(x, 2.5e-3 * np.sqrt(1.25))], axis=-1)
 
@@ -89,7 +87,7 @@ def near_the_crease(scene: Scene) -> np.ndarray:
 def test_rounded_distance_neither_jumps_nor_rises_faster_than_one_moves(surface: Surface) -> None:
     """Its gradient is a mean of unit vectors. Lines through the margin of the whole body cross creases and corners."""
     arrays, generator = body_arrays(surface, 0), np.random.default_rng(0)
-    starts = surface.corners[0].mean(1) + 2.5e-3 * surface.normals[0, :, 0]
+    starts = surface.arrays.corners[0].mean(1) + 2.5e-3 * surface.arrays.normals[0, :, 0]
     normal, crease, bulge = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     crossed = 0.0
     for start in starts[generator.integers(len(starts), size=60)].astype(np.float64):
@@ -110,11 +108,11 @@ def test_a_crease_is_rounded_from_below_and_nothing_else_is() -> None:
     at = np.array([0.0, 0.01, off * np.sqrt(1.25)])
     distance, _ = rounded_distance(at, 0, 3e-3, body, normal, hollow, bulge)
     # The sides of the hollow are cut into two triangles each, so that at most four faces count.
-    assert off - 2 * CREASE_WIDTH < distance <= off - CREASE_WIDTH * np.log(2) + 1e-9
+    assert off - 2 * ROUNDING_WIDTH < distance <= off - ROUNDING_WIDTH * np.log(2) + 1e-9
     assert abs(normal[0]) < 1e-6
     assert hollow[0, 0] > 1e3
-    beside = at + np.array([5e-3, 0.0, 2.5e-3])
-    assert rounded_distance(beside, 0, 3e-3, body, normal, hollow, bulge)[0] == pytest.approx(off, abs=1e-8)
+    next_to_it = at + np.array([5e-3, 0.0, 2.5e-3])
+    assert rounded_distance(next_to_it, 0, 3e-3, body, normal, hollow, bulge)[0] == pytest.approx(off, abs=1e-8)
     assert np.abs(hollow).max() < 1e-6
     assert normal == pytest.approx(np.array([-1.0, 0.0, 2.0]) / np.sqrt(5), abs=1e-6)
 

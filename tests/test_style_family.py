@@ -10,7 +10,7 @@ from quaffure.hair.groom import Groom
 from quaffure.procedural.curls import curl_arc_factor
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import STYLES, HairStyle
-from quaffure.procedural.style_family import CURL_TYPES, VERTICES_OF_A_TURN, sample_style
+from quaffure.procedural.style_family import CURL_TYPES, VERTICES_PER_TURN, sample_style
 
 
 def drawn(count: int, seed: int = 0) -> list[HairStyle]:
@@ -60,7 +60,7 @@ def test_the_family_has_every_feature_and_keeps_together_what_belongs_together()
     assert hanging.max() > 0.33
     # A curl is never finer than the vertices of a strand can show, and coils are never long.
     turn = torch.tensor([style.curl_length for style in styles]) / hanging * (VERTICES_PER_STRAND - 1)
-    assert turn.min() > VERTICES_OF_A_TURN - 1e-3
+    assert turn.min() > VERTICES_PER_TURN - 1e-3
     coiled = torch.tensor([curl_arc_factor(style) for style in styles]) > 1.9
     assert coiled.any()
     assert hanging[coiled].max() <= CURL_TYPES["curly"].hanging_length[1]

@@ -10,7 +10,7 @@ from quaffure.hair.scalp_roots import ScalpRoots, spread_roots
 from quaffure.procedural.curls import clumped, curled
 from quaffure.procedural.generator import STEPS, make_groom
 from quaffure.procedural.hair_style import STYLES, HairStyle
-from quaffure.procedural.ties import bundle_of, gather, gathered_by
+from quaffure.procedural.ties import strand_bundle, tie_of_strand, trace_tied
 
 
 @pytest.fixture(scope="module")
@@ -18,13 +18,13 @@ def roots(body: BodyModel) -> ScalpRoots:
     return spread_roots(body, 20, torch.Generator().manual_seed(0))
 
 
-def grown(style: HairStyle, body: BodyModel, surface: Surface) -> Groom:
+def sample_groom(style: HairStyle, body: BodyModel, surface: Surface) -> Groom:
     return make_groom(replace(style, root_rows=20), body, surface=surface)
 
 
 def to_band(groom: Groom, style: HairStyle, body: BodyModel, roots: ScalpRoots) -> torch.Tensor:
     """Distance of every strand from the middle of the first tie's band [m]."""
-    middle = bundle_of(style.ties[0], roots, body, torch.Generator()).middle
+    middle = strand_bundle(style.ties[0], roots, body, torch.Generator()).centre
     return (groom.rest_strands - middle).norm(dim=-1).amin(1)
 
 
@@ -32,7 +32,7 @@ def test_every_strand_of_a_ponytail_passes_the_band_and_hangs(
     body: BodyModel, surface: Surface, roots: ScalpRoots
 ) -> None:
     style = STYLES["ponytail"]
-    groom = grown(style, body, surface)
+    groom = sample_groom(style, body, surface)
     band = style.ties[0].radius
     assert torch.quantile(to_band(groom, style, body, roots), 0.98) < 1.5 * band
     tips = groom.rest_strands[:, -1]
@@ -41,38 +41,38 @@ def test_every_strand_of_a_ponytail_passes_the_band_and_hangs(
 
 
 def test_strands_enter_the_band_from_the_side_that_they_come_from(body: BodyModel, roots: ScalpRoots) -> None:
-    bundle = bundle_of(STYLES["ponytail"].ties[0], roots, body, torch.Generator().manual_seed(0))
+    bundle = strand_bundle(STYLES["ponytail"].ties[0], roots, body, torch.Generator().manual_seed(0))
     aside = roots.points[:, 0].abs() > 0.03
-    assert (bundle.ring[aside, 0] * roots.points[aside, 0] > 0).all()
-    assert torch.allclose(bundle.spoke @ bundle.axis, torch.zeros(len(roots)), atol=1e-5)
+    assert (bundle.crossings[aside, 0] * roots.points[aside, 0] > 0).all()
+    assert torch.allclose(bundle.radial @ bundle.axis, torch.zeros(len(roots)), atol=1e-5)
 
 
-def test_the_band_vertex_is_where_gather_says(body: BodyModel, surface: Surface, roots: ScalpRoots) -> None:
+def test_the_returned_index_is_the_vertex_in_the_band(body: BodyModel, surface: Surface, roots: ScalpRoots) -> None:
     for name in ("ponytail", "top_knot"):
         style = STYLES[name]
         generator = torch.Generator().manual_seed(0)
-        bundle = bundle_of(style.ties[0], roots, body, generator)
-        axes, in_band = gather(style, style.ties[0], bundle, STEPS, surface, generator)
+        bundle = strand_bundle(style.ties[0], roots, body, generator)
+        axes, in_band = trace_tied(style, style.ties[0], bundle, STEPS, surface, generator)
         assert axes.shape == (len(roots), STEPS + 1, 3)
-        assert torch.allclose(axes[:, in_band], bundle.ring, atol=1e-6)
+        assert torch.allclose(axes[:, in_band], bundle.crossings, atol=1e-6)
         assert torch.equal(axes[:, 0], roots.points)
 
 
 def test_pigtails_go_to_their_own_side(body: BodyModel, surface: Surface, roots: ScalpRoots) -> None:
-    ties = gathered_by(STYLES["pigtails"], roots)
+    ties = tie_of_strand(STYLES["pigtails"], roots)
     assert (ties[roots.points[:, 0] > 1e-3] == 0).all()
     assert (ties[roots.points[:, 0] < -1e-3] == 1).all()
-    strands = grown(STYLES["pigtails"], body, surface).rest_strands
+    strands = sample_groom(STYLES["pigtails"], body, surface).rest_strands
     aside = strands[:, 0, 0].abs() > 1e-3
     assert (strands[aside, -1, 0] * strands[aside, 0, 0] > 0).all()
 
 
-def test_half_up_gathers_hair_above_a_height_only(roots: ScalpRoots) -> None:
-    gathered = gathered_by(STYLES["half_up"], roots) >= 0
+def test_half_up_ties_hair_above_a_height_only(roots: ScalpRoots) -> None:
+    tied = tie_of_strand(STYLES["half_up"], roots) >= 0
     height = roots.from_head[:, 2]
-    assert gathered[height > 0.12].all()
-    assert not gathered[height < 0.01].any()
-    assert 0.3 < gathered.float().mean() < 0.8
+    assert tied[height > 0.12].all()
+    assert not tied[height < 0.01].any()
+    assert 0.3 < tied.float().mean() < 0.8
 
 
 def test_a_bun_is_a_ball_round_its_tie_and_a_puff_is_a_larger_one(
@@ -81,11 +81,11 @@ def test_a_bun_is_a_ball_round_its_tie_and_a_puff_is_a_larger_one(
     style = STYLES["top_knot"]
     radius = style.ties[0].bun_radius
     assert radius is not None
-    beyond = grown(style, body, surface).rest_strands[:, -8:]
-    middle = bundle_of(style.ties[0], roots, body, torch.Generator()).middle
+    beyond = sample_groom(style, body, surface).rest_strands[:, -8:]
+    middle = strand_bundle(style.ties[0], roots, body, torch.Generator()).centre
     assert (beyond - middle).norm(dim=-1).max() < 2 * radius
-    puff = grown(STYLES["afro_puff"], body, surface).rest_strands[:, -1]
-    band = bundle_of(STYLES["afro_puff"].ties[0], roots, body, torch.Generator()).middle
+    puff = sample_groom(STYLES["afro_puff"], body, surface).rest_strands[:, -1]
+    band = strand_bundle(STYLES["afro_puff"].ties[0], roots, body, torch.Generator()).centre
     spread = (puff - band).norm(dim=-1)
     assert 0.05 < spread.mean() < 0.15
     assert (puff - puff.mean(0)).std(0).min() > 0.02  # a ball, not a disc

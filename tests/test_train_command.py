@@ -19,8 +19,7 @@ from quaffure.io.groom_file import write_groom
 from quaffure.model.checkpoint import load_network
 from quaffure.model.quaffure_model import load_model
 from quaffure.procedural.hair_style import HELD_OUT
-from quaffure.training.train_decoder import DecoderTraining
-from quaffure.training.validation import Validation
+from quaffure.training.train_decoder import DecoderRecipe
 from tests.training_runs import LONGEST_WAIT, QUAFFURE, TINY_OPTIONS, checkpoint, rows_of, tiny_groom, train_command
 
 
@@ -71,7 +70,7 @@ def test_a_run_from_the_shipped_weights_takes_their_network(
     assert "the options of their network" in capsys.readouterr().err
 
 
-def test_the_command_trains_on_a_body_of_ones_own(
+def test_the_command_trains_on_another_body(
     tiny_groom_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with np.load(str(files("quaffure") / "assets" / "body.npz"), allow_pickle=False) as shipped:
@@ -84,7 +83,7 @@ def test_the_command_trains_on_a_body_of_ones_own(
     with pytest.raises(SystemExit) as stop:
         main(command)
     assert stop.value.code == 2
-    assert "expected a run on body" in capsys.readouterr().err
+    assert "expected a run of body" in capsys.readouterr().err
 
     arrays["joint_names"] = arrays["joint_names"][::-1]
     np.savez(tmp_path / "reversed.npz", **arrays)
@@ -114,9 +113,9 @@ def test_what_cannot_be_trained_is_refused_in_one_line(
     with pytest.raises(SystemExit) as stop:
         main(["train", "--out", str(tmp_path / "run"), "--steps", "1", *TINY_OPTIONS, *options])
     assert stop.value.code == 2
-    told = capsys.readouterr().err
-    assert complaint in told
-    assert told.count("\n") == 1
+    errors = capsys.readouterr().err
+    assert complaint in errors
+    assert errors.count("\n") == 1
 
 
 def test_a_held_out_groom_under_another_name_is_refused(
@@ -149,15 +148,15 @@ def test_nothing_of_the_evaluation_set_is_trained_on(spelling: str) -> None:
 def test_validation_poses_are_from_no_clip(
     tiny_groom_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    runs: list[tuple[DecoderTraining, Validation]] = []
-    monkeypatch.setattr(train_cli, "train", lambda training, validation, report: runs.append((training, validation)))
+    runs: list[DecoderRecipe] = []
+    monkeypatch.setattr(train_cli, "train", lambda training, report: runs.append(training.recipe))
     poses = 0.1 * np.random.default_rng(0).standard_normal((40, 81))
     np.savez(tmp_path / "own.npz", body_pose=poses.astype(np.float32), fps=np.float32(30))
     command = train_command(tmp_path / "run", tiny_groom_file, 1)
     main(command)
     main([*command, "--motion", str(tmp_path / "own.npz"), "--family", "1"])
-    (_, without), (trained, beside) = runs
+    without, trained = runs
     assert [clip.name for clip in trained.sampler.clips] == ["own"]
     assert [groom.name for groom in trained.grooms][1:] == ["family_0"]
-    assert torch.equal(beside.body_pose, without.body_pose)
-    assert torch.equal(beside.body_shape, without.body_shape)
+    assert torch.equal(trained.validation.body_pose, without.validation.body_pose)
+    assert torch.equal(trained.validation.body_shape, without.validation.body_shape)

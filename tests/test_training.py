@@ -24,10 +24,10 @@ from quaffure.procedural.generator import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training import run_folder, train_decoder
 from quaffure.training.distributed import Worker
+from quaffure.training.loop import train
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_config import TrainConfig
-from quaffure.training.train_decoder import DecoderTraining, train
-from quaffure.training.validation import Validation, loss_unit, validation_figures
+from quaffure.training.validation import loss_unit, validation_metrics
 from tests.scenes import sphere_groom
 from tests.training_runs import TINY, rows_of, tiny_groom, training
 
@@ -35,10 +35,6 @@ from tests.training_runs import TINY, rows_of, tiny_groom, training
 @pytest.fixture(scope="module")
 def groom(body: BodyModel) -> Groom:
     return tiny_groom(body)
-
-
-def validation() -> Validation:
-    return Validation(*PoseSampler(load_pose_prior()).sample(2, 1, torch.Generator().manual_seed(9)))
 
 
 def silent(step: int, figures: dict[str, float]) -> None:
@@ -58,7 +54,7 @@ def test_steps_on_the_same_poses_lower_the_loss(body: BodyModel, tmp_path: Path,
     groom = make_groom("long_straight", body).select(torch.arange(0, 2400, 60))
     network = replace(TINY.network, output=output)
     config = replace(TINY, network=network, steps=24, log_every=24, learning_rate=2e-3)
-    run = DecoderTraining(config, body, (groom,), SamePoses(load_pose_prior()), tmp_path)
+    run = training(body, groom, tmp_path, config, sampler=SamePoses(load_pose_prior()))
     losses = [figures["loss"] for figures in islice(run.steps(), 12)]
     # Slid strands start near the minimum: their loss begins at about nothing and ends below it.
     aim = losses[0] - 0.02 if output == "directions" else 0.6 * losses[0]
@@ -72,7 +68,7 @@ def test_two_runs_end_with_the_same_bits(body: BodyModel, groom: Groom, tmp_path
         run = training(body, groom, tmp_path, replace(TINY, steps=2, seed=seed))
         for _ in run.steps():
             pass
-        weights.append(run.draper.network.state_dict())
+        weights.append(run.recipe.network.state_dict())
     for name, value in weights[0].items():
         assert torch.equal(weights[1][name], value), name
     assert any(not torch.equal(weights[2][name], value) for name, value in weights[0].items())
@@ -80,7 +76,7 @@ def test_two_runs_end_with_the_same_bits(body: BodyModel, groom: Groom, tmp_path
 
 def test_a_run_leaves_configuration_logs_and_the_best_weights(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
     reports: list[dict[str, float]] = []
-    train(training(body, groom, tmp_path), validation(), lambda step, figures: reports.append(figures))
+    train(training(body, groom, tmp_path), lambda step, figures: reports.append(figures))
     _, material, notes = load_network(tmp_path / "best.safetensors")
     assert material == TINY.material
     assert notes["grooms"] == "bob"
@@ -98,7 +94,7 @@ def test_a_run_leaves_configuration_logs_and_the_best_weights(body: BodyModel, g
 
 
 def test_the_log_holds_every_term_of_the_loss(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
-    train(training(body, groom, tmp_path, replace(TINY, log_every=2)), validation(), silent)
+    train(training(body, groom, tmp_path, replace(TINY, log_every=2)), silent)
     rows = rows_of(tmp_path / "training.csv")
     assert [row["step"] for row in rows] == ["2", "4"]
     terms = ("stretch_shear", "stretch", "gravity", "body_collision", "self_collision", "pose_regularization")
@@ -122,7 +118,7 @@ def test_validation_tells_the_share_of_vertices_inside(body: BodyModel, groom: G
 
     scene = Scene(groom, BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
     draper = QuarterInside(build_network(TINY.network), HairMaterial())
-    figures = validation_figures(draper, [(scene, HairEnergy(groom, HairMaterial()))])
+    figures = validation_metrics(draper, [(scene, HairEnergy(groom, HairMaterial()))])
     assert figures["body_intersection_percent"] == pytest.approx(25)
     assert figures["length_error_percent"] == pytest.approx(99, abs=0.1)
     assert figures["orientation_error_deg"] < 0.1
@@ -145,7 +141,7 @@ def test_the_mean_loss_of_several_grooms_is_followed(
     monkeypatch.setattr(force_limit, "MAX_FORCE", largest_force)
     config = replace(TINY, steps=1, grooms_per_step=2)
     alone, twice = (
-        next(DecoderTraining(config, body, grooms, SamePoses(load_pose_prior()), tmp_path).steps())
+        next(training(body, grooms, tmp_path, config, sampler=SamePoses(load_pose_prior())).steps())
         for grooms in ((groom,), (groom, groom))
     )
     for name in ("loss", "gradient_norm", "self_collision"):
@@ -155,17 +151,17 @@ def test_the_mean_loss_of_several_grooms_is_followed(
 def test_some_of_many_grooms_are_drawn_anew_for_every_step(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
     grooms = tuple(replace(groom, name=name) for name in "abc")
     config = replace(TINY, steps=8, runs=1, grooms_per_step=2, log_every=100)
-    run = DecoderTraining(config, body, grooms, SamePoses(load_pose_prior()), tmp_path)
-    assert run.samples_per_step == 4
+    run = training(body, grooms, tmp_path, config, sampler=SamePoses(load_pose_prior()))
+    assert run.recipe.samples_per_step == 4
     drawn: list[str] = []
-    own_loss = run._loss
+    own_loss = run.recipe._loss
 
-    def recording(scene: Scene, energy: HairEnergy, count: int) -> tuple[torch.Tensor, dict[str, float]]:
+    def recording(scene: Scene, index: int, count: int, step: int) -> tuple[torch.Tensor, dict[str, float]]:
         drawn.append(scene.groom.name)
         assert count == 2
-        return own_loss(scene, energy, count)
+        return own_loss(scene, index, count, step)
 
-    run._loss = recording  # type: ignore[method-assign]
+    run.recipe._loss = recording  # type: ignore[method-assign]
     for _ in run.steps():
         pass
     pairs = {frozenset(pair) for pair in zip(drawn[::2], drawn[1::2], strict=True)}
@@ -183,11 +179,11 @@ def test_self_collision_on_every_second_step_is_as_strong(
     gradients: dict[tuple[int, int], torch.Tensor] = {}
     for every in (1, 2):
         run = training(body, groom, tmp_path, replace(TINY, self_collision_every=every))
-        for run.step in (0, 1):
-            loss, _ = run._loss(Scene(groom, bodies), 0, 1)
+        for step in (0, 1):
+            loss, _ = run.recipe._loss(Scene(groom, bodies), 0, 1, step)
             loss.backward()
-            last = run.draper.network.strand[-1].bias
-            gradients[every, run.step] = last.grad.clone()
+            last = run.recipe.network.strand[-1].bias
+            gradients[every, step] = last.grad.clone()
             last.grad = None
     apart = (gradients[2, 0] - gradients[2, 1]).norm()
     assert apart > 1e-3 * gradients[1, 0].norm()
@@ -196,11 +192,11 @@ def test_self_collision_on_every_second_step_is_as_strong(
 
 
 def test_contact_counts_in_the_loss_as_often_as_it_is_asked_to(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
-    through_the_body = replace(TINY, network=replace(TINY.network, slides=False), steps=1)
+    through_the_body = replace(TINY, network=replace(TINY.network, contact=False), steps=1)
     rows = []
     for weight in (1.0, 3.0):
         config = replace(through_the_body, body_contact_weight=weight)
-        train(training(body, groom, tmp_path / f"{weight}", config), validation(), silent)
+        train(training(body, groom, tmp_path / f"{weight}", config), silent)
         rows += rows_of(tmp_path / f"{weight}" / "training.csv")
     contact, same_contact = (float(row["body_collision"]) for row in rows)
     assert contact == same_contact > 0
@@ -213,7 +209,7 @@ def test_the_loss_holds_strands_together_with_the_elastic_model_that_is_asked_fo
 ) -> None:
     config = replace(TINY, elastic=elastic, steps=1, body_contact_weight=3.0)
     run = training(body, groom, tmp_path, config)
-    train(run, validation(), silent)
+    train(run, silent)
     terms = {name: float(value) for name, value in rows_of(tmp_path / "training.csv")[0].items()}
     assert terms["elastic"] > 1e-3
     parts = ("elastic", "gravity", "self_collision", "pose_regularization")
@@ -227,10 +223,10 @@ def test_the_best_weights_are_those_of_the_lowest_loss(
     body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     figures = iter([{"energy": 1.0, "body_collision": 0.2}, {"energy": 0.9, "body_collision": 0.3}])
-    monkeypatch.setattr(train_decoder, "validation_figures", lambda draper, scenes: next(figures))
+    monkeypatch.setattr(train_decoder, "validation_metrics", lambda draper, scenes: next(figures))
     run = training(body, groom, tmp_path, replace(TINY, body_contact_weight=3.0))
     for run.step in (1, 2):
-        run.validate(validation())
+        run.validate()
     assert load_network(tmp_path / "best.safetensors")[2]["step"] == "1"
 
 
@@ -244,9 +240,9 @@ def test_some_of_many_grooms_stand_for_all_in_a_validation(
         return {"energy": 0.0, "body_collision": 0.0}
 
     monkeypatch.setattr(train_decoder, "VALIDATED_GROOMS", 2)
-    monkeypatch.setattr(train_decoder, "validation_figures", figures)
+    monkeypatch.setattr(train_decoder, "validation_metrics", figures)
     grooms = tuple(groom.select(torch.arange(count)) for count in (10, 11, 12, 13, 14))
-    DecoderTraining(TINY, body, grooms, SamePoses(load_pose_prior()), tmp_path).validate(validation())
+    training(body, grooms, tmp_path, sampler=SamePoses(load_pose_prior())).validate()
     assert measured == [(10, 10), (13, 13)]
 
 
@@ -256,8 +252,8 @@ def test_the_version_of_the_code_is_that_of_the_start(
     versions = iter(["at the start", "edited since"])
     monkeypatch.setattr(run_folder, "code_version", lambda: next(versions))
     run = training(body, groom, tmp_path)
-    run.describe()
-    run.validate(validation())
+    run.folder.describe(run.recipe.description())
+    run.validate()
     assert json.loads((tmp_path / "config.json").read_text())["version"] == "at the start"
     assert load_network(tmp_path / "best.safetensors")[2]["version"] == "at the start"
 
@@ -270,7 +266,7 @@ def test_a_run_killed_before_its_first_checkpoint_begins_its_logs_anew(
         killed.log(figures)
     again = training(body, groom, tmp_path)
     assert not again.resume()
-    train(again, validation(), silent)
+    train(again, silent)
     assert [row["step"] for row in rows_of(tmp_path / "training.csv")] == ["1", "2", "3", "4"]
 
 
@@ -298,7 +294,7 @@ def test_weights_to_start_from_are_those_of_both_networks(body: BodyModel, groom
     given = build_network(TINY.network)
     run.start_from(given)
     next(run.steps())
-    for network in (run.draper.network, run.optimizer.averaged):
+    for network in (run.recipe.network, run.optimizer.averaged):
         for name, value in given.state_dict().items():
             torch.testing.assert_close(network.state_dict()[name], value, atol=1e-7, rtol=1e-5)
     with pytest.raises(InputError, match="other layers"):
@@ -322,14 +318,14 @@ def test_a_run_goes_on_after_a_gradient_that_is_not_finite(
     body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = training(body, groom, tmp_path, replace(TINY, validate_every=100))
-    own_loss = run._loss
+    own_loss = run.recipe._loss
 
-    def broken_once(scene: Scene, energy: HairEnergy, grooms: int) -> tuple[torch.Tensor, dict[str, float]]:
-        loss, terms = own_loss(scene, energy, grooms)
-        return (loss * float("nan") if run.step == 1 else loss), terms
+    def broken_once(scene: Scene, index: int, grooms: int, step: int) -> tuple[torch.Tensor, dict[str, float]]:
+        loss, terms = own_loss(scene, index, grooms, step)
+        return (loss * float("nan") if step == 1 else loss), terms
 
-    monkeypatch.setattr(run, "_loss", broken_once)
-    train(run, validation(), silent)
+    monkeypatch.setattr(run.recipe, "_loss", broken_once)
+    train(run, silent)
     rows = rows_of(tmp_path / "training.csv")
     assert [row["step"] for row in rows] == ["1", "2", "3", "4"]
     assert [float(row["skipped_updates"]) for row in rows] == [0, 1, 1, 1]
@@ -361,9 +357,8 @@ def test_settings_out_of_range_are_refused() -> None:
 
 @pytest.mark.cuda
 def test_a_step_on_cuda_has_the_loss_of_one_on_the_cpu(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
-    sampler = PoseSampler(load_pose_prior())
     losses = []
     for device in ("cpu", "cuda"):
-        run = DecoderTraining(TINY, body, (groom,), sampler, tmp_path, Worker(device=torch.device(device)))
+        run = training(body, groom, tmp_path, worker=Worker(device=torch.device(device)))
         losses.append([figures["loss"] for figures in run.steps()])
     assert losses[1] == pytest.approx(losses[0], rel=1e-2)

@@ -62,15 +62,15 @@ def _ask(points: np.ndarray, grid: TriangleGrid) -> tuple[np.ndarray, np.ndarray
 
 def grid_over(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> TriangleGrid:
     skin, head = collision_skin(bodies.body), head_of(bodies)
-    twice = points.repeat_interleave(2, dim=0)  # every second one is looked at
-    return triangle_grid(skin_vertices.numpy(), skin.faces.numpy(), skin.reach, head.numpy(), twice.numpy())
+    twice = points.repeat_interleave(2, dim=0)  # every second one is used
+    return triangle_grid(skin_vertices.numpy(), skin.faces.numpy(), skin.band, head.numpy(), twice.numpy())
 
 
 def test_kernel_and_twin_agree(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> None:
     skin = collision_skin(bodies.body)
     heights, faces = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))
     expected, nearest = nearest_triangle_in_band_reference(
-        points, skin_vertices, skin.faces, torch.from_numpy(skin.reach)
+        points, skin_vertices, skin.faces, torch.from_numpy(skin.band)
     )
     found = nearest >= 0
     assert 0.2 < found.float().mean() < 0.8
@@ -86,7 +86,7 @@ def test_points_close_to_the_skin_learn_their_distance(
     skin = collision_skin(bodies.body)
     exact = signed_distance(points[None], bodies.surface)[0]
     heights, nearest = nearest_triangle_in_band_reference(
-        points, skin_vertices, skin.faces, torch.from_numpy(skin.reach)
+        points, skin_vertices, skin.faces, torch.from_numpy(skin.band)
     )
     close = exact.abs() < 0.002
     assert close.sum() > 150
@@ -105,7 +105,7 @@ def test_lists_find_room(
     expected = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))
     rooms = []
     one_try = module._list
-    monkeypatch.setattr(module, "_ROOM", 0.0)
+    monkeypatch.setattr(module, "_BLOCKS_PER_FACE", 0.0)
     monkeypatch.setattr(module, "_list", lambda *all_of: rooms.append(len(all_of[-1])) or one_try(*all_of))
     found = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))
     assert len(rooms) > 1
@@ -127,14 +127,14 @@ def test_the_skin_ends_at_the_waist(body: BodyModel) -> None:
     assert places[:, 2].min() > body.rest_joints[body.joint_names.index("LeftLeg"), 2]
     kept = {tuple(face) for face in skin.vertices[skin.faces].tolist()}
     assert all(tuple(face) in kept for face in body.faces[body.scalp.faces].tolist())
-    kinds = {(round(float(low), 4), round(float(high), 4)) for low, high in skin.reach}
+    kinds = {(round(float(low), 4), round(float(high), 4)) for low, high in skin.band}
     assert kinds == {(BELOW, ABOVE), *((depth, depth) for depth in THIN)}
 
 
 def test_thin_skin_is_that_of_fingers(body: BodyModel) -> None:
     skin = collision_skin(body)
     led_by = [body.joint_names[int(joint)] for joint in body.dense_skin_weights[skin.vertices].argmax(1)]
-    thin = skin.reach[:, 1] > ABOVE
+    thin = skin.band[:, 1] > ABOVE
     of_face = [led_by[corner] for corner in skin.faces[:, 0].tolist()]
     share = {
         part: np.mean([one for one, name in zip(thin, of_face) if part in name]) for part in ("Finger", "Arm", "Spine")
@@ -148,7 +148,7 @@ def test_all_faces_are_those_near_the_points(
     bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor
 ) -> None:
     skin, head = collision_skin(bodies.body), head_of(bodies)
-    everywhere = triangle_grid(skin_vertices.numpy(), skin.faces.numpy(), skin.reach, head.numpy())
+    everywhere = triangle_grid(skin_vertices.numpy(), skin.faces.numpy(), skin.band, head.numpy())
     few = points[::40]
     near = grid_over(bodies, skin_vertices, few)
     for one, other in zip(_ask(few.numpy(), near), _ask(few.numpy(), everywhere)):
@@ -161,7 +161,7 @@ def test_all_faces_are_those_near_the_points(
 def test_faces_without_area_are_left_out(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> None:
     skin, head = collision_skin(bodies.body), head_of(bodies)
     flat = torch.cat([skin.faces, skin.faces[::50][:, [0, 0, 1]]])
-    reach = np.concatenate([skin.reach, skin.reach[::50]])
+    reach = np.concatenate([skin.band, skin.band[::50]])
     expected = _ask(points.numpy(), grid_over(bodies, skin_vertices, points))
     found = _ask(points.numpy(), triangle_grid(skin_vertices.numpy(), flat.numpy(), reach, head.numpy()))
     twin = nearest_triangle_in_band_reference(points, skin_vertices, flat, torch.from_numpy(reach))

@@ -10,12 +10,12 @@ from quaffure.procedural.hair_style import Clipping, Fringe, HairStyle
 from quaffure.procedural.trimming import (
     SHORTEST,
     clipped_share,
-    cut_above,
-    cut_below,
-    cut_levels,
-    cut_off_ears,
     in_fringe,
     strand_lengths,
+    trim_above,
+    trim_around_ears,
+    trim_below,
+    trim_heights,
 )
 
 PLAIN = HairStyle(length=0.2, length_variation=0.0)
@@ -68,11 +68,11 @@ def test_a_fringe_grows_at_the_forehead_and_ends_over_the_eyes(roots: ScalpRoots
     fringe = in_fringe(style, roots, seeded())
     assert 10 < fringe.sum() < 0.2 * len(roots)
     assert roots.from_head[fringe, 1].max() < roots.from_head[:, 1].min() + 0.05
-    levels = cut_levels(style, roots, fringe, seeded()) - roots.head[2]
+    levels = trim_heights(style, roots, fringe, seeded()) - roots.head[2]
     assert torch.allclose(levels[fringe], torch.tensor(0.055))
     assert torch.allclose(levels[~fringe], torch.tensor(-0.1))
     assert not in_fringe(PLAIN, roots, seeded()).any()
-    assert (cut_levels(PLAIN, roots, ~fringe, seeded()) == -math.inf).all()
+    assert (trim_heights(PLAIN, roots, ~fringe, seeded()) == -math.inf).all()
 
 
 def falling(length: float, start: tuple[float, float, float]) -> torch.Tensor:
@@ -80,20 +80,20 @@ def falling(length: float, start: tuple[float, float, float]) -> torch.Tensor:
     return (torch.tensor(start) + down)[None]
 
 
-def test_scissors_end_a_strand_where_it_meets_them() -> None:
+def test_a_strand_is_cut_where_it_crosses_the_level() -> None:
     strand = falling(0.3, (0.0, 0.0, 1.0))
-    cut = cut_below(strand, torch.tensor([0.8531]))
+    cut = trim_below(strand, torch.tensor([0.8531]))
     assert cut.shape == strand.shape
     assert cut[0, -1, 2] == pytest.approx(0.8531, abs=1e-5)
     assert torch.equal(cut[0, 0], strand[0, 0])
     for below in (0.5, -math.inf):
-        assert torch.allclose(cut_below(strand, torch.tensor([below])), strand, atol=1e-6)
-    rising = cut_above(2 - strand, 1.2)
+        assert torch.allclose(trim_below(strand, torch.tensor([below])), strand, atol=1e-6)
+    rising = trim_above(2 - strand, 1.2)
     assert rising[0, -1, 2] == pytest.approx(1.2, abs=1e-5)
 
 
 def test_what_roots_beyond_the_cut_keeps_the_shortest_length() -> None:
-    left = cut_below(falling(0.3, (0.0, 0.0, 1.0)), torch.tensor([1.1]))
+    left = trim_below(falling(0.3, (0.0, 0.0, 1.0)), torch.tensor([1.1]))
     assert left.diff(dim=1).norm(dim=-1).sum() == pytest.approx(SHORTEST, rel=1e-3)
 
 
@@ -101,7 +101,7 @@ def test_hair_is_cut_round_both_ears_and_nowhere_else(body: BodyModel) -> None:
     head = body.rest_joints[body.joint_names.index("Head")]
     for side in (-1.0, 1.0):
         over = falling(0.2, (side * 0.085, 0.0, 0.1)) + head
-        cut = cut_off_ears(over, head)
+        cut = trim_around_ears(over, head)
         assert 0.04 < float((cut[0, -1] - head)[2]) < 0.06
         behind = falling(0.2, (side * 0.07, 0.06, 0.1)) + head
-        assert torch.allclose(cut_off_ears(behind, head), behind, atol=1e-6)
+        assert torch.allclose(trim_around_ears(behind, head), behind, atol=1e-6)

@@ -23,7 +23,7 @@ from quaffure.apps.viewer.hair_colours import INSIDE, hair_colours, segments
 from quaffure.apps.viewer.page import Address, Page
 from quaffure.apps.viewer.playback import Playback
 from quaffure.apps.viewer.session import free_path
-from quaffure.apps.viewer.stage import Degrees, Stage
+from quaffure.apps.viewer.view_state import Degrees, ViewState
 from quaffure.baselines.posed import PosedDraper
 from quaffure.body.clips import CLIP_FPS, CLIP_NAMES, bundled_clip
 from quaffure.body.motion import joint_matrices
@@ -77,23 +77,23 @@ def catalogue(model: Quaffure, groom: Groom) -> Catalogue:
 
 
 @pytest.fixture(scope="module")
-def stage(catalogue: Catalogue) -> Stage:
-    return Stage(catalogue.body, catalogue.groom("thinned"), catalogue.motion("nod"), catalogue.draper("neural"))
+def state(catalogue: Catalogue) -> ViewState:
+    return ViewState(catalogue.body, catalogue.groom("thinned"), catalogue.motion("nod"), catalogue.draper("neural"))
 
 
 NOSE, CROWN = (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)
 """Where they point at rest, seen from the head."""
 
 
-def pointing(stage: Stage, part: tuple[float, float, float] = NOSE) -> torch.Tensor:
+def pointing(state: ViewState, part: tuple[float, float, float] = NOSE) -> torch.Tensor:
     """Where the nose or the crown points."""
-    shape = torch.tensor(stage.body_shape)[None]
-    rotations, _ = stage.body.posed_joints(stage.body_pose(), shape)
-    return rotations[0, stage.body.joint_names.index(HEAD)] @ torch.tensor(part)
+    shape = torch.tensor(state.body_shape)[None]
+    rotations, _ = state.body.posed_joints(state.body_pose(), shape)
+    return rotations[0, state.body.joint_names.index(HEAD)] @ torch.tensor(part)
 
 
-def test_without_turns_the_pose_is_the_clips(stage: Stage) -> None:
-    assert torch.equal(stage.at(7).body_pose()[0], stage.motion.body_pose[7])
+def test_without_turns_the_pose_is_the_clips(state: ViewState) -> None:
+    assert torch.equal(state.at(7).body_pose()[0], state.motion.body_pose[7])
 
 
 @pytest.mark.parametrize(
@@ -106,54 +106,54 @@ def test_without_turns_the_pose_is_the_clips(stage: Stage) -> None:
     ids=["turn left", "bend forward", "lean left"],
 )
 def test_turns_go_the_way_the_sliders_say(
-    stage: Stage, catalogue: Catalogue, degrees: Degrees, nose: Degrees, crown: Degrees
+    state: ViewState, catalogue: Catalogue, degrees: Degrees, nose: Degrees, crown: Degrees
 ) -> None:
-    turned = stage.playing(catalogue.motion(REST)).turned(HEAD, degrees)
+    turned = state.playing(catalogue.motion(REST)).rotated(HEAD, degrees)
     torch.testing.assert_close(pointing(turned), torch.tensor(nose), atol=1e-5, rtol=0)
     torch.testing.assert_close(pointing(turned, CROWN), torch.tensor(crown), atol=1e-5, rtol=0)
 
 
-def test_turns_come_on_top_of_the_clip(stage: Stage, catalogue: Catalogue) -> None:
+def test_turns_come_on_top_of_the_clip(state: ViewState, catalogue: Catalogue) -> None:
     """The neck turns left in the clip; the head turns back by hand, and the other joints stay."""
-    looking_left = stage.playing(catalogue.motion("neck_turn")).at(60)
-    back = looking_left.turned(HEAD, (0.0, 0.0, -70.0))
+    looking_left = state.playing(catalogue.motion("neck_turn")).at(60)
+    back = looking_left.rotated(HEAD, (0.0, 0.0, -70.0))
     assert pointing(looking_left)[0] > 0.9
     torch.testing.assert_close(pointing(back), torch.tensor(NOSE), atol=1e-4, rtol=0)
     changed = (back.body_pose() != looking_left.body_pose()).unflatten(1, (27, 3)).any(-1)[0]
-    assert changed.nonzero().flatten().tolist() == [stage.body.joint_names.index(HEAD)]
-    assert torch.equal(back.turned(HEAD, (0.0, 0.0, 0.0)).body_pose(), looking_left.body_pose())
+    assert changed.nonzero().flatten().tolist() == [state.body.joint_names.index(HEAD)]
+    assert torch.equal(back.rotated(HEAD, (0.0, 0.0, 0.0)).body_pose(), looking_left.body_pose())
 
 
-def test_a_turn_by_hand_carries_the_clips_own_turn_round(stage: Stage) -> None:
+def test_a_turn_by_hand_carries_the_clips_own_turn_round(state: ViewState) -> None:
     """A head that nods down and is turned left looks down to the left: the clip turns first."""
-    nodding = stage.at(25)
-    head = stage.body.joint_names.index(HEAD)
-    local = [joint_matrices(s.body_pose())[0, head] for s in (nodding, nodding.turned(HEAD, (0.0, 0.0, 90.0)))]
+    nodding = state.at(25)
+    head = state.body.joint_names.index(HEAD)
+    local = [joint_matrices(s.body_pose())[0, head] for s in (nodding, nodding.rotated(HEAD, (0.0, 0.0, 90.0)))]
     before, after = (rotation @ torch.tensor([0.0, -1.0, 0.0], dtype=rotation.dtype) for rotation in local)
     assert before[2] < -0.1
     torch.testing.assert_close(after, torch.stack([-before[1], before[0], before[2]]), atol=1e-5, rtol=0)
 
 
-def test_frames_go_round_and_clips_start_again(stage: Stage, catalogue: Catalogue) -> None:
-    frames = len(stage.motion)
-    assert stage.at(frames + 3).frame == 3
-    assert stage.at(5).playing(catalogue.motion(REST)).frame == 0
+def test_frames_go_round_and_clips_start_again(state: ViewState, catalogue: Catalogue) -> None:
+    frames = len(state.motion)
+    assert state.at(frames + 3).frame == 3
+    assert state.at(5).playing(catalogue.motion(REST)).frame == 0
 
 
-def test_a_stage_that_cannot_be_is_refused(stage: Stage) -> None:
+def test_a_stage_that_cannot_be_is_refused(state: ViewState) -> None:
     with pytest.raises(InputError, match="found 90"):
-        replace(stage, frame=len(stage.motion))
+        replace(state, frame=len(state.motion))
     with pytest.raises(InputError, match="'Tail'"):
-        stage.turned("Tail", (1.0, 0.0, 0.0))
+        state.rotated("Tail", (1.0, 0.0, 0.0))
     with pytest.raises(InputError, match="found 3"):
-        replace(stage, body_shape=(0.0,) * 3)
+        replace(state, body_shape=(0.0,) * 3)
 
 
-def test_a_stage_drapes_as_the_model_does(stage: Stage, model: Quaffure) -> None:
-    shaped = stage.at(20).shaped(0, 1.5).turned("Neck", (10.0, 0.0, 0.0))
+def test_a_stage_drapes_as_the_model_does(state: ViewState, model: Quaffure) -> None:
+    shaped = state.at(20).shaped(0, 1.5).rotated("Neck", (10.0, 0.0, 0.0))
     drape = shaped.drape()
     shape = torch.tensor([[1.5, *[0.0] * 9]])
-    expected = model.drape(stage.groom, shaped.body_pose(), shape)[0].numpy()
+    expected = model.drape(state.groom, shaped.body_pose(), shape)[0].numpy()
     np.testing.assert_allclose(drape.strands, expected, atol=1e-6)
     np.testing.assert_allclose(drape.body_vertices, model.body.pose(shaped.body_pose(), shape).vertices[0], atol=1e-6)
     assert drape.network_milliseconds is not None
@@ -162,20 +162,20 @@ def test_a_stage_drapes_as_the_model_does(stage: Stage, model: Quaffure) -> None
     assert drape.sequence.meta["frame"] == 20
 
 
-def test_posed_hair_has_no_network_and_its_own_figures(stage: Stage, catalogue: Catalogue) -> None:
-    drape = replace(stage, draper=catalogue.draper("posed")).drape()
+def test_posed_hair_has_no_network_and_its_own_metrics(state: ViewState, catalogue: Catalogue) -> None:
+    drape = replace(state, draper=catalogue.draper("posed")).drape()
     assert drape.network_milliseconds is None
-    draped, posed = drape.figures()
+    draped, posed = drape.metrics()
     assert draped == posed
     assert draped["length_error_percent"] < 1e-2
 
 
-def test_inside_agrees_with_the_metrics(stage: Stage, catalogue: Catalogue) -> None:
+def test_inside_agrees_with_the_metrics(state: ViewState, catalogue: Catalogue) -> None:
     """Long hair posed on a head that looks far up goes through the back."""
-    drape = replace(stage, draper=PosedDraper()).turned("Neck", (-45.0, 0.0, 0.0)).drape()
+    drape = replace(state, draper=PosedDraper()).rotated("Neck", (-45.0, 0.0, 0.0)).drape()
     inside = drape.inside(drape.strands)
     assert not inside[:, 0].any()
-    percent = drape.figures()[0]["body_intersection_percent"]
+    percent = drape.metrics()[0]["body_intersection_percent"]
     assert percent > 1
     assert 100 * inside[:, 1:].mean() == pytest.approx(percent, abs=1e-3)
 
@@ -201,6 +201,13 @@ def test_interpolated_strands_are_kept_for_one_groom_and_count(catalogue: Catalo
     assert len(catalogue.interpolation(groom, 60)) == 60
 
 
+def finishes(thread: DrapingThread) -> bool:
+    """Whether all jobs requested so far end in time."""
+    done = threading.Event()
+    thread.request("last", done.set)
+    return done.wait(SECONDS)
+
+
 def test_the_draping_thread_forgets_what_is_stale_and_survives_errors() -> None:
     done: list[str] = []
     errors: list[Exception] = []
@@ -211,26 +218,26 @@ def test_the_draping_thread_forgets_what_is_stale_and_survives_errors() -> None:
         thread.request("drag", lambda number=number: done.append(f"drag {number}"))  # type: ignore[misc]
         thread.request("broken", lambda: [][1])
     gate.set()
-    assert thread.wait_until_idle(SECONDS)
+    assert finishes(thread)
     assert done == ["first", "drag 4"]
     assert [type(error) for error in errors] == [IndexError]
     thread.request("after", lambda: done.append("after"))
-    assert thread.wait_until_idle(SECONDS)
+    assert finishes(thread)
     assert done[-1] == "after"
     thread.stop()
 
 
-def test_the_draping_thread_survives_an_error_that_cannot_be_told(capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_draping_thread_survives_an_error_that_cannot_be_reported(capfd: pytest.CaptureFixture[str]) -> None:
     done: list[str] = []
 
-    def untold(error: Exception) -> None:
+    def failing_report(error: Exception) -> None:
         raise ConnectionError("no browser")
 
-    thread = DrapingThread(untold)
+    thread = DrapingThread(failing_report)
     thread.request("broken", lambda: [][1])
-    assert thread.wait_until_idle(SECONDS)
+    assert finishes(thread)
     thread.request("after", lambda: done.append("after"))
-    assert thread.wait_until_idle(SECONDS)
+    assert finishes(thread)
     assert done == ["after"]
     assert "no browser" in capfd.readouterr().err
     thread.stop()
@@ -245,7 +252,7 @@ def test_a_change_is_made_before_the_drape_that_shows_it() -> None:
     for kind in ("drape", "frame", "drape"):
         thread.request(kind, lambda kind=kind: done.append(kind))  # type: ignore[misc]
     gate.set()
-    assert thread.wait_until_idle(SECONDS)
+    assert finishes(thread)
     assert done == ["frame", "drape"]
     thread.stop()
 
@@ -316,8 +323,8 @@ def test_segments_join_neighbours_of_one_strand_only() -> None:
     assert np.array_equal(pairs[2], strands[1, :2])
 
 
-def test_saved_drapes_never_take_a_name_that_is_there(stage: Stage, catalogue: Catalogue, tmp_path: Path) -> None:
-    named = replace(stage, groom=replace(stage.groom, name="my hair/2"), draper=catalogue.draper("posed")).drape()
+def test_saved_drapes_never_take_a_name_that_is_there(state: ViewState, catalogue: Catalogue, tmp_path: Path) -> None:
+    named = replace(state, groom=replace(state.groom, name="my hair/2"), draper=catalogue.draper("posed")).drape()
     first = free_path(tmp_path, named)
     assert first == tmp_path / "my_hair_2_nod_0000_posed.npz"
     first.with_suffix(".png").touch()
@@ -341,9 +348,9 @@ def test_bad_input_is_refused_before_a_page_is_served(
     with pytest.raises(SystemExit) as stop:
         main(["view", *arguments])
     assert stop.value.code == 2
-    said = capfd.readouterr().err
-    assert complaint in said
-    assert said.count("\n") == 1
+    message = capfd.readouterr().err
+    assert complaint in message
+    assert message.count("\n") == 1
 
 
 def test_a_port_that_is_taken_is_refused() -> None:
@@ -365,16 +372,16 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def page(catalogue: Catalogue, saved: Path) -> Iterator[Page]:
     served = Page(catalogue, ("thinned", REST), Address("127.0.0.1", 0), saved, no_picture)
-    assert served.session.thread.wait_until_idle(SECONDS)
+    assert finishes(served.session.thread)
     yield served
     served.stop()
 
 
-def settled(page: Page) -> Stage:
+def settled(page: Page) -> ViewState:
     """What is shown when all that was asked for is done."""
-    assert page.session.thread.wait_until_idle(SECONDS)
+    assert finishes(page.session.thread)
     assert page.session.shown is not None
-    return page.session.shown.stage
+    return page.session.shown.state
 
 
 def wait_until(holds: Callable[[], bool]) -> None:
@@ -406,11 +413,11 @@ def test_changes_send_points_and_keep_the_nodes(page: Page) -> None:
     hair, before = page._nodes._hair, page.session.shown
     assert hair is not None
     assert before is not None
-    page.session.ask_edit("turn", lambda stage: stage.turned(HEAD, (0.0, 0.0, 30.0)))
+    page.session.ask_edit("turn", lambda state: state.rotated(HEAD, (0.0, 0.0, 30.0)))
     settled(page)
     assert page._nodes._hair is hair
     assert not np.array_equal(hair.points, segments(before.strands))
-    page.session.ask_edit("turn", lambda stage: replace(stage, joint_turns={}))
+    page.session.ask_edit("turn", lambda state: replace(state, joint_rotations={}))
     settled(page)
     np.testing.assert_allclose(hair.points, segments(before.strands), atol=1e-6)
 
@@ -431,18 +438,18 @@ class SlowDraper:
 
 def test_a_solver_waits_for_its_button(page: Page, catalogue: Catalogue) -> None:
     """The network's drape is shown meanwhile."""
-    page.session.ask_edit("draper", lambda stage: replace(stage, draper=SlowDraper()))
+    page.session.ask_edit("draper", lambda state: replace(state, draper=SlowDraper()))
     assert settled(page).draper.name == "neural"
     assert page.panel.settle.visible
     assert page.panel.settle.label == "Settle with slow"
-    assert page.session.stage.draper.name == "slow"
-    page.session.ask_settle()
+    assert page.session.state.draper.name == "slow"
+    page.session.ask(page.session.settle)
     assert settled(page).draper.name == "slow"
     assert "**slow**" in page.panel.status.content
-    page.session.ask_edit("draper", lambda stage: replace(stage, draper=catalogue.draper("posed")))
+    page.session.ask_edit("draper", lambda state: replace(state, draper=catalogue.draper("posed")))
     assert settled(page).draper.name == "posed"
     assert not page.panel.settle.visible
-    page.session.ask_edit("draper", lambda stage: replace(stage, draper=catalogue.draper("neural")))
+    page.session.ask_edit("draper", lambda state: replace(state, draper=catalogue.draper("neural")))
     settled(page)
 
 
@@ -450,34 +457,34 @@ def test_a_groom_that_cannot_be_draped_does_not_stay(page: Page) -> None:
     """Two of its strands root in one texel, which the network cannot hold."""
     before = settled(page)
     twice = before.groom.select(torch.tensor([0, 0, 1]))
-    page.session.ask_edit("groom", lambda stage: replace(stage, groom=twice))
+    page.session.ask_edit("groom", lambda state: replace(state, groom=twice))
     assert settled(page) is before
-    assert page.session.stage is before
-    page.session.ask_edit("frame", lambda stage: stage.turned(HEAD, (0.0, 0.0, 20.0)))
-    assert settled(page).joint_turns == {HEAD: (0.0, 0.0, 20.0)}
-    page.session.ask_edit("frame", lambda stage: replace(stage, joint_turns={}))
+    assert page.session.state is before
+    page.session.ask_edit("frame", lambda state: state.rotated(HEAD, (0.0, 0.0, 20.0)))
+    assert settled(page).joint_rotations == {HEAD: (0.0, 0.0, 20.0)}
+    page.session.ask_edit("frame", lambda state: replace(state, joint_rotations={}))
     settled(page)
 
 
 def test_a_solver_that_fails_leaves_the_page_as_it_was(page: Page, catalogue: Catalogue) -> None:
-    page.session.ask_edit("draper", lambda stage: replace(stage, draper=SlowDraper(fails=True)))
+    page.session.ask_edit("draper", lambda state: replace(state, draper=SlowDraper(fails=True)))
     before, status = settled(page), page.panel.status.content
-    page.session.ask_settle()
+    page.session.ask(page.session.settle)
     assert settled(page) is before
     assert page.panel.status.content == status
-    page.session.ask_edit("draper", lambda stage: replace(stage, draper=catalogue.draper("neural")))
+    page.session.ask_edit("draper", lambda state: replace(state, draper=catalogue.draper("neural")))
     settled(page)
 
 
 def test_strands_between_guides_and_marks(page: Page) -> None:
     guides = len(settled(page).groom)
-    page.session.ask_look(2 * guides, True)
+    page.session.ask_display(2 * guides, True)
     settled(page)
     hair = page._nodes._hair
     assert hair is not None
     assert len(hair.points) == 2 * guides * 23
     assert page._nodes._skin.opacity is not None
-    page.session.ask_look(0, False)
+    page.session.ask_display(0, False)
     settled(page)
     assert page._nodes._hair is not None
     assert len(page._nodes._hair.points) == guides * 23
@@ -545,7 +552,7 @@ def test_a_groom_picked_in_the_browser_is_draped_and_seen(browser: Browser, page
 
 
 def test_play_moves_the_frame_and_pause_stops_it(browser: Browser, page: Page, catalogue: Catalogue) -> None:
-    page.session.ask_edit("motion", lambda stage: stage.playing(catalogue.motion("nod")))
+    page.session.ask_edit("motion", lambda state: state.playing(catalogue.motion("nod")))
     browser.tab.get_by_role("button", name="Play").click()
     wait_until(lambda: page.panel.frame.value > 0)
     browser.tab.get_by_role("button", name="Pause").click()
@@ -558,13 +565,15 @@ def test_play_moves_the_frame_and_pause_stops_it(browser: Browser, page: Page, c
     assert settled(page).frame == frame
 
 
-def test_an_error_is_told_and_the_page_goes_on(browser: Browser, page: Page, capfd: pytest.CaptureFixture[str]) -> None:
-    page.session.ask_edit("frame", lambda stage: replace(stage, frame=-1))
+def test_an_error_is_shown_and_the_page_goes_on(
+    browser: Browser, page: Page, capfd: pytest.CaptureFixture[str]
+) -> None:
+    page.session.ask_edit("frame", lambda state: replace(state, frame=-1))
     browser.tab.get_by_text("frame: expected 0 to").wait_for()
-    page.session.ask_edit("frame", lambda stage: [][1])
+    page.session.ask_edit("frame", lambda state: [][1])
     browser.tab.get_by_text("IndexError").wait_for()
     assert "IndexError" in capfd.readouterr().err
-    page.session.ask_edit("frame", lambda stage: stage.at(11))
+    page.session.ask_edit("frame", lambda state: state.at(11))
     assert settled(page).frame == 11
 
 

@@ -8,18 +8,18 @@ import pytest
 import torch
 from scipy.spatial import ConvexHull
 
-from quaffure.body.body_model import shipped_body
+from quaffure.backend import Backend
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.closed_form import equilibrium_edges
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.geometry.polyline import directors, edges
+from quaffure.geometry.polyline import edges
 from quaffure.geometry.surface import Surface, posed_surface, surface_topology
 from quaffure.hair.groom import Groom
-from quaffure.scene import BodyBatch, Scene
+from quaffure.scene import PosedScene
 from quaffure.solvers.adam import AdamDraper
 from quaffure.solvers.stopping import energy_and_gradient
 from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting, paper_setting
-from tests.scenes import sphere_groom, sphere_surface
+from tests.scenes import posed_scene, sphere_groom
 
 SOFT = HairMaterial(k_cosserat=5e-8)
 """Strands of 10 cm sag a good deal."""
@@ -28,17 +28,6 @@ LONG_STEPS = XpbdSetting(steps=40, iterations=200, first_time_step=0.5, last_tim
 
 
 SETTLED = XpbdSetting(steps=200, iterations=50, first_time_step=0.1, last_time_step=0.002, refresh=10)
-
-
-def scene_of(groom: Groom, posed: torch.Tensor | None = None, surface: Surface | None = None) -> Scene:
-    """A scene on a sphere of radius 0.1 m, or on `surface`."""
-    posed = groom.rest_strands[None] if posed is None else posed
-    # As if the cached parts had been asked for already: the body is never posed.
-    bodies = BodyBatch(shipped_body(), torch.zeros(len(posed), 81), torch.zeros(len(posed), 10))
-    bodies.__dict__["surface"] = surface or sphere_surface(len(posed))
-    scene = Scene(groom, bodies)
-    scene.__dict__.update(posed=posed, director=directors(posed))
-    return scene
 
 
 def box_surface() -> Surface:
@@ -63,19 +52,17 @@ def strands_by_hand(rest: torch.Tensor) -> Groom:
     )
 
 
-def gradients(draped: torch.Tensor, scene: Scene, energy: HairEnergy) -> tuple[torch.Tensor, torch.Tensor]:
+def gradients(draped: torch.Tensor, scene: PosedScene, energy: HairEnergy) -> tuple[torch.Tensor, torch.Tensor]:
     """Gradient of the whole energy and of Eqs. 10 and 11 alone [N], roots left out."""
-    x = draped.clone().requires_grad_()
-    terms = energy.reference_terms(x, scene.director, scene.surface)
-    contact = terms["body_collision"] + terms["self_collision"]
-    (of_contact,) = torch.autograd.grad(contact.sum(), x, retain_graph=True)
-    (whole,) = torch.autograd.grad(torch.stack(list(terms.values())).sum(), x)
+    twin = HairEnergy(scene.groom, energy.material, backend=Backend.TORCH)
+    contact = twin.only("body_collision", "self_collision")
+    whole, of_contact = (energy_and_gradient(part, scene, draped)[1] for part in (twin, contact))
     return whole[:, :, 1:], of_contact[:, :, 1:]
 
 
 def test_free_strands_hang_in_the_closed_form() -> None:
     groom = sphere_groom(strands=13)
-    scene = scene_of(groom, groom.rest_strands.expand(2, -1, -1, -1))
+    scene = posed_scene(groom, groom.rest_strands.expand(2, -1, -1, -1))
     draper = XpbdDraper(FREE, LONG_STEPS)
     draped, report = draper.solve(scene)
     rest = HairEnergy(groom, FREE).rest
@@ -92,7 +79,7 @@ def test_free_strands_hang_in_the_closed_form() -> None:
 def test_masses_and_time_steps_do_not_change_where_hair_comes_to_rest() -> None:
     groom = sphere_groom(strands=5, vertices=10)
     short = XpbdSetting(steps=1500, iterations=10, first_time_step=0.05, last_time_step=0.05, refresh=10)
-    ends = [XpbdDraper(FREE, setting).drape(scene_of(groom)) for setting in (LONG_STEPS, short)]
+    ends = [XpbdDraper(FREE, setting).drape(posed_scene(groom)) for setting in (LONG_STEPS, short)]
     assert (ends[0] - ends[1]).norm(dim=-1).max() < 2e-4
 
 
@@ -100,7 +87,7 @@ def test_a_vertex_rests_on_a_plane_at_its_analytic_penetration() -> None:
     groom = strands_by_hand(torch.tensor([[[0.0, 0.0, 0.0], [0.02, 0.0, 0.004]]]))
     # Hardly any elasticity: gravity against Eq. 10 alone.
     material = HairMaterial(k_cosserat=1e-12, k_stretch=1e-6, k_self_collision=0.0)
-    scene = scene_of(groom, surface=box_surface())
+    scene = posed_scene(groom, surface=box_surface())
     draped, _ = XpbdDraper(material, XpbdSetting(steps=60, first_time_step=0.02)).solve(scene)
     rest = HairEnergy(groom, material).rest
     penetration = (STANDARD_GRAVITY * float(rest.mass[0, 1]) / (3 * material.k_body_collision)) ** 0.5
@@ -111,7 +98,7 @@ def test_a_vertex_rests_on_a_plane_at_its_analytic_penetration() -> None:
 def test_forces_of_a_strand_that_lies_on_a_sphere_balance() -> None:
     groom = sphere_groom(strands=8)
     material = replace(SOFT, k_self_collision=0.0)
-    scene = scene_of(groom)
+    scene = posed_scene(groom)
     energy = HairEnergy(groom, material)
     draped, report = XpbdDraper(material, SETTLED).solve(scene)
     whole, contact = gradients(draped, scene, energy)
@@ -127,7 +114,7 @@ def test_two_strands_press_each_other_apart_until_forces_balance() -> None:
     posed = rest.clone()
     posed[..., 0] *= 0.2
     material = HairMaterial(k_self_collision=1e-4)
-    scene = scene_of(groom, posed[None])
+    scene = posed_scene(groom, posed[None])
     draped, _ = XpbdDraper(material, SETTLED).solve(scene)
     whole, contact = gradients(draped, scene, HairEnergy(groom, material))
     assert (draped[0, 1, -1, 0] - draped[0, 0, -1, 0]) > 0.003
@@ -143,14 +130,11 @@ def test_long_time_steps_do_not_throw_pressed_hair_through_its_neighbours() -> N
     groom = strands_by_hand(drop + spread + torch.tensor([0.0, 0.0, 0.5]))
     posed = groom.rest_strands[None].clone()
     posed[:, :, 1:, :2] = 0.005 + 0.5 * posed[:, :, 1:, :2]
-    scene = scene_of(groom, posed)
+    scene = posed_scene(groom, posed)
     energy = HairEnergy(groom, HairMaterial(k_self_collision=1e-5))
     setting = XpbdSetting(steps=8, iterations=200, first_time_step=0.05, last_time_step=0.05, relaxation=1.0)
     draped, _ = XpbdDraper(energy.material, setting).solve(scene)
-    before, after = (
-        float(energy.per_vertex(energy.terms(x, scene.director, scene.surface)["self_collision"]))
-        for x in (posed, draped)
-    )
+    before, after = (float(energy.per_vertex(energy.by_term(x, scene)["self_collision"])) for x in (posed, draped))
     assert before > 0.1
     assert after < 1e-3 * before
 
@@ -160,14 +144,14 @@ def test_deep_hair_comes_out_of_the_body() -> None:
     posed = groom.rest_strands[None].clone()
     posed[:, :, 1:] = posed[:, :, :1] + 0.5 * (posed[:, :, :1] - posed[:, :, 1:])
     assert (posed[:, :, 5:12].norm(dim=-1) < 0.085).all()
-    draped = XpbdDraper().drape(scene_of(groom, posed))
+    draped = XpbdDraper().drape(posed_scene(groom, posed))
     assert torch.isfinite(draped).all()
     assert (draped[:, :, 1:].norm(dim=-1) < 0.097).float().mean() < 0.02
 
 
 def test_it_descends_holds_the_roots_and_reaches_the_energy_of_adam() -> None:
     groom = sphere_groom(strands=43)
-    scene = scene_of(groom, groom.rest_strands.expand(2, -1, -1, -1))
+    scene = posed_scene(groom, groom.rest_strands.expand(2, -1, -1, -1))
     energy = HairEnergy(groom)
     at_start = float(energy_and_gradient(energy, scene, scene.posed)[0].mean())
     draped, report = XpbdDraper().solve(scene)
@@ -182,8 +166,3 @@ def test_the_setting_of_the_paper() -> None:
     setting = paper_setting()
     assert (setting.steps, setting.iterations) == (30, 10_000)
     assert setting.time_step(0) == setting.time_step(29) == setting.first_time_step
-
-
-def test_a_margin_that_clear_cells_cannot_see_is_refused() -> None:
-    with pytest.raises(ValueError, match="collision margin"):
-        XpbdDraper(HairMaterial(collision_margin=0.006)).solve(scene_of(sphere_groom(strands=2)))

@@ -10,12 +10,14 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.hair.groom import Groom
-from quaffure.model.quaffure_network import NetworkConfig
+from quaffure.model.network_config import NetworkConfig
 from quaffure.procedural.generator import make_groom
-from quaffure.training.distributed import Worker
+from quaffure.training.distributed import SINGLE_PROCESS, Worker
+from quaffure.training.loop import Training
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_config import TrainConfig
-from quaffure.training.train_decoder import DecoderTraining
+from quaffure.training.train_decoder import DecoderRecipe
+from quaffure.training.validation import Validation
 
 TINY = TrainConfig(
     network=NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=8, strand_width=16),
@@ -37,8 +39,22 @@ def tiny_groom(body: BodyModel) -> Groom:
     return make_groom("bob", body).select(torch.arange(0, 2400, 60))
 
 
-def training(body: BodyModel, groom: Groom, folder: Path, config: TrainConfig = TINY, rank: int = 0) -> DecoderTraining:
-    return DecoderTraining(config, body, (groom,), PoseSampler(load_pose_prior()), folder, Worker(rank))
+def validation() -> Validation:
+    return Validation(*PoseSampler(load_pose_prior()).sample(2, 1, torch.Generator().manual_seed(9)))
+
+
+def training(
+    body: BodyModel,
+    groom: Groom | tuple[Groom, ...],
+    folder: Path,
+    config: TrainConfig = TINY,
+    worker: Worker = SINGLE_PROCESS,
+    sampler: PoseSampler | None = None,
+) -> Training[DecoderRecipe]:
+    """A run on one groom or several, with poses of the shipped prior."""
+    grooms = groom if isinstance(groom, tuple) else (groom,)
+    sampler = sampler or PoseSampler(load_pose_prior())
+    return Training(DecoderRecipe(config, body, grooms, sampler, validation(), worker), folder)
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:

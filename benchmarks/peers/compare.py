@@ -1,4 +1,4 @@
-"""Peers that we did not write beside our own drapers: the same strands, roots, body and weight, one criterion of rest.
+"""Programs of others compared with our own drapers: the same strands, roots, body and weight, one criterion of rest.
 
     bash benchmarks/peers/set_up.sh dismech && bash benchmarks/peers/set_up.sh mujoco
     python benchmarks/peers/compare.py [--folder runs/peers] [--out peers.json]
@@ -29,7 +29,7 @@ from quaffure.io.atomic import replacing
 from quaffure.scene import Scene
 
 STRANDS, MANY = 100, 2000
-PATIENCE = 10.0
+LONGEST_RUN = 10.0
 """What would take longer with many strands is not run but extrapolated, from runs with few and twice as many [s]."""
 FIGURES = ("body_intersection_percent", "length_error_percent", "length_error_percent_max", "orientation_error_deg")
 
@@ -154,7 +154,7 @@ def _our_rows(scenes: dict[int, Scene], folder: Path) -> Iterator[Row]:
 def _many_seconds(ours: Ours, arrived: int, seconds: float, scenes: dict[int, Scene]) -> tuple[float, bool]:
     """Processor time for many strands with the budget that was enough for few, and whether it is extrapolated."""
     draper = ours.draper((ours.budgets or (0,))[arrived])
-    if seconds * MANY / STRANDS <= PATIENCE:
+    if seconds * MANY / STRANDS <= LONGEST_RUN:
         return timed_drape(draper, scenes[MANY])[1], False
     growth = timed_drape(draper, scenes[2 * STRANDS])[1] / seconds
     return extrapolated(seconds, growth, MANY / STRANDS), True

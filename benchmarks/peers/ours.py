@@ -9,6 +9,7 @@ from rest import Trace
 
 from quaffure.baselines.posed import PosedDraper
 from quaffure.draper import Draper
+from quaffure.energies.hair_terms import hair_terms
 from quaffure.model.quaffure_model import load_model
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers.lbfgs import LbfgsDraper
@@ -55,7 +56,7 @@ def our_drapers() -> tuple[Ours, ...]:
             "lbfgs, cosserat",
             "Cosserat rod",
             evaluations,
-            lambda effort: LbfgsDraper(evaluations=effort, elastic="cosserat"),
+            lambda effort: LbfgsDraper(evaluations=effort, terms=hair_terms("cosserat")),
         ),
     )
 

@@ -1,8 +1,8 @@
-"""What the peers' runners share; runs in the environment of a peer, so it needs numpy alone.
+"""What the peers' runners share; runs in the environment of a peer, so it needs only numpy.
 
     python run_PEER.py scene.npz --out frames.npz [--seconds 2] [--strands S]
 
-A peer starts at rest in the shape without stress, feels gravity, and swings until it hangs still. After every step all
+A peer starts at rest in the shape without stress, and swings under gravity until it is at rest. After every step all
 velocities are multiplied by exp(-DRAG dt): one drag for all peers, near the critical one of a 20 cm pendulum.
 
 The file holds positions [F,S,N,3] [m], simulated_seconds [F] and cpu_seconds [F] (processor time of the steps so far,
@@ -54,23 +54,23 @@ def run(make: Callable[[SceneArrays], Peer], version: str) -> None:
     parser.add_argument("scene", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seconds", type=float, default=2.0, help="simulated")
-    parser.add_argument("--strands", type=int, help="the first so many alone")
+    parser.add_argument("--strands", type=int, help="only the first so many")
     options = parser.parse_args()
 
     _, compile_seconds = _timed(lambda: _one_step(make(read_scene(options.scene, 2))))
     scene = read_scene(options.scene, options.strands)
     peer, build_seconds = _timed(lambda: make(scene))
-    # Beside first, then renamed: a run of minutes that is stopped leaves no half file.
-    beside = options.out.with_suffix(".part.npz")
+    # A temporary file, then renamed: a run of minutes that is stopped leaves no half file.
+    temporary = options.out.with_suffix(".part.npz")
     np.savez(
-        beside,
+        temporary,
         compile_seconds=compile_seconds,
         build_seconds=build_seconds,
         version=version,
         time_step=peer.time_step,
         **_frames(peer, options.seconds),
     )
-    beside.replace(options.out)
+    temporary.replace(options.out)
 
 
 def _frames(peer: Peer, seconds: float) -> dict[str, np.ndarray]:

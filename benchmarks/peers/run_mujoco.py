@@ -17,7 +17,7 @@ ARMATURE = 1e-11
 """Inertia added to every joint [kg m^2], or the plugin's explicit forces would need steps of 0.1 ms. It has no part in
 where hair rests."""
 DAMPING = 1e-8
-"""Of every joint [N m s]. A third of it does as well; without, curls start to tremble after 0.2 s and blow up at any
+"""Of every joint [N m s]. A third of it does as well; without, curls start to vibrate after 0.2 s and blow up at any
 time step: where the bend at rest is large, the plugin's torques are no energy's gradient."""
 HULL_VERTICES = 256
 CONTACT_SECONDS = 0.01
@@ -42,7 +42,7 @@ class Mujoco:
     def step(self, keep: float) -> None:
         mujoco.mj_step(self._model, self._data)
         if self._data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
-            raise ArithmeticError("MuJoCo blew up and started anew")  # it goes on as if nothing had been
+            raise ArithmeticError("MuJoCo diverged and restarted")  # it continues without a message
         self._data.qvel[:] *= keep
 
     def positions(self) -> np.ndarray:

@@ -4,12 +4,12 @@
 
 Peers run in environments of their own, without this package, so the file holds all they need. Lengths in metres, z up.
 
-    strands [S,N,3]         the groom carried by the posed head: the shape without stress, from which peers start
+    strands [S,N,3]         the groom posed with the head: the shape without stress, from which peers start
     body_vertices [V,3], body_faces [K,3]   the posed skin, closed, normals outwards
     body_parts [V]          the joint that moves each vertex most, for programs that need convex bodies
     linear_density          of a strand [kg/m], as in our own energy
     bend_stiffness, twist_stiffness   EI, GJ of a real hair [N m^2], as in docs/validation.md; not part of our energy
-    strand_radius           for contact alone [m]
+    strand_radius           only for contact [m]
     gravity                 along -z [m/s^2]
 """
 

@@ -1,4 +1,4 @@
-"""Peers' runs: each in its own environment, by its runner, started anew where its file is missing."""
+"""Peers' runs: each in its own environment, by its runner, run where its file is missing."""
 
 import os
 import subprocess
@@ -11,7 +11,7 @@ from rest import Trace
 HERE = Path(__file__).parent
 PEERS = ("dismech", "mujoco")
 WHOLE_RUN, PART_RUN = 2.0, 0.2
-"""Simulated seconds of the run to rest, and of the one that tells how the cost grows."""
+"""Simulated seconds of the run to rest, and of the one that measures how the cost grows."""
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
@@ -45,7 +45,7 @@ def installed(peer: str) -> bool:
 
 
 def peer_run(peer: str, scene: Path, seconds: float) -> PeerRun:
-    """The run of a peer on a scene file, which is kept beside the scene.
+    """The run of a peer on a scene file, which is kept in the folder of the scene.
 
     Raises:
         subprocess.CalledProcessError: the runner failed; it has said why.

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from scipy.linalg import LinAlgError, solveh_banded
 
-from quaffure.energies.elastic_model import Unknowns
+from benchmarks.rods.elastic_potentials import Unknowns
 from quaffure.types import Energy, Float, Positions, Tensor
 
 Potential = Callable[[Positions, Unknowns], Energy]
@@ -24,7 +24,7 @@ class Settled:
 
     Attributes:
         positions: of its vertices [m].
-        unknowns: of its edges (`ElasticState.unknowns`).
+        unknowns: of its edges (`ElasticPotential.unknowns`).
         energy: [J].
         residual: largest component of the gradient [J], with positions in units of an edge's length.
         iterations: Hessians that were solved with.

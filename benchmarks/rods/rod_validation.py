@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from scipy.optimize import minimize_scalar
 
+from benchmarks.rods.elastic_potentials import ElasticModel, Unknowns, cosserat, modified_cosserat
 from benchmarks.rods.heavy_rod import REAL_HAIR_WEIGHT, HeavyRod
 from benchmarks.rods.rod_newton import Settled, settle
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.body_collision import energy_body_collision
 from quaffure.energies.closed_form import equilibrium_edges
 from quaffure.energies.cosserat import RodStiffness
-from quaffure.energies.elastic_model import Cosserat, ElasticModel, ModifiedCosserat, Unknowns
 from quaffure.energies.gravity import energy_gravity
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.rotation import matrix_from_quaternion
@@ -117,7 +117,7 @@ def settle_under_weight(model: ElasticModel, strand: Strand, reach: int = 1, sta
     """A strand of any elastic model at rest under its own weight."""
     posed = strand[None, None]
     rest_length = posed[0].diff(dim=1).norm(dim=-1)
-    mass, state = lumped_mass(rest_length), model.on(posed, rest_length)
+    mass, state = lumped_mass(rest_length), model(posed, rest_length)
 
     def potential(positions: Positions, unknowns: Unknowns) -> Energy:
         return state.energy(positions, unknowns) + energy_gravity(positions, mass)
@@ -132,7 +132,7 @@ def settle_rod(strand: Strand, stiffness: RodStiffness = INEXTENSIBLE) -> Settle
     softer = [replace(stiffness, stretch_shear=stiffness.stretch_shear * part) for part in (1e-3, 3e-2)]
     settled: Settled | None = None
     for step in (*softer, stiffness):
-        settled = settle_under_weight(Cosserat(step), strand, start=settled)
+        settled = settle_under_weight(cosserat(step), strand, start=settled)
     assert settled is not None
     return settled
 
@@ -163,7 +163,7 @@ def helix_compliance(vertices: int, length: float = 0.25, curl: Curl | None = No
     curl = curl or Curl()
     strand = Case(length, curl=curl).strand(vertices)
     posed, rest_length = strand[None, None], strand[None].diff(dim=1).norm(dim=-1)
-    state = Cosserat(INEXTENSIBLE).on(posed, rest_length)
+    state = cosserat(INEXTENSIBLE)(posed, rest_length)
     axis = strand.new_tensor([1.0, 0.0, 0.0])
     to_axis = strand.new_tensor([0.0, curl.radius, 0.0]) - strand[-1] + axis * strand[-1, 0]
     lever = matrix_from_quaternion(state.unknowns[0, 0, -1]).mT @ to_axis
@@ -191,7 +191,7 @@ def sagged_strand(strand: Strand, material: HairMaterial) -> Strand:
 
 def closed_form_difference_mm(case: Case, vertices: int, material: HairMaterial) -> float:
     """Largest distance between the modified energy's minimum as Newton's method finds it and the closed form [mm]."""
-    settled = settle_under_weight(ModifiedCosserat(material), case.strand(vertices))
+    settled = settle_under_weight(modified_cosserat(material), case.strand(vertices))
     return float(distances_mm(settled.positions, sagged_strand(case.strand(vertices), material)).max())
 
 
@@ -238,7 +238,7 @@ class Sphere:
 def settle_in_contact(model: ElasticModel, strand: Strand, distance: Distance, material: HairMaterial) -> Settled:
     """A strand at rest under its weight and in contact (Eq. 10) with a body of known distance; the root feels none."""
     posed, rest_length = strand[None, None], strand[None].diff(dim=1).norm(dim=-1)
-    state, mass = model.on(posed, rest_length), lumped_mass(rest_length)
+    state, mass = model(posed, rest_length), lumped_mass(rest_length)
     margin = torch.full_like(mass, material.collision_margin)
     margin[:, 0] = -1.0
 
@@ -251,7 +251,7 @@ def settle_in_contact(model: ElasticModel, strand: Strand, distance: Distance, m
 
 def depths_in_margin(strand: Strand, distance: Distance, material: HairMaterial) -> Float[Tensor, " n"]:
     """D - d of every vertex but the root [m], for the modified energy; negative where a vertex does not touch."""
-    settled = settle_in_contact(ModifiedCosserat(material), strand, distance, material)
+    settled = settle_in_contact(modified_cosserat(material), strand, distance, material)
     return material.collision_margin - distance(settled.positions[None, None])[0, 0, 1:]
 
 

@@ -2,7 +2,7 @@
 
 Energies are in the unit of the loss.
 
-Trains what `runs_folder` does not hold yet, all with the same samples, and carries on where it was stopped; then plots.
+Trains what `runs_folder` does not hold yet, all with the same samples, and continues stopped runs; then plots.
 """
 
 from pathlib import Path
@@ -17,7 +17,7 @@ from quaffure.energies.hair_energy import HairEnergy
 from quaffure.procedural.generator import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers.by_name import solver
-from quaffure.training.validation import loss_unit, prior_validation, validation_figures
+from quaffure.training.validation import loss_unit, prior_validation, validation_metrics
 
 PLOT = FIGURES / "choices.png"
 CHOICES = {
@@ -44,12 +44,12 @@ def main(runs_folder: Path = Path("runs/choices")) -> list[Path]:
 
 
 def _solved() -> dict[str, float]:
-    """What a solver leaves of the same groom on the bodies that the trainings are validated on."""
+    """Metrics of a solver's drape of the same groom on the bodies that the trainings are validated on."""
     body, poses, material = load_body(), prior_validation(), HairMaterial()
     scene = Scene(make_groom(GROOM, body), BodyBatch(body, poses.body_pose, poses.body_shape))
     energy = HairEnergy(scene.groom, material)
     print(f"unit of the loss: {loss_unit(energy) / energy.per_vertex_unit:.3g} m g L a vertex")
-    return validation_figures(solver(REFERENCE, material), [(scene, energy)])
+    return validation_metrics(solver(REFERENCE, material), [(scene, energy)])
 
 
 if __name__ == "__main__":

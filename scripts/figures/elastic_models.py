@@ -6,16 +6,14 @@
 import time
 from pathlib import Path
 
-import numpy as np
 import torch
-from tiles import FIGURES, Caption, TileRenderer, View, captioned, grid, run_figure, save_picture
+from tiles import FIGURES, Caption, TileRenderer, View, at_rest, grid, run_figure, save_picture
 
 from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
 from quaffure.body.body_model import load_body
-from quaffure.config import HairMaterial
-from quaffure.energies.elastic_model import ELASTIC_MODELS
+from quaffure.energies.hair_terms import ELASTIC_MODELS, hair_terms
 from quaffure.procedural.generator import make_groom
-from quaffure.scene import BodyBatch, Scene
+from quaffure.scene import Scene
 from quaffure.solvers.adam import AdamDraper
 from quaffure.types import Positions
 
@@ -26,14 +24,13 @@ VIEWS = (View(40.0, below_head=0.12), View(180.0, below_head=0.12))
 
 def main() -> list[Path]:
     body = load_body()
-    scene = Scene(make_groom(GROOM, body), BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
+    scene = at_rest(make_groom(GROOM, body), body)
     tiles = []
     with TileRenderer(260, 290) as renderer:
         for title, (hair, seconds) in {"as designed": (scene.posed, 0.0), **_settled(scene)}.items():
             notes = (*what_is_kept(hair, scene.posed), f"{seconds:.0f} s" if seconds else "")
             print(title, *notes, sep=", ")
-            views = [renderer.tiles(scene, hair, view, NATURAL_COLOURS[2])[0] for view in VIEWS]
-            tiles.append(captioned(np.vstack(views), Caption(title, notes)))
+            tiles.append(renderer.column(scene, hair, VIEWS, NATURAL_COLOURS[2], Caption(title, notes)))
     save_picture(OUT, grid([tiles]))
     return [OUT]
 
@@ -43,7 +40,7 @@ def _settled(scene: Scene) -> dict[str, tuple[Positions, float]]:
     settled = {}
     for name in ELASTIC_MODELS:
         start = time.process_time()
-        hair = AdamDraper(HairMaterial(), elastic=name).drape(scene)
+        hair = AdamDraper(terms=hair_terms(name)).drape(scene)
         settled[name] = hair, time.process_time() - start
     return settled
 

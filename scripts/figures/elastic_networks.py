@@ -1,22 +1,21 @@
 """Fig. 10 by networks: one trained with each elastic model on curly hair, and how fast the three trainings converge.
 
-Trains what `runs_folder` does not hold yet, all with the same samples, and carries on where it was stopped; then draws.
+Trains what `runs_folder` does not hold yet, all with the same samples, and continues stopped runs; then draws.
 """
 
 from pathlib import Path
 
-import numpy as np
 import torch
 from elastic_models import VIEWS, what_is_kept
 from short_training import GROOM, train_shortly
-from tiles import FIGURES, Caption, TileRenderer, captioned, grid, run_figure, save_picture
+from tiles import FIGURES, Caption, TileRenderer, grid, run_figure, save_picture
 from training_curves import plot_curves, read_curve
 
 from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
 from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body.body_model import load_body
 from quaffure.body.clips import bundled_clip
-from quaffure.energies.elastic_model import ELASTIC_MODELS
+from quaffure.energies.hair_terms import ELASTIC_MODELS
 from quaffure.model.quaffure_model import load_model
 from quaffure.procedural.generator import make_groom
 from quaffure.scene import BodyBatch, Scene
@@ -47,8 +46,7 @@ def _draw(weights: dict[str, Path]) -> None:
         for title, hair in columns.items():
             notes = _notes(hair, scene)
             print(title, *notes, sep=", ")
-            views = [tile for view in VIEWS for tile in renderer.tiles(scene, hair, view, NATURAL_COLOURS[2])]
-            tiles.append(captioned(np.vstack(views), Caption(title, notes)))
+            tiles.append(renderer.column(scene, hair, VIEWS, NATURAL_COLOURS[2], Caption(title, notes)))
     save_picture(PICTURE, grid([tiles]))
 
 

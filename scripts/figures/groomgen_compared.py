@@ -1,6 +1,6 @@
 """Fig. 8: one groom by the supervised baseline, by the network and by the solver that the baseline was fitted to.
 
-At turns of the head that the baseline was not trained on. The small pictures show the strands alone that have a vertex
+At turns of the head that the baseline was not trained on. The small pictures show only the strands that have a vertex
 inside the body, on the bare body. Needs weights of `quaffure train-groomgen` (docs/groomgen.md).
 """
 
@@ -45,17 +45,17 @@ def main(weights: Path = WEIGHTS) -> list[Path]:
     with TileRenderer(WIDTH, WIDTH) as renderer, TileRenderer(INSET_WIDTH, INSET_WIDTH) as small:
         for name, draper in rows.items():
             hair = draper.drape(scene)
-            merit = metrics(hair, scene, HairEnergy(scene.groom, material))
+            measured = metrics(hair, scene, HairEnergy(scene.groom, material))
             tiles = renderer.tiles(scene, hair, VIEW, NATURAL_COLOURS[0])
             marked = _marked(scene, hair, small)
             column = [_with_inset(tile, inset) for tile, inset in zip(tiles, marked)]
-            figures = {key: values.mean() for key, values in merit.items()}
+            means = {key: values.mean() for key, values in measured.items()}
             caption = Caption(
                 name,
                 (
-                    f"{figures['body_intersection_percent']:.2g} % inside the body",
-                    f"lengths {figures['length_error_percent']:.2g} % off",
-                    f"{figures['orientation_error_deg']:.1f}° from the posed groom",
+                    f"{means['body_intersection_percent']:.2g} % inside the body",
+                    f"lengths {means['length_error_percent']:.2g} % off",
+                    f"{means['orientation_error_deg']:.1f}° from the posed groom",
                 ),
             )
             print(name, *caption.notes, sep=", ")

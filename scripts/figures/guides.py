@@ -1,9 +1,8 @@
-"""What lies between draped guides (docs/guides.md): above the guides alone, below all strands made of them."""
+"""Hair between draped guides (docs/guides.md): above only the guides, below all strands made of them."""
 
 from pathlib import Path
 
-import torch
-from tiles import FIGURES, TileRenderer, View, grid, run_figure, save_picture
+from tiles import FIGURES, TileRenderer, View, at_rest, grid, run_figure, save_picture
 
 from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
 from quaffure.benchmark.evaluation_set import load_evaluation_set
@@ -11,7 +10,6 @@ from quaffure.body.body_model import BodyModel
 from quaffure.hair.groom import Groom
 from quaffure.io.load_groom import load_groom
 from quaffure.model.quaffure_model import load_model
-from quaffure.scene import BodyBatch, Scene
 
 OUT = FIGURES / "guides.jpg"
 GROOM_FOLDER = Path("data/grooms")
@@ -22,15 +20,14 @@ SIZE = 400  # pixels
 
 def main(groom_folder: Path = GROOM_FOLDER) -> list[Path]:
     model = load_model()
-    bodies = BodyBatch(model.body, torch.zeros(1, 81), torch.zeros(1, 10))
     above, below = [], []
     with TileRenderer(SIZE, SIZE, strands=20_000) as renderer:
         grooms = (_sintel(groom_folder, model.body), *(load_groom(name, model.body) for name in BUNDLED))
         for groom, view in zip(grooms, VIEWS):
             print(f"{groom.name}: {len(groom)} guides")
-            scene = Scene(groom, bodies)
+            scene = at_rest(groom, model.body)
             guides = model.draper.drape(scene)
-            above.append(renderer.strands_alone(guides[0], bodies, 0, view, NATURAL_COLOURS[1]))
+            above.append(renderer.strands_alone(guides[0], scene.bodies, 0, view, NATURAL_COLOURS[1]))
             below += renderer.tiles(scene, guides, view, NATURAL_COLOURS[1])
     save_picture(OUT, grid([above, below]))
     return [OUT]

@@ -17,7 +17,7 @@ from torch import Tensor
 from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
 from quaffure.apps.render.video import encode_video
 from quaffure.baselines.posed import PosedDraper
-from quaffure.benchmark.metrics import accelerations_from_head
+from quaffure.benchmark.metrics import accelerations, vertices_from_head
 from quaffure.body.body_model import BodyModel
 from quaffure.body.clips import bundled_clip
 from quaffure.body.motion import Motion
@@ -50,7 +50,7 @@ def main() -> list[Path]:
             groom = make_groom(name, model.body)
             drapes = {draper.name: _drape(draper, groom, turn, model.body) for draper in drapers}
             films.append(renderer.tiles(Scene(groom, bodies), drapes[model.draper.name], VIEW, colour))
-            jitter[name] = {row: 1000 * accelerations_from_head(hair, bodies) for row, hair in drapes.items()}
+            jitter[name] = {row: 1000 * accelerations(vertices_from_head(hair, bodies)) for row, hair in drapes.items()}
             print(name, *(f"{row}: mean {of.mean():.3f}, most {of.max():.3f}" for row, of in jitter[name].items()))
     strip = grid([[captioned(film[i], Caption(f"frame {i}")) for i in SHOWN] for film in films])
     save_picture(STRIP, np.vstack([strip, _plot(jitter, strip.shape[1])]))

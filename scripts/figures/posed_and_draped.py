@@ -1,4 +1,4 @@
-"""Fig. 3: hair that is merely posed, and the network's drape of it below.
+"""Fig. 3: hair that is only posed, and the network's drape of it below.
 
 The body's skin is drawn opaque: where posed hair runs into a shoulder or the chest it ends there.
 """

@@ -1,4 +1,4 @@
-"""Trainings that are as short as they are alike, for comparing what is trained: from nothing, on ringlets alone."""
+"""Short trainings of equal settings, to compare what is trained: from random weights, on ringlets only."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ OPTIONS = (
 
 
 def train_shortly(run: Path, options: Sequence[str]) -> None:
-    """Train on 4,000 samples; carries on where it was stopped.
+    """Train on 4,000 samples; continues a stopped run.
 
     Raises:
         subprocess.CalledProcessError: the training failed, and has said why.

@@ -1,4 +1,4 @@
-"""Fig. 7: one hairstyle and pose by the network and by solvers of the same energy, with figures of merit.
+"""Fig. 7: one hairstyle and pose by the network and by solvers of the same energy, with metrics.
 
 Times are of one core, in processor time. `--slow` adds `lbfgs` and `newton`, which take minutes.
 """
@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 from statistics import median
 
-import numpy as np
 import torch
 from numba import set_num_threads
 from tiles import (
@@ -16,7 +15,6 @@ from tiles import (
     Caption,
     TileRenderer,
     View,
-    captioned,
     grid,
     load_scenes,
     run_figure,
@@ -38,7 +36,7 @@ OUT = FIGURES / "solvers_compared.jpg"
 FRAME = CaseEntry("long_ringlets", "13_26", "e", (94,))
 FAST, SLOW = ("posed", "neural", "neural_refined", "xpbd", "adam"), ("lbfgs", "newton")
 VIEWS = (View(15.0), View(-150.0))
-PATIENCE, REPEATS = 1.0, 5  # s; what takes longer is timed by the run that drapes
+SLOW_SECONDS, REPEATS = 1.0, 5  # s; what takes longer is timed by the run that drapes
 WARM_UP_STRANDS = 8
 
 
@@ -50,17 +48,16 @@ def main(motion_folder: Path = MOTION_FOLDER, slow: bool = False) -> list[Path]:
     with TileRenderer(240, 270) as renderer:
         for row in methods(FAST + SLOW if slow else FAST, {}):
             draped, milliseconds = _timed(row.draper, scene)
-            merit = metrics(draped, scene, HairEnergy(scene.groom, row.draper.material))
-            figures = {key: float(value) for key, value in merit.items()}
+            measured = metrics(draped, scene, HairEnergy(scene.groom, row.draper.material))
+            values = {key: float(value) for key, value in measured.items()}
             notes = (
-                f"{figures['body_intersection_percent']:.2g} % inside the body",
-                f"{figures['orientation_error_deg']:.1f}° from the posed groom",
-                f"energy {figures['energy']:.3f} m g L a vertex",
+                f"{values['body_intersection_percent']:.2g} % inside the body",
+                f"{values['orientation_error_deg']:.1f}° from the posed groom",
+                f"energy {values['energy']:.3f} m g L a vertex",
                 f"{milliseconds:.{0 if milliseconds >= 10 else 1}f} ms",
             )
             print(row.name, *notes, sep=", ")
-            views = [renderer.tiles(scene, draped, view, NATURAL_COLOURS[1])[0] for view in VIEWS]
-            tiles.append(captioned(np.vstack(views), Caption(row.name, notes)))
+            tiles.append(renderer.column(scene, draped, VIEWS, NATURAL_COLOURS[1], Caption(row.name, notes)))
     save_picture(OUT, grid([tiles]))
     return [OUT]
 
@@ -70,7 +67,7 @@ def _timed(draper: Draper, scene: Scene) -> tuple[Positions, float]:
     few = scene.groom.select(torch.arange(WARM_UP_STRANDS))
     _drape(draper, few, scene.bodies)  # compiles, loads
     draped, seconds = _drape(draper, scene.groom, scene.bodies)
-    if seconds < PATIENCE:
+    if seconds < SLOW_SECONDS:
         seconds = median(_drape(draper, scene.groom, scene.bodies)[1] for _ in range(REPEATS))
     return draped, 1000 * seconds
 

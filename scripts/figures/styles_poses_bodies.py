@@ -1,4 +1,4 @@
-"""Fig. 4: the network on many hairstyles, each on another pose and body; clips and bodies that training never saw."""
+"""Fig. 4: the network on many hairstyles, each on another pose and body; clips and bodies that no training used."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What the scripts of this folder share: frames to drape, tiles of drapes, their captions, and a compressed picture."""
+"""Shared by the scripts of this folder: scenes, tiles of drapes, captions, a compressed picture, the command line."""
 
 import io
 import sys
@@ -38,7 +38,7 @@ Colour = tuple[float, float, float]
 
 
 class View(NamedTuple):
-    """Where a tile is seen from, counted from the front of the chest: that a head turns should be seen.
+    """The camera of a tile, relative to the front of the chest, so that a turn of the head is visible.
 
     Attributes:
         azimuth_deg: as of `Camera.around`.
@@ -58,6 +58,14 @@ class View(NamedTuple):
         facing = float(torch.rad2deg(torch.atan2(-chest[0, 1], chest[1, 1])))
         centre = np.array([x, y, z - self.below_head])
         return Camera.around(centre, self.extent, facing + self.azimuth_deg, self.rise_deg)
+
+
+@dataclass(frozen=True)
+class Caption:
+    """What stands under a tile: a title, and fainter lines below it."""
+
+    title: str
+    notes: tuple[str, ...] = ()
 
 
 class TileRenderer:
@@ -106,19 +114,18 @@ class TileRenderer:
         drawn = strands.numpy() if len(strands) else unseen
         return self._renderer.render(drawn, skin, faces, view.camera(bodies, sample), colour)
 
+    def column(
+        self, scene: Scene, draped: Positions, views: Sequence[View], colour: Colour, caption: Caption
+    ) -> Picture:
+        """Tiles of all views and samples one below another, with a caption."""
+        tiles = [tile for view in views for tile in self.tiles(scene, draped, view, colour)]
+        return captioned(np.vstack(tiles), caption)
+
     def _interpolation(self, scene: Scene) -> GuideInterpolation:
         groom = scene.groom
         if id(groom) not in self._between:  # the groom is kept as well: an id is good as long as its object lives
             self._between[id(groom)] = groom, interpolation_of(groom, scene.bodies.body, self.strands)
         return self._between[id(groom)][1]
-
-
-@dataclass(frozen=True)
-class Caption:
-    """What stands under a tile: a title, and fainter lines below it."""
-
-    title: str
-    notes: tuple[str, ...] = ()
 
 
 def captioned(tile: Picture, caption: Caption) -> Picture:
@@ -168,14 +175,19 @@ def save_picture(path: Path, picture: Picture, most_bytes: int = MOST_BYTES) -> 
         buffer = io.BytesIO()
         Image.fromarray(picture).save(buffer, "JPEG", quality=quality, optimize=True)
         if buffer.tell() <= most_bytes:
-            with replacing(path) as beside:
-                beside.write_bytes(buffer.getvalue())
+            with replacing(path) as temporary:
+                temporary.write_bytes(buffer.getvalue())
             return
     raise InputError(path, f"a picture of at most {most_bytes} bytes", f"{buffer.tell()} at quality {LEAST_QUALITY}")
 
 
+def at_rest(groom: Groom, body: BodyModel) -> Scene:
+    """The groom on the mean body in its rest pose."""
+    return Scene(groom, BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
+
+
 def load_scenes(entries: Sequence[CaseEntry], motion_folder: Path, body: BodyModel) -> Iterator[Scene]:
-    """Bundled grooms on clips and bodies of the evaluation set, none of which any training saw.
+    """Bundled grooms on clips and bodies of the evaluation set, none of which any training used.
 
     Raises:
         InputError: a clip that is not in `motion_folder`.

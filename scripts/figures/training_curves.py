@@ -1,4 +1,4 @@
-"""Figures of validation against time: `python scripts/figures/training_curves.py RUN ... --out PICTURE`.
+"""Validation metrics against time: `python scripts/figures/training_curves.py RUN ... --out PICTURE`.
 
 Each run is a folder of `quaffure train`, and named like it. Needs matplotlib, which the extra `docs` brings.
 """
@@ -72,8 +72,8 @@ def plot_curves(path: Path, curves: Sequence[Curve], zeros: Sequence[float], zer
         axis.set_xlabel("time of training [s]")
         axis.grid(alpha=0.3)
     above.legend(fontsize="small")
-    with replacing(path) as beside:
-        figure.savefig(beside, dpi=110, format="png")
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")
 
 
 if __name__ == "__main__":

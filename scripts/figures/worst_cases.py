@@ -37,17 +37,17 @@ VIEW = View(15.0, extent=0.72, below_head=0.14)
 class Worst(NamedTuple):
     case: str
     frame: int
-    said: str
+    text: str
 
 
-def worst_frames(figure: str, said: str) -> list[Worst]:
+def worst_frames(metric: str, text: str) -> list[Worst]:
     """The worst frame of each of the worst cases, no groom twice."""
     found = []
     for case in json.loads(RESULTS.read_text())["cases"]:
-        if figure in case["figures"]["neural"]:
-            values = case["figures"]["neural"][figure]
-            place = int(np.argmax(values))
-            found.append((values[place], case["groom"], Worst(case["case"], place, said.format(values[place]))))
+        if metric in case["figures"]["neural"]:
+            values = case["figures"]["neural"][metric]
+            frame = int(np.argmax(values))
+            found.append((values[frame], case["groom"], Worst(case["case"], frame, text.format(values[frame]))))
     worst, grooms = [], set()
     for _, groom, each in sorted(found, key=lambda row: -row[0]):
         if groom not in grooms and len(worst) < COUNT:
@@ -61,7 +61,7 @@ def main(motion_folder: Path = MOTION_FOLDER, groom_folder: Path = GROOM_FOLDER)
     entries = {entry.name: entry for entry in of.cases}
     columns = []
     with TileRenderer(240, 280) as renderer:
-        for worst in [each for figure, said in SHOWN for each in worst_frames(figure, said)]:
+        for worst in [each for metric, text in SHOWN for each in worst_frames(metric, text)]:
             entry = entries[worst.case]
             (case,) = load_cases([entry], of, DataFolders(motion_folder, groom_folder), model.body)
             bodies = BodyBatch(model.body, case.motion.body_pose[worst.frame : worst.frame + 1], case.body_shape[None])
@@ -69,8 +69,8 @@ def main(motion_folder: Path = MOTION_FOLDER, groom_folder: Path = GROOM_FOLDER)
             drapes = (model.draper.drape(scene), XpbdDraper(model.draper.material).drape(scene))
             pair = [renderer.tiles(scene, draped, VIEW, NATURAL_COLOURS[1])[0] for draped in drapes]
             where = f"{entry.clip} {case.frames[worst.frame]}, body {entry.shape}"
-            columns.append(captioned(np.vstack(pair), Caption(entry.groom, (where, worst.said))))
-            print(entry.groom, where, worst.said, sep=", ")
+            columns.append(captioned(np.vstack(pair), Caption(entry.groom, (where, worst.text))))
+            print(entry.groom, where, worst.text, sep=", ")
     save_picture(OUT, grid([columns]))
     return [OUT]
 

@@ -10,20 +10,7 @@ hair = model.drape(groom, body_pose, body_shape)  # [1, strands, 24, 3] metres, 
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
-__version__ = version("quaffure")
-
-__all__ = [
-    "BodyModel",
-    "Groom",
-    "HairEnergy",
-    "HairMaterial",
-    "InputError",
-    "Quaffure",
-    "__version__",
-    "load_body",
-    "load_groom",
-    "load_model",
-]
+from quaffure._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from quaffure.body.body_model import BodyModel, load_body
@@ -33,26 +20,19 @@ if TYPE_CHECKING:
     from quaffure.hair.groom import Groom
     from quaffure.io.load_groom import load_groom
     from quaffure.model.quaffure_model import Quaffure, load_model
-else:
-    # Torch takes a second to import, so each name is fetched when it is first asked for (PEP 562).
-    _MODULES = {
-        "BodyModel": "quaffure.body.body_model",
-        "Groom": "quaffure.hair.groom",
-        "HairEnergy": "quaffure.energies.hair_energy",
-        "HairMaterial": "quaffure.config",
-        "InputError": "quaffure.errors",
-        "Quaffure": "quaffure.model.quaffure_model",
-        "load_body": "quaffure.body.body_model",
-        "load_groom": "quaffure.io.load_groom",
-        "load_model": "quaffure.model.quaffure_model",
-    }
 
-    def __getattr__(name: str) -> object:
-        if name not in _MODULES:
-            raise AttributeError(f"module 'quaffure' has no attribute '{name}'")
-        from importlib import import_module
+__version__ = version("quaffure")
 
-        return getattr(import_module(_MODULES[name]), name)
-
-    def __dir__() -> list[str]:
-        return sorted({*globals(), *__all__})
+__all__, __getattr__, __dir__ = lazy_exports(
+    __name__,
+    {
+        "body.body_model": ["BodyModel", "load_body"],
+        "config": ["HairMaterial"],
+        "energies.hair_energy": ["HairEnergy"],
+        "errors": ["InputError"],
+        "hair.groom": ["Groom"],
+        "io.load_groom": ["load_groom"],
+        "model.quaffure_model": ["Quaffure", "load_model"],
+    },
+)
+__all__ += ["__version__"]

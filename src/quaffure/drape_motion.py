@@ -1,4 +1,4 @@
-"""A draper carried over a motion, a few frames at a time; the drapes of all frames are kept."""
+"""A motion draped a few frames at a time; the drapes of all frames are kept."""
 
 import time
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from quaffure.draper import Draper
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.scene import BodyBatch, Scene
-from quaffure.types import Float, Tensor
+from quaffure.types import Float, Positions, Tensor
 
 FRAMES_AT_ONCE = 8
 
@@ -26,12 +26,12 @@ def drape_motion(
     body: BodyModel,
     motion: Motion,
     body_shape: Float[Tensor, "10"],
-    on_frames: Callable[[int], None] = lambda frames: None,
+    on_frames: Callable[[Positions, Scene], None] = lambda draped, scene: None,
 ) -> DrapeSequence:
     """Drape every frame by itself: quasi-static, no frame knows another.
 
     Args:
-        on_frames: told how many frames were done, each time some are.
+        on_frames: called with each batch of frames' drapes and scene.
 
     Returns:
         The drapes. `meta` says what made them, and `milliseconds`, the median wall time of one drape, from pose in to
@@ -45,7 +45,7 @@ def drape_motion(
         times.append(1000 * (time.perf_counter() - start) / len(body_pose))
         posed.append(scene.posed)
         vertices.append(scene.bodies.posed.vertices)
-        on_frames(len(body_pose))
+        on_frames(strands[-1], scene)
     return DrapeSequence(
         strands=_frames(strands),
         posed=_frames(posed),
@@ -65,6 +65,12 @@ def drape_motion(
             "milliseconds": float(np.median(times[1:] or times)),
         },
     )
+
+
+def bodies_of(sequence: DrapeSequence, body: BodyModel, frames: slice = slice(None)) -> BodyBatch:
+    """The bodies of some frames of a drape."""
+    body_pose = torch.from_numpy(sequence.body_pose[frames])
+    return BodyBatch(body, body_pose, torch.from_numpy(sequence.body_shape).expand(len(body_pose), -1))
 
 
 def material_of(sequence: DrapeSequence) -> HairMaterial:

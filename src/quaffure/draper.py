@@ -1,4 +1,4 @@
-"""What every way of draping answers to."""
+"""The interface of every draping method."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -13,8 +13,8 @@ class Draper(Protocol):
     """Settles a groom on posed bodies.
 
     Attributes:
-        name: as the command line knows it.
-        material: what the hair is made of.
+        name: on the command line.
+        material: physical parameters of the hair.
     """
 
     @property
@@ -35,7 +35,8 @@ class StoppingReport:
     Attributes:
         energy: mean energy of the samples [J].
         relative_gradient: of the worst sample, as `quaffure.solvers.stopping` defines it; `newton` reports its own, the
-            whole gradient in double precision of the energy with rounded creases, before the drape is cast to float32.
+            whole gradient in double precision of the energy with smoothed body edges, before the drape is cast to
+            float32.
         iterations: energy evaluations, of a part of the strands in proportion; sweeps of XPBD. Those of `newton` are
             without its starts'.
         seconds: wall time, of `newton` with its starts.

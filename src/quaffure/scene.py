@@ -1,11 +1,11 @@
-"""One groom on a batch of posed bodies: what every draper starts from."""
+"""One groom on a batch of posed bodies: what drapers, energies and solvers read."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 from quaffure.body.body_model import BodyModel, PosedBody
+from quaffure.body.kinematics import PosedJoints, pose_joints
 from quaffure.body.pose_features import HEAD
-from quaffure.geometry.occupancy_grid import OccupancyGrid
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface, posed_surface
 from quaffure.hair.groom import Groom
@@ -15,7 +15,7 @@ from quaffure.types import BodyPose, BodyShape, EdgeVectors, Positions
 
 @dataclass(frozen=True, eq=False)
 class BodyBatch:
-    """A batch of poses and shapes of one body, which several grooms may share. What is asked for is made once.
+    """A batch of poses and shapes of one body, which several grooms may share. Properties are computed once, when read.
 
     Attributes:
         body_pose: theta [rad].
@@ -27,26 +27,55 @@ class BodyBatch:
     body_shape: BodyShape
 
     @cached_property
+    def joints(self) -> PosedJoints:
+        """Forward kinematics, once for everything that reads these bodies."""
+        return pose_joints(self.body, self.body_pose, self.body_shape)
+
+    @cached_property
     def posed(self) -> PosedBody:
-        return self.body.pose(self.body_pose, self.body_shape)
+        _, rotations, positions = self.joints
+        return self.body.skin(self.body_shape, rotations.to(self.body.rest_joints), positions.to(self.body.rest_joints))
+
+    def rows(self, rows: slice) -> "BodyBatch":
+        """Some of the bodies, not posed again."""
+        part = BodyBatch(self.body, self.body_pose[rows], self.body_shape[rows])
+        part.__dict__["joints"] = self.joints.rows(rows)
+        return part
 
     @cached_property
     def surface(self) -> Surface:
-        """The skins, ready for nearest-face searches."""
+        """The skins with their search structures."""
         head = self.posed.joint_positions[:, self.body.joint_names.index(HEAD)]
         return posed_surface(self.body.surface_topology, self.posed.vertices, head)
 
-    def sample(self, index: int) -> "BodyBatch":
-        """One sample as a batch of its own; its surface is cut out of the batch's and not made again."""
+
+@dataclass(frozen=True, eq=False)
+class PosedScene:
+    """A groom whose posed strands and body surface are known: all that energies and solvers read.
+
+    Attributes:
+        posed: x_posed, the groom moved with its scalp triangles [m, world].
+        surface: skins of the posed bodies.
+    """
+
+    groom: Groom
+    posed: Positions
+    surface: Surface
+
+    @cached_property
+    def director(self) -> EdgeVectors:
+        """Unit director d3 of every edge."""
+        return directors(self.posed)
+
+    def sample(self, index: int) -> "PosedScene":
+        """One sample as a scene of its own, the same to the bit."""
         one = slice(index, index + 1)
-        alone = BodyBatch(self.body, self.body_pose[one], self.body_shape[one])
-        alone.__dict__["surface"] = _surface_of(self.surface, one)
-        return alone
+        return PosedScene(self.groom, self.posed[one], self.surface.samples(one))
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A groom on a batch of bodies. What is asked for is made once."""
+    """A groom on a batch of bodies. Properties are computed once, when read, and differentiable in pose and shape."""
 
     groom: Groom
     bodies: BodyBatch
@@ -65,22 +94,9 @@ class Scene:
     def surface(self) -> Surface:
         return self.bodies.surface
 
-    def sample(self, index: int) -> "Scene":
-        """One sample as a scene of its own, the same to the bit: cut out of this one and not posed again."""
-        one = slice(index, index + 1)
-        alone = Scene(self.groom, self.bodies.sample(index))
-        alone.__dict__.update(posed=self.posed[one], director=self.director[one])
-        return alone
+    def sample(self, index: int) -> PosedScene:
+        """One sample as a scene of its own, the same to the bit: a part of this one, not posed again."""
+        return PosedScene(self.groom, self.posed, self.surface).sample(index)
 
 
-def _surface_of(surface: Surface, samples: slice) -> Surface:
-    wide, space = surface.wide, surface.map
-    return replace(
-        surface,
-        vertices=surface.vertices[samples],
-        corners=surface.corners[samples],
-        bounds=surface.bounds[samples],
-        normals=surface.normals[samples],
-        wide=wide._replace(blocks=wide.blocks[samples], boxes=wide.boxes[samples]),
-        map=OccupancyGrid(*(field[samples] for field in space)),
-    )
+HairScene = Scene | PosedScene

@@ -7,6 +7,7 @@
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+Scalar = float | Float[Tensor, ""]
 Positions = Float[Tensor, "b s n 3"]
 EdgeVectors = Float[Tensor, "b s e 3"]
 RestLengths = Float[Tensor, "s e"]
@@ -28,5 +29,6 @@ __all__ = [
     "MeshVertices",
     "Positions",
     "RestLengths",
+    "Scalar",
     "Tensor",
 ]

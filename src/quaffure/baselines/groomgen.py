@@ -17,13 +17,13 @@ from quaffure.types import Float, Int, Positions, Tensor
 
 SLACK = 1e-3
 """How far a vertex may be from that of the groom that was trained on [m]: weights are kept in half precision, and a
-groom that is grown elsewhere differs in its last digits."""
+groom that is generated elsewhere differs in its last digits."""
 
 
 class GroomGenDraper:
     """hair = posed + displacement, the displacement from a network that was fitted to simulations of this very groom.
 
-    Of a pose it sees the rotation of the head relative to the trunk, and of a body's shape nothing.
+    Its input is the rotation of the head relative to the trunk; it does not depend on the body's shape.
 
     Attributes:
         network: of one groom.

@@ -8,8 +8,8 @@ by one network. Layers, outputs and loss are not printed.
 
 Chosen here: the rotation of the head relative to the trunk goes in. The decoder of the paper's own network, which makes
 for like times, draws a texture of strand latents over the scalp; layers common to all strands read a strand's latent
-and its rest shape and answer displacements of its vertices from the posed groom, in the head's frame, as a network
-does that knows nothing of lengths or bodies. They are added to the mean of the simulated displacements. The loss is
+and its rest shape and predict displacements of its vertices from the posed groom, in the head's frame, without
+lengths or bodies as inputs. They are added to the mean of the simulated displacements. The loss is
 the mean squared distance to the simulated vertices.
 """
 
@@ -23,9 +23,9 @@ from torch import nn
 
 from quaffure.config import TEXTURE_SIZE, VERTICES_PER_STRAND, HairMaterial
 from quaffure.errors import InputError
-from quaffure.model.checkpoint import known_fields
 from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.model.groom_autoencoder import GAIN, Widths
+from quaffure.model.network_config import known_fields
 from quaffure.model.weights_file import MAX_WIDTH, read_weights, save_weights
 from quaffure.types import Float, Int, Positions, Tensor
 
@@ -92,13 +92,13 @@ class GroomGenNetwork(nn.Module):
         self._start()
 
     def _start(self) -> None:
-        # Torch's own start shrinks the signal at every layer: ten of them on, the answer hardly depends on the turn.
+        # Torch's own start shrinks the signal at every layer: ten of them on, the output hardly depends on the input.
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d | nn.Linear):
                 nn.init.normal_(layer.weight, std=GAIN / math.sqrt(layer.weight[0].numel()))
                 nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
         for parameter in self.strand[-1].parameters():
-            nn.init.zeros_(parameter)  # an untrained network answers the mean
+            nn.init.zeros_(parameter)  # an untrained network predicts the mean
 
     @property
     def texels(self) -> Int[Tensor, " s"]:
@@ -110,7 +110,7 @@ class GroomGenNetwork(nn.Module):
 
         Args:
             turn: rotation vector of the head relative to the trunk [rad].
-            strands: which ones are asked for; all without it.
+            strands: indices of some strands; all without it.
         """
         texels, rest, mean = self.texels, self.rest_strands, self.mean_displacement
         if strands is not None:

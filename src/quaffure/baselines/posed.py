@@ -1,7 +1,7 @@
-"""The groom as the pose transform leaves it: the start of all others, and the row to beat."""
+"""The posed groom without deformation, the baseline of every table."""
 
 from quaffure.config import HairMaterial
-from quaffure.scene import Scene
+from quaffure.scene import HairScene
 from quaffure.types import Positions
 
 
@@ -13,5 +13,5 @@ class PosedDraper:
     def __init__(self, material: HairMaterial | None = None) -> None:
         self.material = material or HairMaterial()
 
-    def drape(self, scene: Scene) -> Positions:
+    def drape(self, scene: HairScene) -> Positions:
         return scene.posed

@@ -1,4 +1,4 @@
-"""The comparison: every competitor on every case, measured by the same code. See docs/evaluation.md."""
+"""The comparison: every method on every case, measured by the same code. See docs/evaluation.md."""
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,16 +8,17 @@ import torch
 
 from quaffure.benchmark.drape_cache import TimedDrape
 from quaffure.benchmark.evaluation_set import EvaluationCase
-from quaffure.benchmark.metrics import acceleration_from_head, metrics
+from quaffure.benchmark.metrics import accelerations, metrics, vertices_from_head
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.scene import Scene
+from quaffure.types import Positions
 
-Figures = dict[str, list[float]]
-"""Values by name of the figure of merit: one a frame, or one for the case."""
+Metrics = dict[str, list[float]]
+"""Values by name of the metric: one a frame, or one for the case."""
 Summary = dict[str, dict[str, dict[str, dict[str, float]]]]
-"""By group of cases, row and figure: `mean` and `worst`, of times `median` and `worst`."""
+"""By group of cases, row and metric: `mean` and `worst`, of times `median` and `worst`."""
 DrapeFrame = Callable[[EvaluationCase, int], TimedDrape | None]
 """Makes or fetches the drape of a frame, counted within the case."""
 TIME = "milliseconds"
@@ -25,12 +26,12 @@ TIME = "milliseconds"
 
 @dataclass(frozen=True)
 class CaseResult:
-    """What became of one case.
+    """Metrics of one case.
 
     Attributes:
         frames: of the clip.
         reference: the solver whose drape was the lowest, by frame; empty where no solver had a drape.
-        figures: by row.
+        metrics: by row.
     """
 
     case: str
@@ -40,7 +41,7 @@ class CaseResult:
     shape: str
     frames: tuple[int, ...]
     reference: tuple[str, ...]
-    figures: dict[str, Figures]
+    metrics: dict[str, Metrics]
     machines: tuple[str, ...]
 
 
@@ -77,9 +78,13 @@ def measure_case(
     body: BodyModel,
     material: HairMaterial,
 ) -> CaseResult:
-    """All figures of merit of a case's drapes, those against the reference where a solver has draped it."""
+    """All metrics of a case's drapes, those against the reference where a solver has draped it.
+
+    Each frame's body is posed once.
+    """
     energy = HairEnergy(case.groom, material)
-    figures: dict[str, Figures] = {name: {} for name in drapes}
+    of_rows: dict[str, Metrics] = {name: {} for name in drapes}
+    from_head: dict[str, list[Positions]] = {name: [] for name in drapes}
     reference = []
     for frame in range(len(case.frames)):
         scene = Scene(case.groom, case.bodies(body, frame))
@@ -96,9 +101,12 @@ def measure_case(
                 own["distance_mm"] = 1000 * float((strands[name] - strands[best]).norm(dim=-1).mean())
         for name, own in of_frame.items():
             for key, value in own.items():
-                figures[name].setdefault(key, []).append(value)
-    _add_jitter(figures, case, drapes, solvers, body)
-    _add_times(figures, drapes)
+                of_rows[name].setdefault(key, []).append(value)
+            if case.is_run and solvers:
+                from_head[name].append(vertices_from_head(strands[name][None], scene.bodies))
+    if case.is_run and solvers:
+        _add_jitter(of_rows, from_head, solvers)
+    _add_times(of_rows, drapes)
     return CaseResult(
         case=case.name,
         group=case.group,
@@ -107,13 +115,13 @@ def measure_case(
         shape=case.shape,
         frames=case.frames,
         reference=tuple(reference),
-        figures=figures,
+        metrics=of_rows,
         machines=tuple(sorted({frame.machine for frames in drapes.values() for frame in frames if frame.machine})),
     )
 
 
 def summarize(results: Sequence[CaseResult]) -> Summary:
-    """Figures over all cases, over each group and over each clip.
+    """Metrics over all cases, over each group and over each clip.
 
     The mean is that of the cases, each the mean of its frames, so that a run weighs no more than a frame; the worst is
     the worst frame. A row that misses a case of a group is left out there.
@@ -123,47 +131,35 @@ def summarize(results: Sequence[CaseResult]) -> Summary:
         groups.setdefault(result.group, []).append(result)
     for result in results:
         groups.setdefault(f"clip {result.clip}", []).append(result)
-    return {group: _of_group(of_group) for group, of_group in groups.items()}
+    return {group: _summarize_group(of_group) for group, of_group in groups.items()}
 
 
-def _of_group(results: Sequence[CaseResult]) -> dict[str, dict[str, dict[str, float]]]:
-    rows = [name for name in results[0].figures if all(name in result.figures for result in results)] if results else []
+def _summarize_group(results: Sequence[CaseResult]) -> dict[str, dict[str, dict[str, float]]]:
+    rows = [name for name in results[0].metrics if all(name in result.metrics for result in results)] if results else []
     summary: dict[str, dict[str, dict[str, float]]] = {}
     for row in rows:
-        own = [result.figures[row] for result in results]
+        own = [result.metrics[row] for result in results]
         summary[row] = {}
-        for key in dict.fromkeys(key for figures in own for key in figures):
-            cases = [figures[key] for figures in own if key in figures]
+        for key in dict.fromkeys(key for values in own for key in values):
+            cases = [values[key] for values in own if key in values]
             every = [value for case in cases for value in case]
             middle = {"median": median(every)} if key == TIME else {"mean": mean(mean(case) for case in cases)}
             summary[row][key] = middle | {"worst": max(every)}
     return summary
 
 
-def _add_jitter(
-    figures: dict[str, Figures],
-    case: EvaluationCase,
-    drapes: dict[str, list[TimedDrape]],
-    solvers: Sequence[str],
-    body: BodyModel,
-) -> None:
-    """Relative to the one solver that is lowest over the run: a reference that changes between frames would tremble."""
-    if not solvers or not case.is_run:
-        return
-    bodies = case.bodies(body)
-    trembling = {
-        name: float(acceleration_from_head(torch.stack([frame.strands for frame in frames]), bodies))
-        for name, frames in drapes.items()
-    }
-    best = min(solvers, key=lambda name: mean(figures[name]["energy"]))
-    if trembling[best] == 0:
+def _add_jitter(of_rows: dict[str, Metrics], from_head: dict[str, list[Positions]], solvers: Sequence[str]) -> None:
+    """Relative to the one solver that is lowest over the run: a reference that changes between frames would jitter."""
+    jitter = {name: float(accelerations(torch.cat(frames)).mean()) for name, frames in from_head.items()}
+    best = min(solvers, key=lambda name: mean(of_rows[name]["energy"]))
+    if jitter[best] == 0:
         return  # nothing moves: no ratio
-    for name, value in trembling.items():
-        figures[name]["jitter"] = [value / trembling[best]]
+    for name, value in jitter.items():
+        of_rows[name]["jitter"] = [value / jitter[best]]
 
 
-def _add_times(figures: dict[str, Figures], drapes: dict[str, list[TimedDrape]]) -> None:
+def _add_times(of_rows: dict[str, Metrics], drapes: dict[str, list[TimedDrape]]) -> None:
     for name, frames in drapes.items():
         times = [frame.milliseconds for frame in frames if frame.milliseconds is not None]
         if times:
-            figures[name][TIME] = times
+            of_rows[name][TIME] = times

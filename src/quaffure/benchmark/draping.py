@@ -1,47 +1,32 @@
-"""Frames of a case draped and timed, or fetched from where they lie already."""
+"""Frames of a case draped and timed, or fetched from the cache."""
 
-import os
-import platform
-import re
 import time
-from functools import cached_property
-from importlib.metadata import version
-from pathlib import Path
 from statistics import median
 from weakref import WeakKeyDictionary
 
 import torch
-from numba import get_num_threads
 
 from quaffure.benchmark.drape_cache import DrapeCache, TimedDrape
+from quaffure.benchmark.drape_key import drape_key, draper_key
 from quaffure.benchmark.evaluation_set import EvaluationCase
-from quaffure.benchmark.fingerprint import fingerprint
-from quaffure.benchmark.methods import Competitor
+from quaffure.benchmark.machine_facts import machine
+from quaffure.benchmark.methods import Method
 from quaffure.body.body_model import BodyModel
+from quaffure.digest import array_digest
 from quaffure.draper import Draper
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.scene import Scene
 from quaffure.types import Float, Tensor
 
-PATIENCE = 1.0
+SLOW_SECONDS = 1.0
 """A drape that takes longer than this [s] is timed by the one run that makes it; others by `REPEATS` more."""
 REPEATS = 5
 WARM_UP_STRANDS = 8
-CPU_INFO = Path("/proc/cpuinfo")
-
-
-def machine() -> str:
-    """What times are taken on."""
-    # Python names the processor on few systems; Linux tells it here.
-    told = re.search(r"model name\s*: (.+)", CPU_INFO.read_text()) if CPU_INFO.is_file() else None
-    processor = told[1] if told else platform.processor() or platform.machine()
-    threads = f"torch {torch.get_num_threads()}, numba {get_num_threads()} threads"
-    return f"{processor}, {os.cpu_count()} processors, {threads}"
 
 
 class CaseDraper:
-    """Drapes frames of cases by any competitor, one at a time, and keeps them.
+    """Drapes frames of cases by any method, one at a time, and caches them.
 
     Attributes:
         made, fetched: drapes made here and found in the cache so far.
@@ -51,34 +36,38 @@ class CaseDraper:
         self.body, self.cache = body, cache
         self.made, self.fetched = 0, 0
         self._warm: set[str] = set()
-        self._of_competitor: dict[str, str] = {}
-        self._of_groom: WeakKeyDictionary[Groom, str] = WeakKeyDictionary()
+        self._body_key = array_digest(
+            body.rest_vertices, body.shape_directions, body.rest_joints, body.joint_shape_directions,
+            body.skin_joints, body.skin_weights, body.faces,
+        )  # fmt: skip
+        self._method_keys: dict[str, str] = {}
+        self._groom_keys: WeakKeyDictionary[Groom, str] = WeakKeyDictionary()
 
-    def drape(self, competitor: Competitor, case: EvaluationCase, frame: int) -> TimedDrape | None:
-        """One frame, counted within the case; None where the competitor has no answer for the groom.
+    def drape(self, method: Method, case: EvaluationCase, frame: int) -> TimedDrape | None:
+        """One frame, counted within the case; None where the method cannot drape the groom.
 
         Raises:
-            InputError: the draper answers with NaN or infinity.
+            InputError: the draper returns NaN or infinity.
         """
-        if not competitor.drapes(case.groom, self.body):
+        if not method.drapes(case.groom, self.body):
             return None
-        known = self.known(competitor, case, frame)
-        if known is not None:
-            return known
-        if competitor.name not in self._warm:
+        cached = self.known(method, case, frame)
+        if cached is not None:
+            return cached
+        if method.name not in self._warm:
             few = case.groom.select(torch.arange(min(WARM_UP_STRANDS, len(case.groom))))
-            competitor.draper.drape(Scene(few, case.bodies(self.body, frame)))
-            self._warm.add(competitor.name)
-        drape = self._timed(competitor.draper, case, frame)
+            method.draper.drape(Scene(few, case.bodies(self.body, frame)))
+            self._warm.add(method.name)
+        drape = self._timed(method.draper, case, frame)
         if not bool(torch.isfinite(drape.strands).all()):
-            raise InputError(competitor.name, f"finite vertices in {case.name}", "NaN or infinity")
-        self.cache.put(self._key(competitor, case, frame), drape, case.name, case.frames[frame], competitor.name)
+            raise InputError(method.name, f"finite vertices in {case.name}", "NaN or infinity")
+        self.cache.put(self._key(method, case, frame), drape, case.name, case.frames[frame], method.name)
         self.made += 1
         return drape
 
-    def known(self, competitor: Competitor, case: EvaluationCase, frame: int) -> TimedDrape | None:
+    def known(self, method: Method, case: EvaluationCase, frame: int) -> TimedDrape | None:
         """The drape where the cache holds it."""
-        drape = self.cache.get(self._key(competitor, case, frame))
+        drape = self.cache.get(self._key(method, case, frame))
         if drape is None or drape.strands.shape != case.groom.rest_strands.shape:
             return None
         self.fetched += 1
@@ -86,7 +75,7 @@ class CaseDraper:
 
     def _timed(self, draper: Draper, case: EvaluationCase, frame: int) -> TimedDrape:
         strands, seconds = self._once(draper, case, frame)
-        if seconds < PATIENCE:
+        if seconds < SLOW_SECONDS:
             seconds = median(self._once(draper, case, frame)[1] for _ in range(REPEATS))
         return TimedDrape(strands, 1000 * seconds, machine())
 
@@ -95,20 +84,12 @@ class CaseDraper:
         strands = draper.drape(Scene(case.groom, case.bodies(self.body, frame)))[0].detach()
         return strands, time.perf_counter() - begin
 
-    def _key(self, competitor: Competitor, case: EvaluationCase, frame: int) -> str:
-        if competitor.name not in self._of_competitor:
-            self._of_competitor[competitor.name] = fingerprint(competitor.draper)
-        if case.groom not in self._of_groom:
-            self._of_groom[case.groom] = self.cache.groom_key(case.groom)
-        return fingerprint(
-            version("quaffure"),
-            self._of_competitor[competitor.name],
-            self._body_fingerprint,
-            self._of_groom[case.groom],
-            case.motion.body_pose[frame],
-            case.body_shape,
+    def _key(self, method: Method, case: EvaluationCase, frame: int) -> str:
+        if method.name not in self._method_keys:
+            self._method_keys[method.name] = draper_key(method.draper)
+        if case.groom not in self._groom_keys:
+            self._groom_keys[case.groom] = self.cache.groom_key(case.groom)
+        pose = case.motion.body_pose[frame]
+        return drape_key(
+            self._method_keys[method.name], self._groom_keys[case.groom], self._body_key, pose, case.body_shape
         )
-
-    @cached_property
-    def _body_fingerprint(self) -> str:
-        return fingerprint(self.body)

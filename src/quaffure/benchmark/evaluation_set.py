@@ -1,4 +1,4 @@
-"""The evaluation set: clips, shapes and grooms that no training ever sees, in one versioned file of the package."""
+"""The evaluation set: clips, shapes and grooms that no training uses, in one versioned file of the package."""
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
@@ -60,11 +60,11 @@ class EvaluationSet:
     """The whole file.
 
     Attributes:
-        version: changes whenever a case does: figures of two versions cannot be compared.
+        version: changes whenever a case does: metrics of two versions cannot be compared.
         fps: rate at which frames count.
         motions: stems of the motion files; other clips are bundled ones.
         shapes: ten coefficients of each shape [standard deviations].
-        quick: names of the cases of a quick look.
+        quick: names of the cases of a quick evaluation.
     """
 
     version: int
@@ -96,7 +96,7 @@ class EvaluationCase:
 
     @property
     def is_run(self) -> bool:
-        """Whether the frames follow each other, so that hair can tremble between them."""
+        """Whether the frames follow each other, so that hair can jitter between them."""
         steps = [after - before for before, after in zip(self.frames, self.frames[1:])]
         return len(self.frames) >= LEAST_RUN and all(step == 1 for step in steps)
 
@@ -122,13 +122,8 @@ def load_evaluation_set() -> EvaluationSet:
     )
 
 
-def evaluation_motions() -> frozenset[str]:
-    """Stems of the motion files of the set, which training refuses."""
-    return frozenset(load_evaluation_set().motions)
-
-
 def refuse_evaluation_data(grooms: Iterable[str | Path] = (), motions: Iterable[str | Path] = ()) -> None:
-    """Keep out of a training what it is judged by: every clip of the set, and its grooms of the group `unseen`.
+    """Keep out of a training what it is evaluated on: every clip of the set, and its grooms of the group `unseen`.
 
     Args:
         grooms, motions: bundled names or files. Names and stems of files count, in any case: a copy of a held-out
@@ -151,7 +146,7 @@ def refuse_evaluation_data(grooms: Iterable[str | Path] = (), motions: Iterable[
 
 @dataclass(frozen=True)
 class DataFolders:
-    """Where the files of the set lie that the package does not ship. Either folder may be missing.
+    """Folders of the files of the set that the package does not ship. Either folder may be missing.
 
     Attributes:
         motions: holds `<clip>.bvh`.
@@ -180,21 +175,17 @@ def load_cases(
     Raises:
         InputError: a file of the set is missing or broken, or its clip ends before a frame of the set.
     """
-    grooms: dict[str, Groom] = {}
-    clips: dict[str, Motion] = {}
+    groom_of = cache(lambda name: _groom(name, of.grooms[name], folders, body))
+    clip_of = cache(lambda name: _clip(name, of.fps, folders, body))
     for entry in entries:
-        if entry.groom not in grooms:
-            grooms[entry.groom] = _groom(entry.groom, of.grooms[entry.groom], folders, body)
-        if entry.clip not in clips:
-            clips[entry.clip] = _clip(entry.clip, of.fps, folders, body)
-        clip = clips[entry.clip]
+        groom, clip = groom_of(entry.groom), clip_of(entry.clip)
         if max(entry.frames) >= len(clip):
             raise InputError(folders.motion(entry.clip), f"more than {max(entry.frames)} frames", f"{len(clip)}")
         yield EvaluationCase(
             name=entry.name,
             group=of.grooms[entry.groom].group,
             shape=entry.shape,
-            groom=grooms[entry.groom],
+            groom=groom,
             motion=replace(clip, body_pose=clip.body_pose[list(entry.frames)]),
             frames=entry.frames,
             body_shape=torch.tensor(of.shapes[entry.shape]),

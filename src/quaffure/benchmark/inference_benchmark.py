@@ -12,15 +12,14 @@ import torch
 
 from quaffure.benchmark.machine_facts import machine_facts
 from quaffure.body.clips import bundled_clip
-from quaffure.body.collision_skin import collision_skin
-from quaffure.body.head_frame import head_frame_body, posed_skin
-from quaffure.geometry.mls_surface import mls_points
+from quaffure.body.head_frame import HeadFrameBody, head_frame_body
+from quaffure.body.kinematics import pose_joints
+from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
-from quaffure.model.compiled_drape import BATCH, CompiledDrape
+from quaffure.model.cpu_backend import BATCH, CpuBackend
 from quaffure.model.inference_network import InferenceNetwork
-from quaffure.model.prepared_groom import PackedGroom
-from quaffure.model.projection import project
 from quaffure.model.quaffure_model import Quaffure
+from quaffure.scene import BodyBatch
 from quaffure.types import BodyPose
 
 COUNTS = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1000)
@@ -36,7 +35,7 @@ class Timing:
     Attributes:
         strands: of all grooms together.
         seconds, cpu_seconds: median wall and mean processor time of all of them.
-        peak_megabytes: memory of the whole process at its highest so far; None where the system does not tell.
+        peak_megabytes: memory of the whole process at its highest so far; None where the system has no such counter.
     """
 
     grooms: int
@@ -72,10 +71,10 @@ def time_grooms(
     counts: Sequence[int],
     on_count: Callable[[int], None] = lambda count: None,
 ) -> list[Timing]:
-    """Drape so many grooms, taken in turn from `grooms` and known from before, in poses spread over a clip.
+    """Drape so many grooms, taken in turn from `grooms` and prepared before, in poses spread over a clip.
 
     Args:
-        on_count: told what is about to run.
+        on_count: called with what is about to run.
     """
     _warm_up(model, grooms)
     timings = []
@@ -101,47 +100,74 @@ def time_strands(model: Quaffure, groom: Groom, shares: Sequence[float] = (0.25,
     return timings
 
 
+def inference_layout(model: Quaffure) -> InferenceNetwork | None:
+    """The network as it is laid out for speed on the CPU; None for another network."""
+    backend = model.draper.backend()
+    layout = backend.layout if isinstance(backend, CpuBackend) else None
+    return layout if isinstance(layout, InferenceNetwork) else None
+
+
+def model_dtype(model: Quaffure) -> torch.dtype:
+    """Of the network's weights and activations.
+
+    Raises:
+        InputError: the network is not laid out for speed.
+    """
+    layout = inference_layout(model)
+    if layout is None:
+        raise InputError("weights", "a network that is compiled to drape", "another configuration")
+    return layout.dtype
+
+
 def time_parts(model: Quaffure, groom: Groom) -> dict[str, float]:
     """Processor time [s] of the parts of one drape in a full batch, in the order in which they run."""
-    compiled, packed = model.draper.compiled(), model.draper.packed(groom, model.body)
-    poses, shapes = _poses(model, BATCH), torch.zeros(BATCH, 10)
-    batch, view = [packed] * BATCH, head_frame_body(model.body, poses, shapes)
-    one = head_frame_body(model.body, poses[:1], shapes[:1])
-    records, texture = mls_points(one.surface), compiled.textures(batch, view)[0]
-    buffers = compiled.buffers(len(packed.texels))
-    start, draped = compiled.start(packed, one, records, buffers), torch.empty(groom.rest_strands.shape)
-    answers = compiled.network.answers(texture, packed.texels, start.told[0])
-    (vertices, heads), out = posed_skin(model.body, poses, shapes), torch.empty_like(draped)
-    skin = (vertices[0], packed.rest_length, packed.clearance, collision_skin(model.body), heads[0])
-    compiled.end(packed, start, answers, one, draped)
+    backend, prepared = model.draper.backend(), model.draper.prepared(groom, model.body)
+    assert isinstance(backend, CpuBackend)
+    bodies = BodyBatch(model.body, _poses(model, BATCH), torch.zeros(BATCH, 10))
+    code, config = torch.stack([prepared.code] * BATCH), backend.config.initial_shape.body
+
+    def pose(collides: bool) -> HeadFrameBody:
+        joints = pose_joints(bodies.body, bodies.body_pose, bodies.body_shape)
+        return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, joints, config, collides)
+
+    pose_code, (_, posed) = pose(False).pose_code, next(backend.posed([prepared], bodies.rows(slice(0, 1))))
+    shape = backend.initial_shape(prepared, posed)
+    changes = backend.network(prepared, posed, shape)
+    hair = backend.integrate(prepared, posed, shape, changes)
     parts: dict[str, tuple[Callable[[], object], int]] = {
-        "body": (lambda: mls_points(head_frame_body(model.body, poses, shapes).surface), BATCH),
-        "texture": (lambda: compiled.textures(batch, view), BATCH),
-        "strands_before": (lambda: compiled.start(packed, one, records, buffers), 1),
-        "strand_layers": (lambda: compiled.network.answers(texture, packed.texels, start.told[0]), 1),
-        "strands_after": (lambda: compiled.end(packed, start, answers, one, draped), 1),
-        "skin": (lambda: posed_skin(model.body, poses, shapes), BATCH),
-        "out_of_skin": (lambda: project(draped, *skin, out), 1),
+        "body": (lambda: pose(False), BATCH),
+        "texture": (lambda: backend.layout.encode(code, pose_code), BATCH),
+        "strands_before": (lambda: backend.initial_shape(prepared, posed), 1),
+        "strand_layers": (lambda: backend.network(prepared, posed, shape), 1),
+        "strands_after": (lambda: backend.integrate(prepared, posed, shape, changes), 1),
+        "skin": (lambda: pose(True), BATCH),
+        "out_of_skin": (lambda: backend.project(prepared, posed, hair), 1),
     }
-    return {name: _timed(part, repeats=20)[1] / drapes for name, (part, drapes) in parts.items()}
+    times = {name: _timed(part, repeats=20)[1] / drapes for name, (part, drapes) in parts.items()}
+    return times | {"skin": max(times["skin"] - times["body"], 0.0)}  # posed together
 
 
 def time_fitting(model: Quaffure, groom: Groom) -> float:
     """Processor time [s] of what is done once for a groom, before its first drape."""
-    return _timed(lambda: model.draper.packed(groom.select(torch.arange(len(groom))), model.body), repeats=5)[1]
+    return _timed(lambda: model.draper.prepared(groom.select(torch.arange(len(groom))), model.body).blocks, repeats=5)[
+        1
+    ]
 
 
-def floor(compiled: CompiledDrape, groom: PackedGroom) -> Floor:
+def floor(model: Quaffure, groom: Groom) -> Floor:
     """See `Floor`; of one groom, which stands for all."""
-    network, rows = compiled.network, len(groom.texels)
-    dtype = network.dtype
+    network, dtype = inference_layout(model), model_dtype(model)
+    assert network is not None
+    prepared = model.draper.prepared(groom, model.body)
+    rows = prepared.blocks.rows.size
     left, right = torch.randn(2, _MATRIX, _MATRIX, dtype=dtype)
     product = torch.empty_like(left)
     source = torch.ones(_COPIED // 4)
     target = torch.empty_like(source)
     multiply = _timed(lambda: torch.mm(left, right, out=product), repeats=5)[0]
     copy = _timed(lambda: target.copy_(source), repeats=5)[0]
-    moved = _weight_bytes(network) / BATCH + _activation_bytes(network, rows) + groom.nbytes
+    groom_bytes = prepared.blocks.nbytes + prepared.rest_length.nbytes + prepared.clearance.nbytes
+    moved = _weight_bytes(network) / BATCH + _activation_bytes(network, rows) + groom_bytes
     return Floor(network.operations(rows), moved, 2 * _MATRIX**3 / multiply, 2 * _COPIED / copy)
 
 
@@ -156,7 +182,7 @@ def report(
     """What `bench.json` holds."""
     return {
         "version": version("quaffure"),
-        "machine": machine_facts() | {"precision": str(model.draper.compiled().network.dtype).removeprefix("torch.")},
+        "machine": machine_facts() | {"precision": str(model_dtype(model)).removeprefix("torch.")},
         "grooms": [asdict(timing) for timing in timings],
         "strands": [asdict(timing) for timing in strands],
         "parts_cpu_milliseconds": {name: 1000 * seconds for name, seconds in parts.items()},

@@ -4,8 +4,6 @@ For a closed surface the generalized winding number (Jacobson et al. 2013) is a 
 any ray from the point meets: +1 where it leaves through a face, -1 where it enters. Here the ray goes straight up.
 """
 
-from typing import no_type_check
-
 import numpy as np
 from jaxtyping import Float, Int
 from numba import njit, prange
@@ -37,7 +35,6 @@ def winding_numbers(
     return _count(points, vertices, faces, low, width, shape, start, members)
 
 
-@no_type_check
 @njit(cache=True)
 def _columns(
     vertices: np.ndarray, faces: np.ndarray, low: np.ndarray, width: float, shape: np.ndarray
@@ -65,7 +62,6 @@ def _columns(
     return start, members
 
 
-@no_type_check
 @njit(cache=True, parallel=True)
 def _count(
     points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, low: np.ndarray, width: float, shape: np.ndarray,
@@ -78,12 +74,11 @@ def _count(
         if x < 0 or y < 0 or x > shape[0] or y > shape[1]:
             continue
         column = min(x, shape[0] - 1) * shape[1] + min(y, shape[1] - 1)
-        for place in range(start[column], start[column + 1]):
-            winding[index] += _crossing(point, vertices, faces[members[place]])
+        for member in range(start[column], start[column + 1]):
+            winding[index] += _crossing(point, vertices, faces[members[member]])
     return winding
 
 
-@no_type_check
 @njit(cache=True)
 def _crossing(point: np.ndarray, vertices: np.ndarray, face: np.ndarray) -> int:
     """1 where the upward ray leaves through the face, -1 where it enters, 0 where it misses."""
@@ -99,12 +94,11 @@ def _crossing(point: np.ndarray, vertices: np.ndarray, face: np.ndarray) -> int:
     return side_of_first if height > point[2] else 0
 
 
-@no_type_check
 @njit(cache=True)
 def _side(point: np.ndarray, vertices: np.ndarray, a: int, b: int) -> tuple[float, int]:
-    """Twice the area that an edge spans with the point, seen from above, and its sign.
+    """Twice the area that an edge spans with the point, projected along z, and its sign.
 
-    The edge is always taken from its lower vertex to its higher, so that both faces at it hear the same answer, also
+    The edge is always taken from its lower vertex to its higher, so that both faces at it get the same sign, also
     from a point exactly in line. Products of float32 numbers' differences are exact in float64, hence the signs.
     """
     low, high = min(a, b), max(a, b)

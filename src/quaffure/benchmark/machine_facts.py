@@ -1,10 +1,14 @@
-"""What a benchmark file says of the machine that it was made on."""
+"""The machine that times are measured on, as benchmark files name it."""
 
 import os
 import platform
+import re
+from pathlib import Path
 
 import torch
 from numba import get_num_threads
+
+CPU_INFO = Path("/proc/cpuinfo")
 
 
 def machine_facts() -> dict[str, object]:
@@ -16,3 +20,12 @@ def machine_facts() -> dict[str, object]:
         "torch_threads": torch.get_num_threads(),
         "numba_threads": get_num_threads(),
     }
+
+
+def machine() -> str:
+    """The same in one line, as the evaluation's results have it."""
+    # Python names the processor on few systems; Linux has it here.
+    named = re.search(r"model name\s*: (.+)", CPU_INFO.read_text()) if CPU_INFO.is_file() else None
+    processor = named[1] if named else platform.processor() or platform.machine()
+    threads = f"torch {torch.get_num_threads()}, numba {get_num_threads()} threads"
+    return f"{processor}, {os.cpu_count()} processors, {threads}"

@@ -1,4 +1,4 @@
-"""Who is compared: one row a draper, all on the same hair."""
+"""The methods that are compared: one row a draper, all on the same hair."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ QUICK_ROWS = (POSED, "xpbd", NETWORK, REFINED)
 
 
 @dataclass(frozen=True, eq=False)
-class Competitor:
+class Method:
     """A row of the comparison.
 
     Attributes:
@@ -39,14 +39,14 @@ class Competitor:
     notes: dict[str, str] = field(default_factory=dict)
 
     def drapes(self, groom: Groom, body: BodyModel) -> bool:
-        """Whether it has an answer for this groom: GroomGen has one for its own alone."""
+        """Whether it can drape this groom: GroomGen drapes only its own."""
         return not isinstance(self.draper, GroomGenDraper) or self.draper.knows(groom, body)
 
 
-def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Competitor]:
-    """The rows asked for, in that order and each once.
+def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:
+    """The chosen rows, in that order and each once.
 
-    All rows drape the hair of the row `neural`: the shipped weights, or those that take their place.
+    All rows drape the hair of the row `neural`: the shipped weights, or those that replace them.
 
     Args:
         names: of `ROWS` or of `weights`.
@@ -58,11 +58,11 @@ def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Competito
     shipped = load_model(weights.get(NETWORK))
     material = shipped.draper.material
     rows = {
-        POSED: Competitor(POSED, PosedDraper(material)),
-        NETWORK: Competitor(NETWORK, shipped.draper, notes=shipped.notes),
-        REFINED: Competitor(REFINED, RefinedDraper(shipped.draper), notes=shipped.notes),
+        POSED: Method(POSED, PosedDraper(material)),
+        NETWORK: Method(NETWORK, shipped.draper, notes=shipped.notes),
+        REFINED: Method(REFINED, RefinedDraper(shipped.draper), notes=shipped.notes),
     }
-    rows |= {name: Competitor(name, solver(name, material), is_solver=True) for name in SOLVER_ROWS}
+    rows |= {name: Method(name, solver(name, material), is_solver=True) for name in SOLVER_ROWS}
     for name, path in weights.items():
         if name == NETWORK:
             continue
@@ -71,10 +71,10 @@ def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Competito
         draper, notes = _trained(name, path)
         if draper.material != material:
             raise InputError(path, f"weights for hair of {material}, as all rows", f"{draper.material}")
-        rows[name] = Competitor(name, draper, notes=notes)
+        rows[name] = Method(name, draper, notes=notes)
     for name in names:
         if name == GROOMGEN and name not in rows:
-            raise InputError(f"draper {name}", f"--weights {name}=FILE beside it: none are shipped", "none")
+            raise InputError(f"draper {name}", f"--weights {name}=FILE with it: none are shipped", "none")
         if name not in rows:
             raise InputError("draper", f"one of {', '.join(rows)}", f"'{name}'")
     return [rows[name] for name in dict.fromkeys(names)]

@@ -1,4 +1,4 @@
-"""Figures of merit of drapes.
+"""Metrics of drapes.
 
 Intersections are those of `quaffure.benchmark.intersection`, which no loss and no solver uses.
 """
@@ -9,10 +9,12 @@ import torch
 from quaffure.benchmark.intersection import winding_numbers
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import HEAD, world_from_head
-from quaffure.drape_motion import FRAMES_AT_ONCE, material_of
-from quaffure.energies.elastic import length_errors, orientation_errors
+from quaffure.config import HairMaterial
+from quaffure.drape_motion import FRAMES_AT_ONCE, bodies_of, material_of
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.self_collision import densities, density_excesses
+from quaffure.energies.stretch import length_errors
+from quaffure.energies.stretch_shear import orientation_errors
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
@@ -22,56 +24,93 @@ from quaffure.types import Bool, Energy, Float, Positions, Tensor
 PerFrame = dict[str, Float[Tensor, " b"]]
 
 
+class DrapeMetrics:
+    """Metrics of a drape, and of the groom as it was posed, added up batch by batch of its frames."""
+
+    def __init__(self, groom: Groom, material: HairMaterial, reference: DrapeSequence | None = None) -> None:
+        """
+        Args:
+            groom: the one that is draped.
+            material: of the draped hair.
+            reference: the best solver's drape of the same groom and frames; needed for `excess_energy`, `distance_mm`
+                and `jitter`, which is one number for the clip and repeated, and left out where the reference does not
+                move.
+
+        Raises:
+            InputError: the reference is of hair of another material.
+        """
+        if reference is not None and material_of(reference) != material:
+            raise InputError("reference", f"hair of {material}", f"{material_of(reference)}")
+        self.energy, self.reference = HairEnergy(groom, material), reference
+        self._draped: list[PerFrame] = []
+        self._posed: list[PerFrame] = []
+        self._from_head: list[tuple[Positions, Positions]] = []
+        self._frames = 0
+
+    def add(self, draped: Positions, scene: Scene) -> None:
+        """Measure the next frames.
+
+        Raises:
+            InputError: the reference holds other frames, bodies or strands.
+        """
+        reference = None
+        if self.reference is not None:
+            chunk = slice(self._frames, self._frames + len(draped))
+            _check_reference(self.reference, chunk, draped, scene)
+            reference = torch.from_numpy(self.reference.strands[chunk])
+            both = (vertices_from_head(hair, scene.bodies) for hair in (draped, reference))
+            self._from_head.append((next(both), next(both)))
+        self._draped.append(metrics(draped, scene, self.energy, reference))
+        self._posed.append(metrics(scene.posed, scene, self.energy, reference))
+        self._frames += len(draped)
+
+    def of_all_frames(self) -> tuple[PerFrame, PerFrame]:
+        """Metrics of every frame of the drape, and of the posed groom."""
+        whole = _joined(self._draped)
+        if self._from_head and self._frames >= 3:
+            own, of_reference = (accelerations(torch.cat(part)).mean() for part in zip(*self._from_head))
+            if of_reference > 0:
+                whole["jitter"] = (own / of_reference).expand(self._frames)
+        return whole, _joined(self._posed)
+
+
 def measure(
     sequence: DrapeSequence, groom: Groom, body: BodyModel, reference: DrapeSequence | None = None
 ) -> tuple[PerFrame, PerFrame]:
-    """Figures of merit of every frame of a drape, and of the groom as it was merely posed.
-
-    Args:
-        groom: the one that was draped.
-        reference: the best solver's drape of the same groom and frames; needed for `excess_energy`, `distance_mm` and
-            `jitter`, which is one figure for the clip and repeated, and left out where the reference does not move.
+    """Metrics of every frame of a drape that exists already, and of the groom as it was posed.
 
     Raises:
         InputError: the reference holds other frames, bodies or strands, or hair of another material.
     """
-    if reference is not None:
-        _check_reference(reference, sequence)
-    energy = HairEnergy(groom, material_of(sequence))
-    draped: list[PerFrame] = []
-    posed: list[PerFrame] = []
+    if reference is not None and reference.strands.shape != sequence.strands.shape:
+        raise InputError("reference", f"strands {sequence.strands.shape}", f"{reference.strands.shape}")
+    measured = DrapeMetrics(groom, material_of(sequence), reference)
     for start in range(0, len(sequence), FRAMES_AT_ONCE):
         chunk = slice(start, start + FRAMES_AT_ONCE)
-        body_pose = torch.from_numpy(sequence.body_pose[chunk])
-        body_shape = torch.from_numpy(sequence.body_shape).expand(len(body_pose), -1)
-        scene = Scene(groom, BodyBatch(body, body_pose, body_shape))
-        against = None if reference is None else torch.from_numpy(reference.strands[chunk])
-        draped.append(metrics(torch.from_numpy(sequence.strands[chunk]), scene, energy, against))
-        posed.append(metrics(scene.posed, scene, energy, against))
-    whole = _joined(draped)
-    if reference is not None and len(sequence) >= 3:
-        of_reference = acceleration(reference, body)
-        if of_reference > 0:
-            whole["jitter"] = (acceleration(sequence, body) / of_reference).expand(len(sequence))
-    return whole, _joined(posed)
+        scene = Scene(groom, bodies_of(sequence, body, chunk))
+        measured.add(torch.from_numpy(sequence.strands[chunk]), scene)
+    return measured.of_all_frames()
 
 
-def _check_reference(reference: DrapeSequence, sequence: DrapeSequence) -> None:
-    if reference.strands.shape != sequence.strands.shape:
-        raise InputError("reference", f"strands {sequence.strands.shape}", f"{reference.strands.shape}")
-    for name in ("body_pose", "body_shape", "rest_lengths"):
-        if not np.allclose(getattr(reference, name), getattr(sequence, name), atol=1e-4):
+def _check_reference(reference: DrapeSequence, frames: slice, draped: Positions, scene: Scene) -> None:
+    found = reference.strands[frames].shape
+    if found != draped.shape:
+        raise InputError("reference", f"strands {tuple(draped.shape)}", f"{found}")
+    for name, own, other in (
+        ("body_pose", scene.bodies.body_pose, reference.body_pose[frames]),
+        ("body_shape", scene.bodies.body_shape, reference.body_shape),
+        ("rest_lengths", scene.groom.rest_lengths, reference.rest_lengths),
+    ):
+        if not np.allclose(own.numpy(), other, atol=1e-4):
             raise InputError("reference", f"the same {name} as the drape's", "another")
-    if material_of(reference) != material_of(sequence):
-        raise InputError("reference", f"hair of {material_of(sequence)}", f"{material_of(reference)}")
 
 
 def metrics(draped: Positions, scene: Scene, energy: HairEnergy, reference: Positions | None = None) -> PerFrame:
-    """Figures of every frame by name; energies in m g L per vertex. See the table in `docs/metrics.md`."""
+    """Metrics of every frame by name; energies in m g L per vertex. See the table in `docs/metrics.md`."""
     rest = energy.rest
     lengths = 100 * length_errors(draped, rest.rest_length)
     density = densities(draped, rest.mass, energy.material.smoothing_length)
-    figures = {
+    values = {
         "body_intersection_percent": intersection_percent(draped, scene),
         "length_error_percent": lengths.mean(dim=(1, 2)),
         "length_error_percent_max": lengths.amax(dim=(1, 2)),
@@ -80,18 +119,18 @@ def metrics(draped: Positions, scene: Scene, energy: HairEnergy, reference: Posi
         "energy": total_energy(draped, scene, energy),
     }
     if reference is not None:
-        figures["excess_energy"] = figures["energy"] - total_energy(reference, scene, energy)
-        figures["distance_mm"] = 1000 * (draped - reference).norm(dim=-1).mean(dim=(1, 2))
-    return figures
+        values["excess_energy"] = values["energy"] - total_energy(reference, scene, energy)
+        values["distance_mm"] = 1000 * (draped - reference).norm(dim=-1).mean(dim=(1, 2))
+    return values
 
 
 def intersection_percent(draped: Positions, scene: Scene) -> Float[Tensor, " b"]:
-    """Share of vertices, roots left out, that the body winds round [%]."""
+    """Share of vertices, roots left out, inside the body [%]."""
     return 100 * inside_body(draped, scene).to(draped).mean(dim=(1, 2))
 
 
 def inside_body(draped: Positions, scene: Scene) -> Bool[Tensor, "b s m"]:
-    """Which vertices, roots left out, the body winds round."""
+    """Which vertices, roots left out, are inside the body: where its winding number is positive."""
     points = draped[:, :, 1:].flatten(1, 2).detach().cpu().numpy()
     vertices, faces = scene.surface.vertices.detach().cpu().numpy(), scene.surface.topology.faces.cpu().numpy()
     inside = np.stack([winding_numbers(*sample, faces) > 0 for sample in zip(points, vertices)])
@@ -100,28 +139,21 @@ def inside_body(draped: Positions, scene: Scene) -> Bool[Tensor, "b s m"]:
 
 def total_energy(draped: Positions, scene: Scene, energy: HairEnergy) -> Energy:
     """Energy of every frame [m g L per vertex]."""
-    return energy.per_vertex(torch.stack(list(energy.terms(draped, scene.director, scene.surface).values())).sum(0))
+    return energy.per_vertex(energy.total(draped, scene))
 
 
-def acceleration(sequence: DrapeSequence, body: BodyModel) -> Float[Tensor, ""]:
-    """Mean second difference over frames of the draped vertices seen from the head [m per frame^2]."""
-    body_shape = torch.from_numpy(sequence.body_shape).expand(len(sequence), -1)
-    bodies = BodyBatch(body, torch.from_numpy(sequence.body_pose), body_shape)
-    return acceleration_from_head(torch.from_numpy(sequence.strands), bodies)
-
-
-def acceleration_from_head(draped: Positions, bodies: BodyBatch) -> Float[Tensor, ""]:
-    """The same of draped vertices [m, world] on the bodies of frames in a row."""
-    return accelerations_from_head(draped, bodies).mean()
-
-
-def accelerations_from_head(draped: Positions, bodies: BodyBatch) -> Float[Tensor, " f"]:
-    """The same at each frame that has one before it and one after."""
+def vertices_from_head(draped: Positions, bodies: BodyBatch) -> Positions:
+    """Draped vertices in the frame of the head [m]."""
     posed, body = bodies.posed, bodies.body
     offsets = draped - posed.joint_positions[:, body.joint_names.index(HEAD), None, None]
-    return (
-        (offsets @ world_from_head(body, posed.joint_rotations)[:, None]).diff(n=2, dim=0).norm(dim=-1).mean(dim=(1, 2))
-    )
+    return offsets @ world_from_head(body, posed.joint_rotations)[:, None]
+
+
+def accelerations(vertices: Positions) -> Float[Tensor, " f"]:
+    """Mean second difference of vertices, at each of the frames that has one before it and one after
+    [m per frame^2].
+    """
+    return vertices.diff(n=2, dim=0).norm(dim=-1).mean(dim=(1, 2))
 
 
 def _joined(parts: list[PerFrame]) -> PerFrame:

@@ -1,6 +1,6 @@
 """Table 1 of the paper: what it measured, and the same ratios from an evaluation.
 
-Absolute figures cannot be compared: grooms, body, poses and machine are others, and the paper gives its length and
+Absolute values cannot be compared: grooms, body, poses and machine are others, and the paper gives its length and
 orientation columns without formula or unit. What each method has over the paper's own network can.
 """
 
@@ -41,22 +41,22 @@ COLUMNS = {
     "length": ("length_error_percent", "mean"),
     "orientation": ("orientation_error_deg", "mean"),
 }
-"""The figure of merit that stands for each column, and how it is summed up."""
+"""The metric that stands for each column, and how it is summed up."""
 
 
 def ratio_rows(summary: Summary) -> list[dict[str, object]]:
     """A table row a method: each column over the network's, here and in the paper; none without the network.
 
     Args:
-        summary: figures of all cases by row, `results.json`'s `summary["all"]`.
+        summary: metrics of all cases by row, `results.json`'s `summary["all"]`.
     """
     if NETWORK not in summary:
         return []
     rows: list[dict[str, object]] = []
     for name in (name for name in summary if name in PAPER and name != NETWORK):
         row: dict[str, object] = {"draper": name}
-        for column, (figure, kind) in COLUMNS.items():
-            own, ours = (summary[each].get(figure, {}).get(kind) for each in (name, NETWORK))
+        for column, (metric, kind) in COLUMNS.items():
+            own, ours = (summary[each].get(metric, {}).get(kind) for each in (name, NETWORK))
             row[column] = own / ours if own is not None and ours else ""
             row[f"{column}, paper"] = getattr(PAPER[name], column) / getattr(PAPER[NETWORK], column)
         rows.append(row)

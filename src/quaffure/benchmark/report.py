@@ -12,7 +12,7 @@ from quaffure.io.atomic import replacing
 
 PAGE = "evaluation_results.md"
 PICTURE = "figures/evaluation_results.png"
-FIGURES = (
+METRICS = (
     "body_intersection_percent",
     "length_error_percent",
     "length_error_percent_max",
@@ -24,7 +24,7 @@ FIGURES = (
     "jitter",
     "milliseconds",
 )
-"""Figures of merit in the order of the columns; docs/metrics.md explains them."""
+"""Metrics in the order of the columns; docs/metrics.md explains them."""
 RATIOS = "Table 1 of the paper: over the network"
 BY_GROUP = ("body_intersection_percent", "excess_energy", "distance_mm")
 
@@ -45,7 +45,7 @@ def write_report(folder: Path, results: Results) -> list[Path]:
         raise InputError(folder, "a folder for the report", error.strerror or str(error)) from error
     drawn = []
     if importlib.util.find_spec("matplotlib") is not None:
-        from quaffure.benchmark.report_plot import plot_results
+        from quaffure.benchmark.plots import plot_results
 
         plot_results(picture, results)
         drawn = [picture]
@@ -64,30 +64,30 @@ def page(results: Results, with_picture: bool) -> str:
     ratios = ratio_rows(summary["all"])
     if ratios:
         parts += [f"## {RATIOS}", _table(ratios)]
-    for figure in BY_GROUP:
-        rows = group_rows(summary, figure)
+    for metric in BY_GROUP:
+        rows = group_rows(summary, metric)
         if rows:
-            parts += [f"## {figure} by group of cases", _table(rows)]
+            parts += [f"## {metric} by group of cases", _table(rows)]
     parts += ["## Rows", _table(setting_rows(results))]
     return "\n\n".join(parts) + "\n"
 
 
 def mean_rows(of_group: dict[str, dict[str, dict[str, float]]]) -> list[dict[str, object]]:
     """A table row a draper: means over cases, the median of times."""
-    middle = {key: "median" if key == TIME else "mean" for key in FIGURES}
-    return [{"draper": row} | _cells(figures, middle) for row, figures in of_group.items()]
+    middle = {key: "median" if key == TIME else "mean" for key in METRICS}
+    return [{"draper": row} | _cells(values, middle) for row, values in of_group.items()]
 
 
 def worst_rows(of_group: dict[str, dict[str, dict[str, float]]]) -> list[dict[str, object]]:
     """A table row a draper: the worst frames."""
-    return [{"draper": row} | _cells(figures, dict.fromkeys(FIGURES, "worst")) for row, figures in of_group.items()]
+    return [{"draper": row} | _cells(values, dict.fromkeys(METRICS, "worst")) for row, values in of_group.items()]
 
 
-def group_rows(summary: Results, figure: str) -> list[dict[str, object]]:
-    """A table row a draper: means of one figure in every group; none where no draper has the figure."""
-    known = [row for row in summary["all"] if figure in summary["all"][row]]
+def group_rows(summary: Results, metric: str) -> list[dict[str, object]]:
+    """A table row a draper: means of one metric in every group; none where no draper has the metric."""
+    known = [row for row in summary["all"] if metric in summary["all"][row]]
     return [
-        {"draper": row} | {group: rows.get(row, {}).get(figure, {}).get("mean", "") for group, rows in summary.items()}
+        {"draper": row} | {group: rows.get(row, {}).get(metric, {}).get("mean", "") for group, rows in summary.items()}
         for row in known
     ]
 
@@ -99,17 +99,17 @@ def setting_rows(results: Results) -> list[dict[str, object]]:
     ]
 
 
-def shown(cell: object) -> str:
-    """A cell as every table shows it."""
+def cell_text(cell: object) -> str:
+    """A cell as all tables have it."""
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
-def _cells(figures: dict[str, dict[str, float]], kinds: dict[str, str]) -> dict[str, object]:
-    return {key: figures[key][kind] if key in figures else "" for key, kind in kinds.items()}
+def _cells(values: dict[str, dict[str, float]], kinds: dict[str, str]) -> dict[str, object]:
+    return {key: values[key][kind] if key in values else "" for key, kind in kinds.items()}
 
 
 def _table(rows: list[dict[str, object]]) -> str:
-    lines = [list(rows[0]), ["---"] * len(rows[0]), *([shown(cell) for cell in row.values()] for row in rows)]
+    lines = [list(rows[0]), ["---"] * len(rows[0]), *([cell_text(cell) for cell in row.values()] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
@@ -138,6 +138,6 @@ def _skipped(skipped: dict[str, str]) -> str:
 def _in_words(values: dict[str, Any]) -> str:
     parts = []
     for name, value in values.items():
-        said = f"({_in_words(value)})" if isinstance(value, dict) else shown(value)
-        parts.append(said if name == "class" else f"{name} {said}")
+        text = f"({_in_words(value)})" if isinstance(value, dict) else cell_text(value)
+        parts.append(text if name == "class" else f"{name} {text}")
     return ", ".join(parts)

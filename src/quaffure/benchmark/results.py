@@ -1,4 +1,4 @@
-"""What `results.json` holds: figures by case and row, their summary, and all that is needed to read them."""
+"""What `results.json` holds: metrics by case and row, their summary, and all that is needed to read them."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -7,8 +7,8 @@ from importlib.metadata import version
 from typing import Any
 
 from quaffure.benchmark.comparison import CaseResult, summarize
-from quaffure.benchmark.fingerprint import setting_of
-from quaffure.benchmark.methods import Competitor
+from quaffure.benchmark.drape_key import setting_of
+from quaffure.benchmark.methods import Method
 from quaffure.config import HairMaterial
 
 Results = dict[str, Any]
@@ -18,7 +18,7 @@ DIGITS = 6
 
 def results_of(
     results: Sequence[CaseResult],
-    rows: Sequence[Competitor],
+    rows: Sequence[Method],
     material: HairMaterial,
     about: Mapping[str, object],
 ) -> Results:
@@ -34,13 +34,17 @@ def results_of(
         "rows": {
             row.name: {"setting": setting_of(row.draper), "weights": row.notes}
             for row in rows
-            if any(row.name in result.figures for result in results)
+            if any(row.name in result.metrics for result in results)
         },
         "reference": dict(Counter(name for result in results for name in result.reference).most_common()),
         "machines": sorted({machine for result in results for machine in result.machines}),
         "summary": _rounded(summarize(results)),
-        "cases": [_rounded(asdict(result)) for result in results],
+        "cases": [_rounded(_renamed(asdict(result))) for result in results],
     }
+
+
+def _renamed(case: dict[str, Any]) -> dict[str, Any]:
+    return {"figures" if name == "metrics" else name: value for name, value in case.items()}
 
 
 def _rounded(value: Any) -> Any:

@@ -17,10 +17,11 @@ from quaffure.benchmark.metrics import metrics
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.scene import Scene
+from quaffure.scene import PosedScene, Scene
 from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
 from quaffure.solvers.by_name import Solver, solver
 from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
+from quaffure.solvers.newton.newton import NewtonDraper
 from quaffure.solvers.stopping import energy_and_gradient, relative_gradient
 from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting, paper_setting
 from quaffure.types import Positions
@@ -44,7 +45,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Budget:
-    """A solver that may work so hard.
+    """A solver with a limit on its work.
 
     Attributes:
         effort: steps or evaluations, in the solver's own unit.
@@ -64,7 +65,7 @@ class Run:
     Attributes:
         excess_energy: above the least energy that any run reached on the case.
         relative_gradient: `quaffure.solvers.stopping`, the same measure for all.
-        reported_gradient: of the solver's `StoppingReport`; another measure for `newton` alone. None without a report.
+        reported_gradient: of the solver's `StoppingReport`; another measure for `newton` only. None without a report.
         iterations: of that report, over `share` of the run.
         seconds, cpu_seconds: wall and processor time of the whole setting, measured over `share` of it.
     """
@@ -86,7 +87,7 @@ class Run:
 
 
 def budgets(quick: bool = False) -> list[Budget]:
-    """The solvers of the benchmark with their budgets; `quick` runs say that everything works and little else."""
+    """The solvers of the benchmark with their budgets; `quick` runs show that everything works and little else."""
     efforts = _QUICK if quick else _WHOLE
     every = [Budget("posed", 0, PosedDraper)]
     every += [Budget(name, effort, _WITH_EFFORT[name](effort)) for name, many in efforts.items() for effort in many]
@@ -107,7 +108,7 @@ def run_benchmark(
     """Every budget on every case.
 
     Args:
-        on_run: told what is about to run.
+        on_run: called with what is about to run.
     """
     material = material or HairMaterial()
     _compile(cases[0], chosen, material)
@@ -140,19 +141,19 @@ def _run(case: Case, budget: Budget, energy: HairEnergy) -> Run:
     draped, stopped = draper.solve(case.scene) if isinstance(draper, Solver) else (draper.drape(case.scene), None)
     seconds, cpu_seconds = time.perf_counter() - wall, time.process_time() - processor
     draped = draped.detach()
-    figures = {name: float(figure) for name, figure in metrics(draped, case.scene, energy).items()}
+    values = {name: float(value) for name, value in metrics(draped, case.scene, energy).items()}
     return Run(
         case=case.name,
         solver=budget.solver,
         effort=budget.effort,
-        energy=figures["energy"],
+        energy=values["energy"],
         excess_energy=0.0,
         relative_gradient=_residual(draped, case.scene, energy),
         reported_gradient=None if stopped is None else stopped.relative_gradient,
         iterations=None if stopped is None else stopped.iterations,
-        body_intersection_percent=figures["body_intersection_percent"],
-        length_error_percent=figures["length_error_percent"],
-        density_excess_percent=figures["density_excess_percent"],
+        body_intersection_percent=values["body_intersection_percent"],
+        length_error_percent=values["length_error_percent"],
+        density_excess_percent=values["density_excess_percent"],
         seconds=seconds / budget.share,
         cpu_seconds=cpu_seconds / budget.share,
         share=budget.share,
@@ -165,17 +166,17 @@ def _residual(draped: Positions, scene: Scene, energy: HairEnergy) -> float:
 
 
 def _compile(case: Case, chosen: Sequence[Budget], material: HairMaterial) -> None:
-    """Run every solver once, as briefly as it can, so that no clock sees the compiler.
+    """Run every solver once, as briefly as it can, so that no time includes the compiler.
 
-    On the whole groom: a few strands press on none and leave the kernels of hair against hair out. `newton` compiles
-    those that only it has on a few; its starts have the others.
+    On the whole groom: a few strands touch no others, and the kernels of hair against hair would not be compiled.
+    `newton` compiles its own on a few strands; its starts have the others.
     """
     for name in {budget.solver for budget in chosen}:
         draper = _WITH_EFFORT[name](1)(material) if name in _WITH_EFFORT else solver("posed", material)
         draper.drape(case.scene)
     if any(budget.solver == "newton" for budget in chosen):
-        few = Scene(case.scene.groom.select(torch.arange(min(8, len(case.scene.groom)))), case.scene.bodies)
-        solver("newton", material).drape(few)
+        few, scene = torch.arange(min(8, len(case.scene.groom))), case.scene
+        NewtonDraper(material).drape(PosedScene(scene.groom.select(few), scene.posed[:, few], scene.surface))
 
 
 _WITH_EFFORT: dict[str, Callable[[int], Callable[[HairMaterial], Draper]]] = {

@@ -1,23 +1,24 @@
-"""Cases as files for a method from elsewhere, and its answers read back. Both are drape files (docs/evaluation.md)."""
+"""Cases as files for a method from elsewhere, and its drapes read back. Both are drape files (docs/evaluation.md)."""
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from quaffure.baselines.posed import PosedDraper
 from quaffure.benchmark.drape_cache import TimedDrape
 from quaffure.benchmark.evaluation_set import CaseEntry, EvaluationCase, EvaluationSet
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
+from quaffure.drape_motion import drape_motion
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.io.drape_file import read_drape, write_drape
 from quaffure.scene import Scene
 
 ROOT_SLACK = 1e-3
-"""A root may be so far from its place on the scalp [m]."""
+"""Largest distance of a root from its position on the scalp [m]."""
 
 
 def write_case(folder: Path, case: EvaluationCase, set_version: int, body: BodyModel, material: HairMaterial) -> Path:
@@ -26,28 +27,9 @@ def write_case(folder: Path, case: EvaluationCase, set_version: int, body: BodyM
     Raises:
         InputError: the folder is missing or not writable.
     """
-    scene = Scene(case.groom, case.bodies(body))
-    posed = scene.posed.numpy()
-    meta = {
-        "case": case.name,
-        "evaluation_set": set_version,
-        "groom": case.groom.name,
-        "licence": case.groom.licence,
-        "motion": case.motion.name,
-        "frames": case.frames,
-        "material": asdict(material),
-    }
-    posed_groom = DrapeSequence(
-        strands=posed,
-        posed=posed,
-        rest_lengths=case.groom.rest_lengths.numpy(),
-        body_vertices=scene.bodies.posed.vertices.numpy(),
-        body_faces=body.faces.numpy().astype(np.int32),
-        body_pose=case.motion.body_pose.numpy(),
-        body_shape=case.body_shape.numpy(),
-        fps=case.motion.fps,
-        meta=meta,
-    )
+    posed = drape_motion(PosedDraper(material), case.groom, body, case.motion, case.body_shape)
+    meta = {name: posed.meta[name] for name in ("groom", "licence", "motion", "material")}
+    meta |= {"case": case.name, "evaluation_set": set_version, "frames": case.frames}
     at_rest = {
         "rest_strands": case.groom.rest_strands.numpy(),
         "root_faces": case.groom.root_faces.numpy(),
@@ -56,20 +38,20 @@ def write_case(folder: Path, case: EvaluationCase, set_version: int, body: BodyM
         "rest_body_vertices": body.rest_vertices.numpy(),
     }
     path = folder / f"{case.name}.npz"
-    write_drape(path, posed_groom, at_rest)
+    write_drape(path, replace(posed, meta=meta), at_rest)
     return path
 
 
-def read_answer(path: Path, of: EvaluationSet, material: HairMaterial) -> tuple[CaseEntry, DrapeSequence]:
-    """The case that a drape file answers, and the drape.
+def read_submission(path: Path, of: EvaluationSet, material: HairMaterial) -> tuple[CaseEntry, DrapeSequence]:
+    """The case that a submitted drape file is of, and the drape.
 
     Raises:
         InputError: no drape file, NaN in it, no case of this version of the set, or hair of another material.
     """
     sequence = read_drape(path)
-    said, found = sequence.meta.get("evaluation_set"), sequence.meta.get("case")
-    if said != of.version:
-        raise InputError(path, f"meta with evaluation_set {of.version}, as --write-cases writes it", f"{said}")
+    version, found = sequence.meta.get("evaluation_set"), sequence.meta.get("case")
+    if version != of.version:
+        raise InputError(path, f"meta with evaluation_set {of.version}, as --write-cases writes it", f"{version}")
     entry = next((entry for entry in of.cases if entry.name == found), None)
     if entry is None:
         raise InputError(path, "meta with the name of a case of the evaluation set", f"'{found}'")
@@ -78,14 +60,14 @@ def read_answer(path: Path, of: EvaluationSet, material: HairMaterial) -> tuple[
     return entry, sequence
 
 
-def answered_frames(path: Path, sequence: DrapeSequence, case: EvaluationCase, body: BodyModel) -> list[TimedDrape]:
-    """The frames of an answer, once they prove to be those of the case.
+def submitted_frames(path: Path, sequence: DrapeSequence, case: EvaluationCase, body: BodyModel) -> list[TimedDrape]:
+    """The frames of a submission, checked to be those of the case.
 
     Raises:
         InputError: other shapes, bodies or strands than the case's, or roots that left the scalp.
     """
     scene = Scene(case.groom, case.bodies(body))
-    expected: Mapping[str, np.ndarray] = {
+    expected = {
         "body_pose": case.motion.body_pose.numpy(),
         "body_shape": case.body_shape.numpy(),
         "rest_lengths": case.groom.rest_lengths.numpy(),

@@ -1,0 +1,29 @@
+"""The body: shape and pose to a surface, motion, retargeting and the pose prior."""
+
+from typing import TYPE_CHECKING
+
+from quaffure._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from quaffure.body.body_model import BodyModel, PosedBody, load_body
+    from quaffure.body.bvh_clip import BvhClip
+    from quaffure.body.clips import CLIP_FPS, CLIP_NAMES, bundled_clip
+    from quaffure.body.motion import Motion, filter_flips, joint_matrices, without_heading
+    from quaffure.body.neck import head_turn, turned_head
+    from quaffure.body.pose_prior import PosePrior, load_pose_prior
+    from quaffure.body.retargeting import retarget_bvh
+    from quaffure.body.scalp import ScalpChart
+
+__all__, __getattr__, __dir__ = lazy_exports(
+    __name__,
+    {
+        "body_model": ["BodyModel", "PosedBody", "load_body"],
+        "bvh_clip": ["BvhClip"],
+        "clips": ["CLIP_FPS", "CLIP_NAMES", "bundled_clip"],
+        "motion": ["Motion", "filter_flips", "joint_matrices", "without_heading"],
+        "neck": ["head_turn", "turned_head"],
+        "pose_prior": ["PosePrior", "load_pose_prior"],
+        "retargeting": ["retarget_bvh"],
+        "scalp": ["ScalpChart"],
+    },
+)

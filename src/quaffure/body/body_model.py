@@ -1,7 +1,5 @@
 """The body: ten shape coefficients and 27 joint rotations to a posed surface, by linear blend skinning."""
 
-import math
-import zipfile
 from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property
 from importlib.resources import files
@@ -17,26 +15,26 @@ from quaffure.body.scalp import ScalpChart
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
 from quaffure.geometry.surface import SurfaceTopology, surface_topology
+from quaffure.npz import INTEGER, REAL, TEXT, Spec, read_arrays
 from quaffure.types import BodyPose, BodyShape, MeshFaces
 
 JOINT_COUNT, SHAPE_COUNT = 27, 10
 
-# Each array of a body file: its axes (numbers fixed; letters the same everywhere) and its kind of numbers.
-FILE_ARRAYS: dict[str, tuple[tuple[int | str, ...], str]] = {
-    "rest_vertices": (("v", 3), "f"),
-    "shape_directions": ((SHAPE_COUNT, "v", 3), "i"),
-    "shape_direction_scales": ((SHAPE_COUNT,), "f"),
-    "rest_joints": ((JOINT_COUNT, 3), "f"),
-    "joint_shape_directions": ((SHAPE_COUNT, JOINT_COUNT, 3), "f"),
-    "joint_parents": ((JOINT_COUNT,), "i"),
-    "joint_names": ((JOINT_COUNT,), "U"),
-    "skin_joints": (("v", "w"), "u"),
-    "skin_weights": (("v", "w"), "f"),
-    "faces": (("k", 3), "i"),
-    "ear_vertices": (("e",), "i"),
-    "scalp_faces": (("f",), "i"),
-    "scalp_uv": (("f", 3, 2), "f"),
-    "meta": ((), "U"),
+FILE_ARRAYS: Spec = {
+    "rest_vertices": (("v", 3), REAL),
+    "shape_directions": ((SHAPE_COUNT, "v", 3), INTEGER),
+    "shape_direction_scales": ((SHAPE_COUNT,), REAL),
+    "rest_joints": ((JOINT_COUNT, 3), REAL),
+    "joint_shape_directions": ((SHAPE_COUNT, JOINT_COUNT, 3), REAL),
+    "joint_parents": ((JOINT_COUNT,), INTEGER),
+    "joint_names": ((JOINT_COUNT,), TEXT),
+    "skin_joints": (("v", "w"), INTEGER),
+    "skin_weights": (("v", "w"), REAL),
+    "faces": (("k", 3), INTEGER),
+    "ear_vertices": (("e",), INTEGER),
+    "scalp_faces": (("f",), INTEGER),
+    "scalp_uv": (("f", 3, 2), REAL),
+    "meta": ((), TEXT),
 }
 
 
@@ -47,7 +45,7 @@ class PosedBody:
     Attributes:
         vertices: surface vertices [m].
         joint_rotations: `world_from_joint`; the identity in the rest pose, whatever the bone's direction.
-        joint_positions: where each joint is [m].
+        joint_positions: [m].
     """
 
     vertices: Float[Tensor, "b v 3"]
@@ -60,8 +58,8 @@ class BodyModel:
     """A family of bodies: rest surface and skeleton, linear in the shape, skinned to 27 joints.
 
     At rest the body stands in an A pose on the ground z = 0 (mean shape), facing -y, its left on +x. Poses are
-    axis-angles in world-aligned rest frames: joint j turns by R_j relative to its parent, `G_j = G_parent R_j`,
-    about its own rest position J_j; the root Hips stays at its rest place. There is no global translation.
+    axis-angles in world-aligned rest frames: joint j rotates by R_j relative to its parent, `G_j = G_parent R_j`,
+    about its own rest position J_j; the root Hips stays at its rest position. There is no global translation.
 
     Attributes:
         rest_vertices: surface of the mean shape [m].
@@ -72,7 +70,7 @@ class BodyModel:
         skin_joints, skin_weights: joints that move each vertex, and their shares, which sum to 1.
         faces: triangles of the closed surface, normals outwards.
         ear_vertices: the vertices of both ears.
-        scalp: where hair grows.
+        scalp: the part of the surface with hair.
         meta: source, licence, seed and units, as JSON.
     """
 
@@ -114,8 +112,13 @@ class BodyModel:
 
     def pose(self, body_pose: BodyPose, body_shape: BodyShape) -> PosedBody:
         """Bodies of shape beta [standard deviations] in pose theta [rad]; differentiable in both."""
+        return self.skin(body_shape, *self.posed_joints(body_pose, body_shape))
+
+    def skin(
+        self, body_shape: BodyShape, rotations: Float[Tensor, "b j 3 3"], positions: Float[Tensor, "b j 3"]
+    ) -> PosedBody:
+        """Bodies of shape beta [standard deviations] whose joints are posed, by linear blend skinning."""
         rest_vertices, rest_joints = self.rest(body_shape)
-        rotations, positions = self._forward_kinematics(body_pose, rest_joints)
         # x -> G_j (x - J_j) + p_j as one 3x4 matrix a joint, blended by the skin weights; vertices go last, where
         # products over them run through contiguous memory.
         offsets = positions[..., None] - rotations @ rest_joints[..., None]
@@ -151,7 +154,7 @@ class BodyModel:
     def dense_skin_weights(self) -> Float[Tensor, "v 27"]:
         """Share of every joint in every vertex.
 
-        One product of matrices blends all vertices faster than gathering each one's joints.
+        One matrix product blends all vertices faster than indexing the joints of each.
         """
         dense = self.skin_weights.new_zeros(len(self.skin_weights), JOINT_COUNT)
         return dense.scatter_add_(1, self.skin_joints, self.skin_weights)
@@ -165,8 +168,8 @@ def load_body(path: Path | None = None) -> BodyModel:
     """
     if path is None:
         path = Path(str(files("quaffure") / "assets" / "body.npz"))
-    arrays = _read_arrays(path)
-    _check_contents(arrays, path)
+    arrays, sizes = read_arrays(path, FILE_ARRAYS, "a body file (.npz)")
+    _check_indices(arrays, sizes, path)
     scales = arrays["shape_direction_scales"][:, None, None]
     return BodyModel(
         rest_vertices=torch.from_numpy(arrays["rest_vertices"]),
@@ -192,48 +195,7 @@ def shipped_body() -> BodyModel:
     return load_body()
 
 
-def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            missing = sorted(set(FILE_ARRAYS) - {name.removesuffix(".npy") for name in archive.namelist()})
-            if missing:
-                raise InputError(path, "a body file", f"no array {', '.join(missing)}")
-            for name in FILE_ARRAYS:
-                _check_size(archive, name, path)
-        with np.load(path, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in FILE_ARRAYS}
-    except FileNotFoundError as error:
-        raise InputError(path, "a body file (.npz)", "no such file") from error
-    except InputError:
-        raise
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise InputError(path, "a body file (.npz)", str(error) or type(error).__name__) from error
-
-
-def _check_size(archive: zipfile.ZipFile, name: str, path: Path) -> None:
-    """Hold an array's header to the bytes that are there, before anything of that size is allocated."""
-    member = archive.getinfo(f"{name}.npy")
-    with archive.open(member) as stream:
-        version = np.lib.format.read_magic(stream)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read_header(stream)
-        header = stream.tell()
-    expected, stored = math.prod(shape) * dtype.itemsize, member.file_size - header
-    if member.compress_type != zipfile.ZIP_STORED or expected != stored:
-        raise InputError(path, f"{name} uncompressed, {expected} bytes by its header", f"{stored} bytes, or compressed")
-
-
-def _check_contents(arrays: dict[str, np.ndarray], path: Path) -> None:
-    sizes: dict[int | str, int] = {}
-    for name, (axes, kind) in FILE_ARRAYS.items():
-        array = arrays[name]
-        matches = array.ndim == len(axes) and array.dtype.kind == kind
-        for axis, size in zip(axes, array.shape):
-            matches &= size == (axis if isinstance(axis, int) else sizes.setdefault(axis, size))
-        if not matches:
-            raise InputError(path, f"{name} of shape {axes}, kind {kind}", f"{array.shape}, kind {array.dtype.kind}")
-        if kind == "f" and not np.isfinite(array).all():
-            raise InputError(path, f"finite numbers in {name}", "NaN or infinity")
+def _check_indices(arrays: dict[str, np.ndarray], sizes: dict[str, int], path: Path) -> None:
     vertices, faces = sizes["v"], sizes["k"]
     for name, bound in {"faces": vertices, "ear_vertices": vertices, "scalp_faces": faces, "skin_joints": 27}.items():
         if arrays[name].size and not (arrays[name].min() >= 0 and arrays[name].max() < bound):

@@ -1,4 +1,4 @@
-"""A motion capture clip as a BVH file holds it: its own skeleton, Euler angles, units and axes."""
+"""A motion capture clip of a BVH file: its own skeleton, Euler angles, units and axes."""
 
 from dataclasses import dataclass
 

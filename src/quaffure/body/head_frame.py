@@ -1,22 +1,21 @@
-"""Posed bodies as a drape needs them, in compiled passes.
+"""Posed bodies in the head's frame, where a drape is computed: scalp, point-sampled skin and pose features.
 
-A network asks for the scalp, for a thousand points of the skin that hair can touch and for how head, neck, shoulders
-and arms stand, all of it seen from the head; what pushes hair out of the skin asks for that skin in the world. Posing
-every vertex, and turning strands into the head's frame afterwards, would take longer than the network.
-Shapes cannot be checked at run time inside compiled code, hence `no_type_check`.
+Only the vertices that a drape reads are posed, in compiled passes: posing all of them, and rotating strands into the
+head's frame afterwards, would take longer than the network.
 """
 
 import math
 from functools import lru_cache
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numba import njit, prange
 
-from quaffure.body.body_model import BodyModel
+from quaffure.body.body_model import BodyModel, PosedBody
 from quaffure.body.collision_skin import collision_skin
-from quaffure.body.mls_body import KERNEL_RADIUS, mls_body, skin_points
+from quaffure.body.kinematics import PosedJoints
+from quaffure.body.mls_body import MlsBodyConfig, mls_body, skin_points
 from quaffure.body.motion import without_heading
 from quaffure.body.pose_features import FEATURE_COUNT, HEAD, NEAR_HAIR, OFFSET_SCALE, pose_features
 from quaffure.geometry.mls_surface import LEAF, MlsSurface
@@ -24,7 +23,7 @@ from quaffure.types import BodyPose, BodyShape, Float, Int, Tensor
 
 _PARTS = 4  # of the skin, for threads to share one body
 POSE_CODE_SIZE = 10 + 81 + FEATURE_COUNT
-"""Length of what the network is told of shape and pose: beta, theta without heading, pose features."""
+"""Length of the pose code: beta, theta without heading, pose features."""
 
 
 class HeadFrameBody(NamedTuple):
@@ -32,10 +31,11 @@ class HeadFrameBody(NamedTuple):
 
     Attributes:
         world_from_head: rotation of the head.
-        head: where its joint is in the world [m].
+        head: position of its joint in the world [m].
         pose_code: beta, theta without heading, pose features.
         scalp: posed vertices of `scalp_vertices`.
-        surface: the skin that hair can touch, softened.
+        surface: point-sampled skin that hair can touch.
+        skin: vertices of `collision_skin`, in the world [m]; none where they are not asked for.
     """
 
     world_from_head: Float[Tensor, "b 3 3"]
@@ -43,12 +43,13 @@ class HeadFrameBody(NamedTuple):
     pose_code: Float[Tensor, "b code"]
     scalp: Float[Tensor, "b c 3"]
     surface: MlsSurface
+    skin: Float[Tensor, "b v 3"]
 
     def sample(self, index: int) -> "HeadFrameBody":
         """One of the bodies."""
-        one = slice(index, index + 1)
-        surface = MlsSurface(self.surface.points[one], self.surface.normals[one], self.surface.radius)
-        return HeadFrameBody(self.world_from_head[one], self.head[one], self.pose_code[one], self.scalp[one], surface)
+        one, (rotation, head, code, scalp, surface, skin) = slice(index, index + 1), self
+        surface = MlsSurface(surface.points[one], surface.normals[one], surface.radius)
+        return HeadFrameBody(rotation[one], head[one], code[one], scalp[one], surface, skin[one])
 
 
 @lru_cache(maxsize=4)
@@ -57,77 +58,73 @@ def scalp_vertices(body: BodyModel) -> Int[Tensor, " c"]:
     return body.faces[body.scalp.faces].unique()
 
 
-def head_frame_body_reference(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> HeadFrameBody:
-    """Torch twin of `head_frame_body`."""
-    posed = body.pose(body_pose, body_shape)
+def head_frame_body_reference(
+    body: BodyModel, body_pose: BodyPose, body_shape: BodyShape, posed: PosedBody, config: MlsBodyConfig
+) -> HeadFrameBody:
+    """Torch twin of `head_frame_body`: any device and type, differentiable in pose and shape.
+
+    Args:
+        posed: the bodies of shape beta [standard deviations] in pose theta [rad].
+    """
     joint = body.joint_names.index(HEAD)
     rotation, head = posed.joint_rotations[:, joint], posed.joint_positions[:, joint]
     features = pose_features(body, posed.joint_rotations, posed.joint_positions)
-    surface = mls_body(body, posed)
-    seen = MlsSurface(
-        (surface.points - head[:, None, None]) @ rotation[:, None],
-        surface.normals @ rotation[:, None],
-        surface.radius,
-    )
+    points, normals, radius = mls_body(body, posed, config)
+    surface = MlsSurface((points - head[:, None, None]) @ rotation[:, None], normals @ rotation[:, None], radius)
     scalp = (posed.vertices[:, scalp_vertices(body)] - head[:, None]) @ rotation
     code = torch.cat([body_shape, without_heading(body_pose).to(body_shape), features], dim=1)
-    return HeadFrameBody(rotation, head, code, scalp, seen)
+    skin = posed.vertices[:, collision_skin(body).vertices]
+    return HeadFrameBody(rotation, head, code, scalp, surface, skin)
 
 
-def head_frame_body(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> HeadFrameBody:
-    """Bodies of shape beta [standard deviations] in pose theta [rad], seen from their heads."""
-    if body_pose.device.type != "cpu" or body.rest_vertices.dtype != torch.float32:
-        return head_frame_body_reference(body, body_pose, body_shape)
-    joints, skin = _posed_joints(body, body_pose, body_shape), _skin(body)
-    positions, normals = _posed_vertices(skin, joints)
-    points = positions[:, : len(skin.normals)].unflatten(1, (-1, LEAF))
-    surface = MlsSurface(points, normals.unflatten(1, (-1, LEAF)), KERNEL_RADIUS)
-    scalp = positions[:, len(skin.normals) :].contiguous()
-    return HeadFrameBody(joints.world_from_head, joints.head, joints.pose_code, scalp, surface)
+def head_frame_body(
+    body: BodyModel,
+    body_pose: BodyPose,
+    body_shape: BodyShape,
+    joints: PosedJoints,
+    config: MlsBodyConfig,
+    collides: bool = True,
+) -> HeadFrameBody:
+    """Bodies of shape beta [standard deviations] in pose theta [rad]; float32, on the CPU.
 
-
-def posed_skin(
-    body: BodyModel, body_pose: BodyPose, body_shape: BodyShape
-) -> tuple[Float[Tensor, "b v 3"], Float[Tensor, "b 3"]]:
-    """The vertices of `collision_skin(body)` and the head joint [m, world], as in `BodyModel.pose`; on the CPU."""
-    joints = _posed_joints(body, body_pose, body_shape)
-    positions, _ = _posed_vertices(_whole_skin(body), joints)
-    return positions @ joints.world_from_head.mT + joints.head[:, None], joints.head
-
-
-class _PosedJoints(NamedTuple):
-    """`HeadFrameBody`'s fields, beta, and for each joint what takes a rest vertex to where it is seen from the head."""
-
-    shape: Float[Tensor, "b 10"]
-    transforms: Float[np.ndarray, "b j 12"]
-    world_from_head: Float[Tensor, "b 3 3"]
-    head: Float[Tensor, "b 3"]
-    pose_code: Float[Tensor, "b code"]
-
-
-def _posed_joints(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> _PosedJoints:
-    batch, count = len(body_pose), len(body.joint_parents)
-    transforms = np.empty((batch, count, 3, 4), np.float32)
+    Args:
+        joints: of these bodies.
+        collides: pose the collision skin too.
+    """
+    skin, batch = _skin_to_pose(body, config.leaves, collides), len(body_pose)
     rotation, head, code = torch.empty(batch, 3, 3), torch.empty(batch, 3), torch.empty(batch, POSE_CODE_SIZE)
-    pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
-    _pose_joints(pose.numpy(), shape.numpy(), _skeleton(body), transforms, rotation.numpy(), head.numpy(), code.numpy())
-    return _PosedJoints(shape, transforms.reshape(batch, count, 12), rotation, head, code)
-
-
-def _posed_vertices(skin: "_Skin", joints: _PosedJoints) -> tuple[Float[Tensor, "b v 3"], Float[Tensor, "b p 3"]]:
-    """Vertices, and the normals of those that have one, seen from the head."""
-    batch = len(joints.head)
     positions, normals = torch.empty(batch, len(skin.rest), 3), torch.empty(batch, len(skin.normals), 3)
-    _pose_skin(joints.shape.numpy(), skin, joints.transforms, positions.numpy(), normals.numpy())
-    return positions, normals
+    pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
+    rest, rotations, centres = joints.rest.double(), joints.rotations.double(), joints.positions.double()
+    world = _WorldJoints(
+        pose.numpy(), shape.numpy(), rest.numpy(), rotations.numpy(), centres.numpy(), _near_hair(body)
+    )
+    frame = _HeadFrame(rotation.numpy(), head.numpy(), code.numpy())
+    _pose_bodies(world, skin, frame, positions.numpy(), normals.numpy())
+    count, rest_count = len(skin.normals), len(scalp_vertices(body))
+    points = positions[:, :count].unflatten(1, (-1, LEAF))
+    surface = MlsSurface(points, normals.unflatten(1, (-1, LEAF)), config.kernel_radius)
+    scalp, far = positions[:, count : count + rest_count].contiguous(), positions[:, count + rest_count :]
+    return HeadFrameBody(rotation, head, code, scalp, surface, far @ rotation.mT + head[:, None])
 
 
-class _Skeleton(NamedTuple):
+class _WorldJoints(NamedTuple):
+    """Pose, shape and `PosedJoints`, and the joints of the pose features, the head first."""
+
+    body_pose: np.ndarray
+    body_shape: np.ndarray
     rest: np.ndarray
-    directions: np.ndarray
-    parents: np.ndarray
+    rotations: np.ndarray
+    positions: np.ndarray
     near: np.ndarray
-    head: int
+
+
+class _HeadFrame(NamedTuple):
+    """The first fields of `HeadFrameBody`."""
+
+    world_from_head: np.ndarray
+    head: np.ndarray
+    pose_code: np.ndarray
 
 
 class _Skin(NamedTuple):
@@ -141,29 +138,15 @@ class _Skin(NamedTuple):
 
 
 @lru_cache(maxsize=4)
-def _skeleton(body: BodyModel) -> _Skeleton:
-    near = [body.joint_names.index(name) for name in NEAR_HAIR]
-    return _Skeleton(
-        body.rest_joints.double().numpy(),
-        body.joint_shape_directions.double().numpy(),
-        np.array(body.joint_parents),
-        np.array(near),
-        body.joint_names.index(HEAD),
-    )
+def _near_hair(body: BodyModel) -> Int[np.ndarray, " j"]:
+    return np.array([body.joint_names.index(name) for name in (HEAD, *NEAR_HAIR)])
 
 
-@lru_cache(maxsize=4)
-def _skin(body: BodyModel) -> _Skin:
-    points, normals, _ = skin_points(body)
-    return _skin_of(body, torch.cat([points, scalp_vertices(body)]), normals)
-
-
-@lru_cache(maxsize=4)
-def _whole_skin(body: BodyModel) -> _Skin:
-    return _skin_of(body, collision_skin(body).vertices, torch.empty(0, 3))
-
-
-def _skin_of(body: BodyModel, vertices: Int[Tensor, " v"], normals: Float[Tensor, "p 3"]) -> _Skin:
+@lru_cache(maxsize=8)
+def _skin_to_pose(body: BodyModel, leaves: int, collides: bool) -> _Skin:
+    """Sampled points, then the scalp, then the collision skin."""
+    points, normals, _ = skin_points(body, leaves)
+    vertices = torch.cat([points, scalp_vertices(body), collision_skin(body).vertices[: None if collides else 0]])
     return _Skin(
         body.rest_vertices[vertices].numpy(),
         body.shape_directions[:, vertices].permute(1, 2, 0).contiguous().numpy(),
@@ -173,71 +156,28 @@ def _skin_of(body: BodyModel, vertices: Int[Tensor, " v"], normals: Float[Tensor
     )
 
 
-@no_type_check
 @njit(cache=True)
-def _pose_joints(
-    body_pose: np.ndarray,
-    body_shape: np.ndarray,
-    skeleton: _Skeleton,
-    transforms: np.ndarray,
-    world_from_head: np.ndarray,
-    head: np.ndarray,
-    code: np.ndarray,
+def _pose_bodies(
+    joints: _WorldJoints, skin: _Skin, frames: _HeadFrame, positions: np.ndarray, normals: np.ndarray
 ) -> None:
-    """Forward kinematics, in double precision; `transforms` take a rest vertex to where it is seen from the head."""
-    count = len(skeleton.rest)
-    rest, positions, rotations = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3, 3))
-    local = np.empty((3, 3))
-    for sample in range(len(body_pose)):
-        rest[:] = skeleton.rest
-        for coefficient in range(body_shape.shape[1]):
-            rest += np.float64(body_shape[sample, coefficient]) * skeleton.directions[coefficient]
-        for joint in range(count):
-            parent = skeleton.parents[joint]
-            axis_angle = body_pose[sample, 3 * joint : 3 * joint + 3]
-            if parent < 0:
-                _rotation(axis_angle, rotations[joint])
-                positions[joint] = rest[joint]
-                continue
-            _rotation(axis_angle, local)
-            for i in range(3):
-                positions[joint, i] = positions[parent, i]
-                for j in range(3):
-                    positions[joint, i] += rotations[parent, i, j] * (rest[joint, j] - rest[parent, j])
-                    rotations[joint, i, j] = 0.0
-                    for k in range(3):
-                        rotations[joint, i, j] += rotations[parent, i, k] * local[k, j]
-        world_from_head[sample] = rotations[skeleton.head]
-        head[sample] = positions[skeleton.head]
-        _see(rest, rotations, positions, skeleton, transforms[sample], code[sample, -FEATURE_COUNT:])
-        code[sample, :10] = body_shape[sample]
-        code[sample, 10:91] = body_pose[sample]
-        _take_heading_off(body_pose[sample, :3], code[sample, 10:13])
+    """Fill frames, vertices in the head's frame, and the normals of those that have one."""
+    transforms = np.empty((*joints.rest.shape[:2], 12), np.float32)  # 3 x 4, from rest vertices to the head's frame
+    for sample in range(len(joints.body_pose)):
+        rest, rotations, centres = joints.rest[sample], joints.rotations[sample], joints.positions[sample]
+        frame, origin, code = rotations[joints.near[0]], centres[joints.near[0]], frames.pose_code[sample]
+        frames.world_from_head[sample] = frame
+        frames.head[sample] = origin
+        own_transforms = transforms[sample].reshape((len(rest), 3, 4))
+        _write_transforms(rest, rotations, centres, frame, origin, own_transforms)
+        _write_features(centres, joints.near, frame, origin, own_transforms, code[-FEATURE_COUNT:])
+        code[:10] = joints.body_shape[sample]
+        code[10:91] = joints.body_pose[sample]
+        _remove_heading(joints.body_pose[sample, :3], code[10:13])
+    _pose_skin(joints.body_shape, skin, transforms, positions, normals)
 
 
-@no_type_check
 @njit(cache=True)
-def _rotation(axis_angle: np.ndarray, matrix: np.ndarray) -> None:
-    """Rodrigues' formula."""
-    x, y, z = np.float64(axis_angle[0]), np.float64(axis_angle[1]), np.float64(axis_angle[2])
-    squared = x * x + y * y + z * z
-    sine, cosine = 1.0 - squared / 6.0, 0.5 - squared / 24.0  # sin a / a, (1 - cos a) / a^2
-    if squared > 1e-6:
-        angle = math.sqrt(squared)
-        sine, cosine = math.sin(angle) / angle, 2.0 * math.sin(0.5 * angle) ** 2 / squared
-    matrix[0, 0], matrix[1, 1], matrix[2, 2] = (
-        1.0 - cosine * (y * y + z * z),
-        1.0 - cosine * (x * x + z * z),
-        1.0 - cosine * (x * x + y * y),
-    )
-    matrix[0, 1], matrix[1, 0] = cosine * x * y - sine * z, cosine * x * y + sine * z
-    matrix[0, 2], matrix[2, 0] = cosine * x * z + sine * y, cosine * x * z - sine * y
-    matrix[1, 2], matrix[2, 1] = cosine * y * z - sine * x, cosine * y * z + sine * x
-
-
-@no_type_check
-@njit(cache=True)
-def _take_heading_off(hips: np.ndarray, answer: np.ndarray) -> None:
+def _remove_heading(hips: np.ndarray, swing: np.ndarray) -> None:
     """`without_heading` of the Hips: the swing of their quaternion's swing-twist split about z."""
     x, y, z = np.float64(hips[0]), np.float64(hips[1]), np.float64(hips[2])
     angle = math.sqrt(x * x + y * y + z * z)
@@ -248,52 +188,51 @@ def _take_heading_off(hips: np.ndarray, answer: np.ndarray) -> None:
     x, y = c * x + s * y, c * y - s * x
     sine = math.sqrt(x * x + y * y)
     ratio = 2.0 * math.atan2(sine, twist) / sine if sine > 1e-12 else 2.0
-    answer[0], answer[1], answer[2] = ratio * x, ratio * y, 0.0
+    swing[0], swing[1], swing[2] = ratio * x, ratio * y, 0.0
 
 
-@no_type_check
 @njit(cache=True)
-def _see(
-    rest: np.ndarray,
-    rotations: np.ndarray,
-    positions: np.ndarray,
-    skeleton: _Skeleton,
+def _write_transforms(
+    rest: np.ndarray, rotations: np.ndarray, positions: np.ndarray, frame: np.ndarray, origin: np.ndarray,
     transforms: np.ndarray,
-    features: np.ndarray,
-) -> None:
-    """Transforms into the head's frame, and `pose_features`."""
-    eye = rotations[skeleton.head]
-    origin = positions[skeleton.head]
+) -> None:  # fmt: skip
+    """Transforms of rest vertices into the head's frame."""
     for joint in range(len(rest)):
         for i in range(3):
             for j in range(3):
                 transforms[joint, i, j] = (
-                    eye[0, i] * rotations[joint, 0, j]
-                    + eye[1, i] * rotations[joint, 1, j]
-                    + eye[2, i] * rotations[joint, 2, j]
+                    frame[0, i] * rotations[joint, 0, j]
+                    + frame[1, i] * rotations[joint, 1, j]
+                    + frame[2, i] * rotations[joint, 2, j]
                 )
-            place = 0.0
+            coordinate = 0.0
             for k in range(3):
                 offset = positions[joint, k] - origin[k]
                 for j in range(3):
                     offset -= rotations[joint, k, j] * rest[joint, j]
-                place += eye[k, i] * offset
-            transforms[joint, i, 3] = place
-    near = skeleton.near
+                coordinate += frame[k, i] * offset
+            transforms[joint, i, 3] = coordinate
+
+
+@njit(cache=True)
+def _write_features(
+    positions: np.ndarray, near: np.ndarray, frame: np.ndarray, origin: np.ndarray, transforms: np.ndarray,
+    features: np.ndarray,
+) -> None:  # fmt: skip
+    """`pose_features`; the head is the first of `near` and has none of its own."""
     for i in range(3):
-        features[i] = -eye[2, i]
-    for index in range(len(near)):
-        joint = near[index]
+        features[i] = -frame[2, i]
+    for index in range(len(near) - 1):
+        joint = near[index + 1]
         for i in range(3):
             features[3 + 6 * index + 2 * i] = transforms[joint, i, 0]
             features[3 + 6 * index + 2 * i + 1] = transforms[joint, i, 1]
-            place = 0.0
+            coordinate = 0.0
             for k in range(3):
-                place += eye[k, i] * (positions[joint, k] - origin[k])
-            features[3 + 6 * len(near) + 3 * index + i] = place / OFFSET_SCALE
+                coordinate += frame[k, i] * (positions[joint, k] - origin[k])
+            features[3 + 6 * (len(near) - 1) + 3 * index + i] = coordinate / OFFSET_SCALE
 
 
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _pose_skin(
     body_shape: np.ndarray, skin: _Skin, transforms: np.ndarray, positions: np.ndarray, normals: np.ndarray
@@ -302,12 +241,12 @@ def _pose_skin(
     # Rows so long that threads do not write into one line of the cache.
     scratch = np.empty((batch * _PARTS, 32), np.float32)
     for item in prange(batch * _PARTS):
-        sample, part, place, blend = item // _PARTS, item % _PARTS, scratch[item, :3], scratch[item, 3:15]
+        sample, part, point, blend = item // _PARTS, item % _PARTS, scratch[item, :3], scratch[item, 3:15]
         for vertex in range(part * vertices // _PARTS, (part + 1) * vertices // _PARTS):
             for axis in range(3):
-                place[axis] = skin.rest[vertex, axis]
+                point[axis] = skin.rest[vertex, axis]
                 for coefficient in range(body_shape.shape[1]):
-                    place[axis] += body_shape[sample, coefficient] * skin.directions[vertex, axis, coefficient]
+                    point[axis] += body_shape[sample, coefficient] * skin.directions[vertex, axis, coefficient]
             blend[:] = np.float32(0.0)
             for slot in range(skin.joints.shape[1]):
                 weight, joint = skin.weights[vertex, slot], skin.joints[vertex, slot]
@@ -315,13 +254,13 @@ def _pose_skin(
                     for k in range(12):
                         blend[k] += weight * transforms[sample, joint, k]
             for i in range(3):
-                turned = blend[4 * i] * place[0] + blend[4 * i + 1] * place[1] + blend[4 * i + 2] * place[2]
-                positions[sample, vertex, i] = turned + blend[4 * i + 3]
+                rotated = blend[4 * i] * point[0] + blend[4 * i + 1] * point[1] + blend[4 * i + 2] * point[2]
+                positions[sample, vertex, i] = rotated + blend[4 * i + 3]
             if vertex < len(skin.normals):
                 nx, ny, nz = skin.normals[vertex, 0], skin.normals[vertex, 1], skin.normals[vertex, 2]
                 square = np.float32(1e-24)
                 for i in range(3):
-                    place[i] = blend[4 * i] * nx + blend[4 * i + 1] * ny + blend[4 * i + 2] * nz
-                    square += place[i] * place[i]
+                    point[i] = blend[4 * i] * nx + blend[4 * i + 1] * ny + blend[4 * i + 2] * nz
+                    square += point[i] * point[i]
                 for i in range(3):
-                    normals[sample, vertex, i] = place[i] / np.sqrt(square)
+                    normals[sample, vertex, i] = point[i] / np.sqrt(square)

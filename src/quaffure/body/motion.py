@@ -1,4 +1,4 @@
-"""A motion: one body pose per frame. There is no root translation anywhere: hair at rest does not feel where one is.
+"""A motion: one body pose per frame, without root translation, on which quasi-static hair does not depend.
 
 Rotations between frames are interpolated spherically, joint by joint.
 """
@@ -13,17 +13,17 @@ from torch import Tensor
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import axis_angle_from_matrix, interpolate_rotations, matrix_from_axis_angle
 
-# A joint that turns faster than this [rad/s] and is back within FLIP_SECONDS did not move: markers were swapped, or an
-# Euler angle flipped. Strikes and kicks reach 30 rad/s; a quick shake of the head, spread over three joints, 4 each.
+# A joint that rotates faster than this [rad/s] and returns within FLIP_SECONDS is an artefact: swapped markers, or an
+# Euler angle that flipped. Strikes and kicks reach 30 rad/s; a quick shake of the head, over three joints, 4 each.
 LIMB_FLIP_SPEED = 35.0
 AXIAL_FLIP_SPEED = 8.0
 AXIAL_JOINTS = (0, 6, 7, 8, 14, 15, 16)  # Hips, LowerBack, Spine, Spine1, Neck, Neck1, Head
 FLIP_SECONDS = 0.1
-# A run counts as "back" when no more than this share of its largest excursion is left.
+# A joint has returned when at most this share of its largest deviation is left.
 FLIP_RETURN_SHARE = 0.3
 # Nine hours at 30 fps: beyond it, a file's frame time is a mistake and not a motion.
 MAX_FRAMES = 1_000_000
-LARGEST_ANGLE = 100.0  # rad; continuous angles pass 2 pi, sixteen turns are a mistake
+LARGEST_ANGLE = 100.0  # rad; continuous angles pass 2 pi, 16 revolutions are a mistake
 
 _FRAMES = re.compile(r"(\d*):(\d*)(?::(\d+))?|(?P<one>\d+)")
 
@@ -35,13 +35,13 @@ class Motion:
     Attributes:
         body_pose: [F,81] axis-angle of each joint [rad], relative to its parent, in rest frames aligned with the world.
         fps: frames per second.
-        name: what it is called in messages and files.
+        name: for messages and files.
 
     Raises:
         InputError: no frames, another width than three numbers a joint, a value or a rate that is not finite.
     """
 
-    body_pose: Float[Tensor, "..."]  # of any shape to the type, because files hold any shape: checked below
+    body_pose: Float[Tensor, "..."]  # any shape for the type checker, because files hold any shape: checked below
     fps: float
     name: str
 
@@ -90,22 +90,22 @@ def joint_matrices(body_pose: Float[Tensor, "f 81"]) -> Float[Tensor, "f 27 3 3"
 def pose_from_matrices(rotations: Float[Tensor, "f *batch 27 3 3"]) -> Float[Tensor, "f *batch 81"]:
     """Axis-angles [rad] of joint rotations, each continuous from frame to frame (the first axis).
 
-    Of the two vectors of at most a full turn that mean the same rotation, each frame takes the one nearer to the
-    frame before; so a joint that passes half a turn does not jump to the other side.
+    Two vectors of length up to 2 pi represent the same rotation; each frame takes the one nearer to the previous
+    frame, so that a joint that passes pi does not jump to the opposite vector.
     """
     short = axis_angle_from_matrix(rotations)
     angle = short.norm(dim=-1, keepdim=True)
-    # Below 1e-6 rad the axis is rounding, and a full turn about it would be anything.
+    # Below 1e-6 rad the axis is rounding, and 2 pi minus it would be arbitrary.
     long = torch.where(angle > 1e-6, short * (1 - 2 * torch.pi / angle.clamp(min=1e-6)), short)
     leaves = (long[1:] - short[:-1]).norm(dim=-1) < (short[1:] - short[:-1]).norm(dim=-1)
-    # Nearly all joints never pass half a turn; only the others need the walk along the frames.
+    # Few joints pass pi; only these need the sequential loop over the frames.
     passing = leaves.any(dim=0)
     short[:, passing] = _continuous(short[:, passing], long[:, passing])
     return short.flatten(-2).float()
 
 
 def _continuous(short: Float[Tensor, "f n 3"], long: Float[Tensor, "f n 3"]) -> Float[Tensor, "f n 3"]:
-    """Frame by frame, `short` or `long`: whichever is nearer to the choice before."""
+    """Frame by frame, `short` or `long`: whichever is nearer to the previous choice."""
     chosen = [short[0]]
     for frame in range(1, len(short)):
         before = chosen[-1]
@@ -128,27 +128,27 @@ def resample(motion: Motion, fps: float) -> Motion:
     intervals = motion.seconds * fps + 1e-3
     if not intervals < MAX_FRAMES:
         raise InputError(motion.name, f"at most {MAX_FRAMES} frames at {fps:g} fps", f"{intervals:.0f}")
-    place = (torch.arange(int(intervals) + 1, dtype=torch.float64) * (motion.fps / fps)).clamp(max=len(motion) - 1)
-    before = place.long().clamp(max=len(motion) - 2)
+    position = (torch.arange(int(intervals) + 1, dtype=torch.float64) * (motion.fps / fps)).clamp(max=len(motion) - 1)
+    before = position.long().clamp(max=len(motion) - 2)
     rotations = joint_matrices(motion.body_pose)
-    share = (place - before)[:, None].expand(-1, 27)
+    share = (position - before)[:, None].expand(-1, 27)
     between = interpolate_rotations(rotations[before], rotations[before + 1], share)
     return Motion(pose_from_matrices(between), fps, motion.name)
 
 
 def filter_flips(motion: Motion) -> Motion:
-    """The motion with joint flips repaired: short runs of frames that a joint jumps to and back from.
+    """The motion with joint flips repaired: short runs of frames to which a joint jumps and from which it returns.
 
-    A run starts or ends where a joint turns faster than `LIMB_FLIP_SPEED` or `AXIAL_FLIP_SPEED`, and within
-    `FLIP_SECONDS` the joint is back near where it was. Its frames are interpolated from the good ones on both sides.
-    A jump that does not come back is left alone, as is every joint without a jump. Axis-angles come out continuous
+    A run starts or ends where a joint rotates faster than `LIMB_FLIP_SPEED` or `AXIAL_FLIP_SPEED`, and within
+    `FLIP_SECONDS` the joint returns. Its frames are interpolated between the valid ones on both sides. A jump without
+    return is kept, as is every joint without a jump. Axis-angles come out continuous
     (see `pose_from_matrices`).
     """
     limit = torch.full((27,), LIMB_FLIP_SPEED / motion.fps, dtype=torch.float64)
     limit[list(AXIAL_JOINTS)] = AXIAL_FLIP_SPEED / motion.fps
     longest_run = max(1, min(round(FLIP_SECONDS * motion.fps), len(motion)))
     rotations = joint_matrices(motion.body_pose)
-    # Forwards, then backwards: a run may set in softly and end with the jump.
+    # Forwards, then backwards: a run may start slowly and end with the jump.
     for _ in range(2):
         jumps = _angle_between(rotations[:-1], rotations[1:]) > limit
         for frame, joint in jumps.nonzero().tolist():
@@ -158,16 +158,16 @@ def filter_flips(motion: Motion) -> Motion:
 
 
 def without_heading(body_pose: Float[Tensor, "f 81"]) -> Float[Tensor, "f 81"]:
-    """Body poses whose Hips (joint 0) keep their tilt and lose their turn about the vertical.
+    """Body poses whose Hips (joint 0) keep their tilt and lose their rotation about the vertical.
 
-    The turn is the twist of the swing-twist split about world z; gravity, contact and hence hair do not feel it.
+    It is the twist of the swing-twist decomposition about world z; gravity, contact and hence hair are invariant to it.
     """
     rotations = joint_matrices(body_pose)
     hips = rotations[:, 0]
     heading = torch.atan2(hips[:, 1, 0] - hips[:, 0, 1], hips[:, 0, 0] + hips[:, 1, 1])
     vertical = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64, device=body_pose.device)
     turn_back = matrix_from_axis_angle(-heading[:, None] * vertical)
-    hips_pose = axis_angle_from_matrix(turn_back @ hips).float()
+    hips_pose = axis_angle_from_matrix(turn_back @ hips).to(body_pose)
     return torch.cat([hips_pose, body_pose[:, 3:]], dim=-1)
 
 
@@ -180,11 +180,11 @@ def _repair_run(rotations: Float[Tensor, "f 3 3"], before: int, longest_run: int
     after = rotations[before + 1 : before + longest_run + 2]
     distance = _angle_between(rotations[before], after)
     if distance[0] <= limit:
-        return  # repaired already, as part of a run that started earlier
+        return  # already repaired as part of an earlier run
     returned = distance[1:] <= FLIP_RETURN_SHARE * distance.cummax(0).values[:-1]
     if not bool(returned.any()):
         return
     length = int(returned.int().argmax()) + 1
     share = torch.arange(1, length + 1, dtype=rotations.dtype) / (length + 1)
-    good_before, good_after = rotations[before].clone(), rotations[before + length + 1].clone()
-    rotations[before + 1 : before + length + 1] = interpolate_rotations(good_before, good_after, share)
+    valid_before, valid_after = rotations[before].clone(), rotations[before + length + 1].clone()
+    rotations[before + 1 : before + length + 1] = interpolate_rotations(valid_before, valid_after, share)

@@ -6,7 +6,7 @@ from quaffure.geometry.rotation import axis_angle_from_matrix
 from quaffure.types import BodyPose, Float, Tensor
 
 NECK_SHARES = {"Neck": 0.28, "Neck1": 0.34, HEAD: 0.38}
-"""What each joint takes of a turn of the head, from the trunk up; they sum to 1."""
+"""Share of each joint in a rotation of the head, from the trunk up; they sum to 1."""
 
 
 def turned_head(body: BodyModel, turn: Float[Tensor, "b 3"]) -> BodyPose:

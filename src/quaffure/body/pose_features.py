@@ -1,4 +1,4 @@
-"""What a drape depends on, seen from the head: gravity, and the bones that hair can touch."""
+"""Pose features of the network, in the head's frame: gravity and the joints that hair can touch."""
 
 import torch
 
@@ -20,7 +20,7 @@ NEAR_HAIR = (
     "LeftHand",
     "RightHand",
 )
-"""Joints whose frames relative to the head are told; legs never reach the hair."""
+"""Joints whose frames relative to the head are features; hair never reaches the legs."""
 
 FEATURE_COUNT = 3 + len(NEAR_HAIR) * 9
 
@@ -36,7 +36,7 @@ def pose_features(
     body: BodyModel, joint_rotations: Float[Tensor, "b j 3 3"], joint_positions: Float[Tensor, "b j 3"]
 ) -> Float[Tensor, "b features"]:
     """Gravity's direction, and of each joint near the hair two columns of its rotation and its offset, all in the
-    head's frame. Turning the whole body about the vertical changes none of it.
+    head's frame: invariant to rotations of the whole body about the vertical.
 
     Returns:
         `FEATURE_COUNT` dimensionless numbers of about one.

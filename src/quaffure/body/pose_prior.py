@@ -1,8 +1,8 @@
 """A distribution of body poses and of short motions, fitted to motion capture: for training without motion clips.
 
 A pose is 81 numbers v, three a joint: the rotation vector from the joint's mean rotation. Each has its own distribution
-(a table of quantiles, so an elbow bends one way only and nothing leaves the range that was observed); together they
-are a Gaussian copula:
+(a table of quantiles, so an elbow bends one way only and no number leaves the observed range); together they are a
+Gaussian copula:
 
     z in R^K standard normal, one stationary process each      scores s = L z      v = quantile table(s)
     joint rotation = mean exp(v)
@@ -21,7 +21,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from quaffure.body.motion import pose_from_matrices
-from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
 
 PRIOR_FILE = Path(str(files("quaffure") / "assets" / "pose_prior.npz"))
@@ -29,11 +28,11 @@ PRIOR_FILE = Path(str(files("quaffure") / "assets" / "pose_prior.npz"))
 
 @dataclass(frozen=True)
 class PosePrior:
-    """Poses and short motions at random, heading zero (a turn of the whole body leaves hair as it is).
+    """Random poses and short motions with zero heading (hair does not depend on it).
 
     Attributes:
         mean_pose: mean rotation of each joint, as a body pose [rad].
-        scores: where the quantile tables are taken, evenly spaced standard scores; beyond both ends the range ends.
+        scores: evenly spaced standard scores of the quantile tables; scores beyond both ends are clamped.
         quantiles: rotation vectors from the mean [rad] at those scores.
         loadings: standard scores of the 81 numbers from the K components (L); its rows have unit length.
         rates: speed of each component [1/s].
@@ -62,11 +61,11 @@ class PosePrior:
         identity = torch.eye(2)
         noise = torch.linalg.cholesky(identity - transition @ transition.mT + 1e-7 * identity)
         state = torch.randn(count, len(self.rates), 2, 1, generator=generator)
-        places = [state[..., 0, 0]]
+        components = [state[..., 0, 0]]
         for _ in range(frames - 1):
             state = transition @ state + noise @ torch.randn(state.shape, generator=generator)
-            places.append(state[..., 0, 0])
-        return self._pose(torch.stack(places)).transpose(0, 1).contiguous()
+            components.append(state[..., 0, 0])
+        return self._pose(torch.stack(components)).transpose(0, 1).contiguous()
 
     def _pose(self, components: Float[Tensor, "f b c"]) -> Float[Tensor, "f b 81"]:
         """Body poses of components; continuous along the first axis."""
@@ -75,13 +74,13 @@ class PosePrior:
         return pose_from_matrices(mean @ matrix_from_axis_angle(offsets))
 
     def _quantile(self, score: Float[Tensor, "*b 81"]) -> Float[Tensor, "*b 81"]:
-        """Each column's table, read with linear interpolation."""
+        """Linear interpolation in each column's table."""
         spacing = self.scores[1] - self.scores[0]
-        place = ((score - self.scores[0]) / spacing).clamp(0, len(self.scores) - 1)
-        below = place.long().clamp(max=len(self.scores) - 2)
+        position = ((score - self.scores[0]) / spacing).clamp(0, len(self.scores) - 1)
+        below = position.long().clamp(max=len(self.scores) - 2)
         columns = torch.arange(81, device=below.device).expand_as(below)
         low, high = self.quantiles[below, columns], self.quantiles[below + 1, columns]
-        return torch.lerp(low, high, place - below)
+        return torch.lerp(low, high, position - below)
 
 
 def load_pose_prior() -> PosePrior:
@@ -89,18 +88,3 @@ def load_pose_prior() -> PosePrior:
     with np.load(PRIOR_FILE, allow_pickle=False) as arrays:
         fields = ("mean_pose", "scores", "quantiles", "loadings", "rates")
         return PosePrior(**{name: torch.from_numpy(arrays[name]) for name in fields})
-
-
-def check_prior(prior: PosePrior, source: str) -> None:
-    """Hold a fitted prior to what `PosePrior` promises.
-
-    Raises:
-        InputError: a number is not finite, a table falls, or a row of the loadings has not unit length.
-    """
-    tensors = (prior.mean_pose, prior.scores, prior.quantiles, prior.loadings, prior.rates)
-    if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors):
-        raise InputError(source, "finite numbers", "NaN or infinity")
-    if bool((prior.quantiles.diff(dim=0) < 0).any()):
-        raise InputError(source, "quantiles that rise", "a table that falls")
-    if not torch.allclose(prior.loadings.norm(dim=1), torch.ones(81), atol=1e-4):
-        raise InputError(source, "rows of loadings of unit length", f"{prior.loadings.norm(dim=1)}")

@@ -1,6 +1,6 @@
-"""Motion of another skeleton carried over to the body's 27 joints.
+"""Retargeting of another skeleton's motion to the body's 27 joints.
 
-Only rotations are carried over. The root's translation is dropped: hair is quasi-static and does not feel it.
+Only rotations are transferred. The root's translation is dropped: quasi-static hair does not depend on it.
 
 Per joint, with world rotations G relative to rest frames that are aligned with the world:
     G_target = G_source A,    A = shortest arc from the target's to the source's rest bone on arms and legs, else 1
@@ -8,11 +8,14 @@ Per joint, with world rotations G relative to rest frames that are aligned with 
 With A, arms and legs point where the source's do, though one rests in a T pose and the other in an A pose.
 """
 
+import tomllib
 from dataclasses import dataclass
+from importlib.resources import files
 
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from quaffure.body.body_model import BodyModel
@@ -24,7 +27,7 @@ from quaffure.geometry.rotation import interpolate_rotations, shortest_arc
 RETARGET_FPS = 30.0
 # The CMU conversions start from the T pose and reach the actor's own pose within 15 frames of 1/120 s.
 LEAD_IN_SECONDS = 0.125
-REST_POSE_ANGLE = 0.02  # rad; a joint turned by less than this stands in the rest pose
+REST_POSE_ANGLE = 0.02  # rad; a joint rotated by less than this is in the rest pose
 
 # Files are y up and face +z; the body is z up and faces -y: (x, y, z) -> (x, -z, y).
 BODY_FROM_Y_UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], dtype=torch.float64)
@@ -32,43 +35,27 @@ BODY_FROM_Y_UP = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0
 
 @dataclass(frozen=True)
 class JointSource:
-    """Where one joint of the body takes its world rotation from.
+    """Source of the world rotation of one joint of the body.
 
     Attributes:
-        sources: joint of the source skeleton, or two of them: then half way between both.
-        bone_ends: where the joint's bone ends in the body and in the source, for joints whose bones are aligned.
+        sources: joint of the source skeleton, or two of them for the rotation half way between both.
+        bone_ends: end joints of the bone in the body and in the source, for joints whose bones are aligned.
     """
 
     sources: tuple[str, ...]
     bone_ends: tuple[str, str] | None = None
 
 
-def _sided(side: str, prefix: str) -> dict[str, JointSource]:
-    """Arm and leg of one side in the Daz-friendly rig; `side` is Left or Right, `prefix` l or r."""
+def read_rig(name: str) -> dict[str, JointSource]:
+    """Sources of the body's joints in a skeleton of `assets/rigs.toml`; joints without one follow their parents."""
+    rig = tomllib.loads((files("quaffure") / "assets" / "rigs.toml").read_text(encoding="utf-8"))[name]
     return {
-        f"{side[0]}HipJoint": JointSource((f"{prefix}Buttock",)),
-        f"{side}UpLeg": JointSource((f"{prefix}Thigh",), (f"{side}Leg", f"{prefix}Shin")),
-        f"{side}Leg": JointSource((f"{prefix}Shin",), (f"{side}Foot", f"{prefix}Foot")),
-        f"{side}Foot": JointSource((f"{prefix}Foot",)),
-        f"{side}Shoulder": JointSource((f"{prefix}Collar",)),
-        f"{side}Arm": JointSource((f"{prefix}Shldr",), (f"{side}ForeArm", f"{prefix}ForeArm")),
-        f"{side}ForeArm": JointSource((f"{prefix}ForeArm",), (f"{side}Hand", f"{prefix}Hand")),
-        f"{side}Hand": JointSource((f"{prefix}Hand",), (f"{side}FingerBase", f"{prefix}Mid1")),
+        joint: JointSource(tuple(source["sources"]), tuple(source["bone_ends"]) if "bone_ends" in source else None)
+        for joint, source in rig.items()
     }
 
 
-# Joints of the body that are not named here (toes, finger bases) follow their parents.
-DAZ_FRIENDLY_RIG: dict[str, JointSource] = {
-    "Hips": JointSource(("hip",)),
-    "LowerBack": JointSource(("hip", "abdomen")),
-    "Spine": JointSource(("abdomen",)),
-    "Spine1": JointSource(("chest",)),
-    "Neck": JointSource(("chest", "neck")),
-    "Neck1": JointSource(("neck",)),
-    "Head": JointSource(("head",)),
-    **_sided("Left", "l"),
-    **_sided("Right", "r"),
-}
+DAZ_FRIENDLY_RIG = read_rig("daz_friendly")
 
 
 def retarget_bvh(clip: BvhClip, body: BodyModel) -> Motion:
@@ -95,29 +82,25 @@ def retarget_bvh(clip: BvhClip, body: BodyModel) -> Motion:
 
 def local_pose(world_rotations: dict[str, Float[Tensor, "f 3 3"]], body: BodyModel) -> Float[Tensor, "f 81"]:
     """Body poses of world rotations by joint name; joints without one follow their parents."""
-    names, parents = list(body.joint_names), [int(parent) for parent in body.joint_parents]
     identity = torch.eye(3, dtype=torch.float64).expand_as(next(iter(world_rotations.values())))
     world: list[Tensor] = []
     local: list[Tensor] = []
-    for name, parent in zip(names, parents):
-        of_parent = world[parent] if parent >= 0 else identity
-        world.append(world_rotations.get(name, of_parent))
-        local.append(of_parent.transpose(-1, -2) @ world[-1])
+    for name, parent in zip(body.joint_names, body.joint_parents):
+        parent_rotation = world[parent] if parent >= 0 else identity
+        world.append(world_rotations.get(name, parent_rotation))
+        local.append(parent_rotation.mT @ world[-1])
     return pose_from_matrices(torch.stack(local, dim=1))
 
 
 def align_bone(target_bone: Float[Tensor, "3"], source_bone: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
-    """A of the module's formula: turns the target's rest bone onto the source's; neither need have unit length."""
-    return shortest_arc(
-        torch.nn.functional.normalize(target_bone.double(), dim=-1),
-        torch.nn.functional.normalize(source_bone.double(), dim=-1),
-    )
+    """A of the module's formula: rotates the target's rest bone to the source's; of any length."""
+    target, source = (torch.nn.functional.normalize(bone.double(), dim=-1) for bone in (target_bone, source_bone))
+    return shortest_arc(target, source)
 
 
 def body_bone(body: BodyModel, joint: str, end: str) -> Float[Tensor, "3"]:
     """Rest bone from one joint of the body to another [m]."""
-    names = list(body.joint_names)
-    return body.rest_joints[names.index(end)] - body.rest_joints[names.index(joint)]
+    return body.rest_joints[body.joint_names.index(end)] - body.rest_joints[body.joint_names.index(joint)]
 
 
 def source_rotation(source: JointSource, world: dict[str, Tensor]) -> Float[Tensor, "f 3 3"]:
@@ -148,9 +131,7 @@ def _rest_position(clip: BvhClip, name: str) -> Float[np.ndarray, "3"]:
 
 def _check_joints(clip: BvhClip) -> None:
     sources = DAZ_FRIENDLY_RIG.values()
-    needed = {name for source in sources for name in source.sources} | {
-        source.bone_ends[1] for source in sources if source.bone_ends
-    }
+    needed = {name for source in sources for name in (*source.sources, *(source.bone_ends or ())[1:])}
     missing = sorted(needed - set(clip.joint_names))
     if missing:
         raise InputError(clip.source, "the joints of the CMU Daz-friendly rig", f"none named {', '.join(missing)}")
@@ -160,9 +141,9 @@ def _check_joints(clip: BvhClip) -> None:
 
 
 def _lead_in_frames(clip: BvhClip) -> int:
-    """Frames to drop at the start."""
+    """Number of frames to drop at the start."""
     arms = [clip.joint_names.index(name) for name in ("lShldr", "rShldr", "lForeArm", "rForeArm")]
-    trace = np.trace(clip.local_rotations()[0, arms], axis1=-2, axis2=-1)
-    starts_at_rest = bool((np.arccos(np.clip((trace - 1) / 2, -1, 1)) < REST_POSE_ANGLE).all())
+    angles = Rotation.from_matrix(clip.local_rotations()[0, arms]).magnitude()
+    starts_at_rest = bool((angles < REST_POSE_ANGLE).all())
     frames = round(LEAD_IN_SECONDS * clip.fps)
     return frames if starts_at_rest and frames < len(clip.values) else 0

@@ -1,4 +1,4 @@
-"""The scalp chart: where hair grows on the body, unrolled to the unit square.
+"""The scalp chart: the part of the body with hair, parameterized over the unit square.
 
 `u` runs from the body's right (0) to its left (1), `v` from the forehead (0) to the nape (1); the chart is the
 mirror image of itself about u = 1/2. Texel (row, column) of a texture of size T covers v in [row, row + 1] / T
@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
-# Cells a side of the look-up that narrows the triangles a point may lie in; a scalp triangle is about one cell wide.
+# Cells per side of the grid that lists candidate triangles of a point; a scalp triangle is about one cell wide.
 CELLS = 48
-# Barycentric slack that keeps points on a shared edge from falling between its two triangles.
+# Barycentric tolerance: a point on a shared edge belongs to at least one of its triangles.
 EDGE_SLACK = 1e-5
 
 
@@ -34,13 +34,13 @@ class ScalpChart:
         return ScalpChart(self.faces.to(device), self.uv.to(device))
 
     def locate(self, uv: Float[Tensor, "p 2"]) -> tuple[Int[Tensor, " p"], Float[Tensor, "p 3"]]:
-        """The body face under each point and its barycentric coordinates there; face -1 and zeros off the chart."""
+        """The body face of each point and its barycentric coordinates; face -1 and zeros off the chart."""
         cell = (uv * CELLS).long()
         inside = ((uv >= 0) & (uv <= 1)).all(-1)
         column, row = cell.clamp(0, CELLS - 1).unbind(-1)
         candidates = self._cell_triangles[row * CELLS + column]
         barycentric = _barycentric(uv[:, None], self.uv[candidates])
-        # The candidate that holds the point most deeply; padding repeats a real triangle.
+        # The candidate with the largest minimal coordinate; padding repeats a real triangle.
         depth, best = barycentric.amin(-1).max(-1)
         rows = torch.arange(len(uv), device=uv.device)
         found = inside & (depth >= -EDGE_SLACK)
@@ -63,17 +63,6 @@ class ScalpChart:
             raise ValueError(f"expected faces of the scalp, found {outside} of {len(body_face)} off it")
         return (barycentric[..., None] * self.uv[triangle]).sum(-2)
 
-    def scalp_texel_mask(self, size: int = 64) -> Bool[Tensor, "height width"]:
-        """Texels of a texture of `size` whose centre lies on the scalp."""
-        centres = (torch.arange(size, device=self.uv.device, dtype=self.uv.dtype) + 0.5) / size
-        v, u = torch.meshgrid(centres, centres, indexing="ij")
-        return (self.locate(torch.stack([u, v], dim=-1).reshape(-1, 2))[0] >= 0).reshape(size, size)
-
-    @staticmethod
-    def texels(uv: Float[Tensor, "p 2"], size: int = 64) -> Int[Tensor, "p 2"]:
-        """Row (from v) and column (from u) of the texel that each point falls into."""
-        return (uv.flip(-1) * size).long().clamp(0, size - 1)
-
     @cached_property
     def _cell_triangles(self) -> Int[Tensor, "cell candidate"]:
         """Scalp triangles whose bounding box meets each cell, rows padded with their first or with triangle 0."""
@@ -87,6 +76,12 @@ class ScalpChart:
         width = max(map(len, cells))
         padded = [cell + [cell[0] if cell else 0] * (width - len(cell)) for cell in cells]
         return torch.tensor(padded, dtype=torch.int64, device=self.uv.device)
+
+
+def texel_index(uv: Float[Tensor, "p 2"], size: int) -> Int[Tensor, " p"]:
+    """Flat index (row times size plus column) of the texel of each point; row from v, column from u."""
+    cell = (uv * size).long().clamp(0, size - 1)
+    return cell[:, 1] * size + cell[:, 0]
 
 
 def _barycentric(point: Float[Tensor, "p 1 2"], triangle: Float[Tensor, "p c 3 2"]) -> Float[Tensor, "p c 3"]:

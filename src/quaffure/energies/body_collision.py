@@ -1,10 +1,13 @@
 """Contact with the body, Eq. 10."""
 
-from quaffure.types import Energy, Float, Tensor
+from quaffure.energies.energy_term import EnergyTerm, HairState
+from quaffure.geometry.signed_distance import signed_distance
+from quaffure.scene import HairScene
+from quaffure.types import Energy, Float, Positions, Scalar, Tensor
 
 
 def energy_body_collision(
-    distance: Float[Tensor, "b s n"], margin: Float[Tensor, "s n"], k_body_collision: float
+    distance: Float[Tensor, "b s n"], margin: Float[Tensor, "s n"], k_body_collision: Scalar
 ) -> Energy:
     """Eq. 10: k_bc times the cubed shortfall of the distance d(x) below the margin D.
 
@@ -17,3 +20,24 @@ def energy_body_collision(
         Energy [J]; zero, with zero gradient, where the distance is at least the margin.
     """
     return k_body_collision * (margin - distance).clamp(min=0).pow(3).sum(dim=(-2, -1))
+
+
+def distances_to_body(positions: Positions, scene: HairScene) -> Float[Tensor, "b s n"]:
+    """d(x) of Eq. 10: exact signed distance of every vertex to the body [m], positive outside."""
+    return signed_distance(positions.flatten(1, 2), scene.surface).reshape(positions.shape[:3])
+
+
+class BodyCollision(EnergyTerm):
+    """Eq. 10."""
+
+    name = "body_collision"
+    equation = "Eq. 10"
+    metric_unit = "mm"
+
+    def energy(self, hair: HairState, scene: HairScene) -> Energy:
+        distance = distances_to_body(hair.positions, scene)
+        return energy_body_collision(distance, hair.rest.collision_margin, hair.material.k_body_collision)
+
+    def metric(self, hair: HairState, scene: HairScene) -> Float[Tensor, "b s n"]:
+        """Shortfall of every vertex's distance below its margin [mm]."""
+        return 1000 * (hair.rest.collision_margin - distances_to_body(hair.positions, scene)).clamp(min=0)

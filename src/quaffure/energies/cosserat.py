@@ -13,12 +13,16 @@ is a rod's stiffness times the length that it stands for, and a finer strand of 
 `RodStiffness` does that conversion, per edge and pair.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import torch
 
-from quaffure.geometry.polyline import edges
+from quaffure.energies.energy_term import EnergyTerm, HairState
+from quaffure.energies.rest_state import RestState
+from quaffure.geometry.polyline import directors, edges
 from quaffure.geometry.rotation import quaternion_from_matrix, quaternion_multiply, shortest_arc
+from quaffure.scene import HairScene
 from quaffure.types import EdgeVectors, Energy, Float, Positions, RestLengths, Tensor
 
 Quaternions = Float[Tensor, "b s e 4"]
@@ -28,7 +32,7 @@ PairStrains = Float[Tensor, "b s p 3"]
 
 @dataclass(frozen=True)
 class RodStiffness:
-    """Stiffness of a rod, whatever its discretization.
+    """Stiffness of a rod, independent of its discretization.
 
     The defaults are those of a real hair in bending and twisting; in stretch they are those that Eq. 7 gives a strand
     by default, a thousandth of a real hair's 20 N: enough to stretch by less than 0.2 %.
@@ -58,27 +62,29 @@ class RodStiffness:
 def transported_frames(director: EdgeVectors) -> Quaternions:
     """Unit quaternions of frames that follow the directors d3 without twist (parallel transport).
 
-    The first frame turns e3 to its director by the smallest angle; where it points about d3 has no effect on the
+    The first frame rotates e3 to its director by the smallest angle; where it points about d3 has no effect on the
     energy, which bends alike in all directions.
     """
     first, later = director[..., :1, :], director[..., 1:, :]
     e3 = director.new_tensor([0.0, 0.0, 1.0])
-    turns = quaternion_from_matrix(shortest_arc(torch.cat([e3.expand_as(first), director[..., :-1, :]], -2), director))
-    frames = [turns[..., 0, :]]
+    rotations = quaternion_from_matrix(
+        shortest_arc(torch.cat([e3.expand_as(first), director[..., :-1, :]], -2), director)
+    )
+    frames = [rotations[..., 0, :]]
     for edge in range(1, later.shape[-2] + 1):
-        frames.append(quaternion_multiply(turns[..., edge, :], frames[-1]))
+        frames.append(quaternion_multiply(rotations[..., edge, :], frames[-1]))
     return torch.stack(frames, dim=-2)
 
 
-def carried_frames(frames: Quaternions, director: EdgeVectors, positions: Positions) -> Quaternions:
-    """`frames` whose third axes are the directors, each turned with its edge by the smallest angle.
+def edge_aligned_frames(frames: Quaternions, director: EdgeVectors, positions: Positions) -> Quaternions:
+    """`frames`, whose third axes are the directors, each rotated by the smallest angle to align with its edge.
 
     Without a direction, and zero here, where an edge points exactly against its director.
     """
     tangent = torch.nn.functional.normalize(edges(positions), dim=-1)
     aligned = 1 + (director * tangent).sum(-1, keepdim=True)
-    turn = torch.cat([aligned, torch.linalg.cross(director.expand_as(tangent), tangent)], dim=-1)
-    return quaternion_multiply(torch.nn.functional.normalize(turn, dim=-1), frames.expand(*turn.shape))
+    arc = torch.cat([aligned, torch.linalg.cross(director.expand_as(tangent), tangent)], dim=-1)
+    return quaternion_multiply(torch.nn.functional.normalize(arc, dim=-1), frames.expand(*arc.shape))
 
 
 def third_axis(quaternion: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3"]:
@@ -99,7 +105,7 @@ def stretch_shear_strain(positions: Positions, quaternion: Quaternions, rest_len
 
 
 def nearer_sign(relative: PairRotations, rest_relative: Float[Tensor, "#b s p 4"]) -> PairRotations:
-    """`relative` or its negative, which is the same rotation: the one that lies nearer to `rest_relative`.
+    """`relative` or its negative, which is the same rotation: the one nearer to `rest_relative`.
 
     "Nearer" must be taken in all four components. With the imaginary parts alone, as Eq. 4 might be read, a pair that
     is bent by its rest angle to the wrong side counts as unbent.
@@ -136,6 +142,89 @@ def energy_unit_quaternion(quaternion: Quaternions, k_unit_quaternion: float) ->
 
 
 def strain_angles(relative: PairRotations, rest_relative: Float[Tensor, "#b s p 4"]) -> Float[Tensor, "b s p"]:
-    """Gauge of Eq. 4: angle by which every pair of unit quaternions is turned from its rest [deg]."""
+    """Metric of Eq. 4: angle by which every pair of unit quaternions is rotated from its rest [deg]."""
     chord = (nearer_sign(relative, rest_relative) - rest_relative).norm(dim=-1)
     return torch.rad2deg(4 * torch.asin((chord / 2).clamp(max=1)))
+
+
+@dataclass(frozen=True, eq=False)
+class CosseratRod:
+    """Eqs. 2-5 on posed strands [m], moved rigidly from rest, where they are unstrained.
+
+    Eq. 4 sums over pairs of edges alone, which would let a strand rotate freely about its root. Here the scalp holds a
+    frame too, that of the first edge as posed, and the first edge bends against it over half its length.
+    """
+
+    stiffness: RodStiffness
+    posed: Positions
+    rest_length: RestLengths
+
+    @cached_property
+    def director(self) -> EdgeVectors:
+        return directors(self.posed)
+
+    @cached_property
+    def frames(self) -> Quaternions:
+        """Of the posed edges."""
+        return transported_frames(self.director)
+
+    @cached_property
+    def pair_length(self) -> Float[Tensor, "s p"]:
+        half = 0.5 * self.rest_length
+        return torch.cat([half[:, :1], half[:, 1:] + half[:, :-1]], dim=1)
+
+    @cached_property
+    def rest_relative(self) -> PairRotations:
+        return self.relative(self.frames)
+
+    def relative(self, quaternion: Quaternions) -> PairRotations:
+        """Relative rotations of all pairs, the scalp's frame with the first edge included."""
+        scalp = self.frames[:, :, :1].expand(len(quaternion), -1, -1, -1)
+        return relative_rotations(torch.cat([scalp, quaternion], dim=2))
+
+    def energy(self, positions: Positions, quaternion: Quaternions) -> Energy:
+        """Eq. 2, the sum of Eqs. 3-5 [J]; a rod of one sample serves a batch of positions [m]."""
+        gamma = stretch_shear_strain(positions, quaternion, self.rest_length)
+        omega = bend_twist_strain(self.relative(quaternion), self.rest_relative, self.pair_length)
+        return (
+            energy_stretch_shear(gamma, self.stiffness.k_stretch_shear(self.rest_length))
+            + energy_bend_twist(omega, self.stiffness.k_bend_twist(self.pair_length))
+            + energy_unit_quaternion(quaternion, self.stiffness.k_unit_quaternion)
+        )
+
+
+@dataclass(frozen=True)
+class Cosserat(EnergyTerm):
+    """Eqs. 2-5. Its variables are rotations (`wxyz`) of the edges' frames against their edges.
+
+    A frame is held to its edge a thousand times more stiffly than to its neighbour. With the two moving together that
+    stiffness does not slow a solver. Without variables the frames follow their edges without twist.
+    """
+
+    name = "elastic"
+    equation = "Eqs. 2-5"
+    metric_unit = "deg"
+    stiffness: RodStiffness = field(default_factory=RodStiffness)
+
+    def prepare(self, rest: RestState, scene: HairScene) -> CosseratRod:
+        posed = rest.posed_from_root(scene.director)
+        return CosseratRod(self.stiffness, posed, rest.rest_length.to(posed))
+
+    def energy(self, hair: HairState, scene: HairScene) -> Energy:
+        # Relative to the roots: elasticity is local, and float32 has more digits there.
+        rod: CosseratRod = hair.prepared[self.name]
+        return rod.energy(hair.positions - hair.positions[:, :, :1], self.frames(hair))
+
+    def metric(self, hair: HairState, scene: HairScene) -> Float[Tensor, "b s p"]:
+        rod: CosseratRod = hair.prepared[self.name]
+        return strain_angles(rod.relative(self.frames(hair)), rod.rest_relative)
+
+    def initial_variables(self, scene: HairScene) -> Quaternions:
+        identity = scene.director.new_tensor([1.0, 0.0, 0.0, 0.0])
+        return identity.expand(*scene.director.shape[:3], 4)
+
+    def frames(self, hair: HairState) -> Quaternions:
+        """Quaternions of the edges: aligned with them, then rotated by the term's variables."""
+        rod: CosseratRod = hair.prepared[self.name]
+        aligned = edge_aligned_frames(rod.frames, rod.director, hair.positions)
+        return quaternion_multiply(hair.variables[self.name], aligned) if self.name in hair.variables else aligned

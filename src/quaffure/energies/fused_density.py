@@ -1,7 +1,7 @@
 """Eqs. 11-13 in two compiled passes over a cell list, value and gradient, without a list of pairs.
 
-The second pass touches only what it must: most hair is no denser than at rest, and a pair without excess on either side
-exerts no force. Its torch twin is `quaffure.energies.self_collision`; a test holds the two together.
+The second pass visits active vertices alone: most hair is no denser than at rest, and a pair without excess on either
+side exerts no force. Its torch twin is `quaffure.energies.self_collision`; a test holds the two together.
 """
 
 import math
@@ -14,6 +14,7 @@ from torch.autograd.function import FunctionCtx
 
 from quaffure.config import HairMaterial
 from quaffure.energies.rest_state import RestState
+from quaffure.energies.smoothing_kernel import kernel_slope, kernel_value
 from quaffure.geometry.cell_list import cell_columns, check_finite, interleaved, sort_into_cells
 from quaffure.types import Energy, Positions, Tensor
 
@@ -25,11 +26,11 @@ def fused_self_collision(positions: Positions, rest: RestState, material: HairMa
         ValueError: a coordinate is not finite.
     """
     check_finite(positions)
-    return _SelfCollision.apply(positions, rest, material)
+    return _SelfCollision.apply(positions, rest, material)  # type: ignore[no-untyped-call]
 
 
 class Particles(NamedTuple):
-    """Vertices sorted into cells, one array a coordinate: the compiler then takes 8 or 16 neighbours abreast.
+    """Vertices sorted into cells, one array a coordinate, so that the compiler vectorizes over 8 or 16 neighbours.
 
     Attributes:
         weight: what each counts in a sum over neighbours.
@@ -58,8 +59,8 @@ class _SelfCollision(torch.autograd.Function):
             _excess(particles, shape, rest_density, order, h, get_num_threads(), excess)
             energy[sample] = material.k_self_collision * float((excess.astype(np.float64) ** 3).sum())
             slope = np.float32(3 * material.k_self_collision) * excess * excess
-            pressing = active_particles(particles, slope)
-            density_gradient(particles, pressing, shape, slope, order, h, get_num_threads(), gradient[sample])
+            active = active_particles(particles, slope)
+            density_gradient(particles, active, shape, slope, order, h, get_num_threads(), gradient[sample])
         ctx.save_for_backward(torch.from_numpy(gradient).reshape(positions.shape))
         return energy
 
@@ -77,10 +78,10 @@ def sort_particles(
     weighted by their masses."""
     order, start, shape = sort_into_cells(points, size)
     x, y, z, weight = np.empty((4, len(order)), np.float32)
-    for place in range(len(order)):
-        index = order[place]
-        x[place], y[place], z[place] = points[index, 0], points[index, 1], points[index, 2]
-        weight[place] = mass[index]
+    for row in range(len(order)):
+        index = order[row]
+        x[row], y[row], z[row] = points[index, 0], points[index, 1], points[index, 2]
+        weight[row] = mass[index]
     return order, shape, Particles(x, y, z, weight, start)
 
 
@@ -88,17 +89,17 @@ def sort_particles(
 def active_particles(particles: Particles, slope: np.ndarray) -> Particles:
     """The vertices whose `slope` is above 0 alone, weighted by it."""
     count = 0
-    for place in range(len(slope)):
-        count += slope[place] > 0
+    for row in range(len(slope)):
+        count += slope[row] > 0
     x, y, z, weight = np.empty((4, count), np.float32)
     start = np.empty_like(particles.start)
     start[0] = 0
     at = 0
     for cell in range(len(start) - 1):
-        for place in range(particles.start[cell], particles.start[cell + 1]):
-            if slope[place] > 0:
-                x[at], y[at], z[at] = particles.x[place], particles.y[place], particles.z[place]
-                weight[at] = slope[place]
+        for row in range(particles.start[cell], particles.start[cell + 1]):
+            if slope[row] > 0:
+                x[at], y[at], z[at] = particles.x[row], particles.y[row], particles.z[row]
+                weight[at] = slope[row]
                 at += 1
         start[cell + 1] = at
     return Particles(x, y, z, weight, start)
@@ -118,39 +119,37 @@ def _excess(
         column = interleaved(index, columns, threads)
         if column >= columns or start[column * along] == start[(column + 1) * along]:
             continue
-        room, ranges = np.empty((4, 256), np.float32), np.empty((9, 2), np.int64)
+        workspace, ranges = np.empty((4, 256), np.float32), np.empty((9, 2), np.int64)
         for cell in range(column * along, (column + 1) * along):
             if start[cell] == start[cell + 1]:
                 continue
-            room, count = _near_by(cell, particles, shape, ranges, room)
-            xs, ys, zs, masses = room[0, :count], room[1, :count], room[2, :count], room[3, :count]
-            for place in range(start[cell], start[cell + 1]):
-                px, py, pz = particles.x[place], particles.y[place], particles.z[place]
+            workspace, count = _near_by(cell, particles, shape, ranges, workspace)
+            xs, ys, zs, masses = workspace[0, :count], workspace[1, :count], workspace[2, :count], workspace[3, :count]
+            for row in range(start[cell], start[cell + 1]):
+                px, py, pz = particles.x[row], particles.y[row], particles.z[row]
                 total = np.float32(0.0)
                 for other in range(count):
                     dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
                     q = np.sqrt(dx * dx + dy * dy + dz * dz) * inverse
-                    # (2 - q)+^3 - 4 (1 - q)+^3 is Eq. 13 without a branch.
-                    far, near = max(np.float32(2.0) - q, np.float32(0.0)), max(np.float32(1.0) - q, np.float32(0.0))
-                    total += masses[other] * (far * far * far - np.float32(4.0) * near * near * near)
-                excess[place] = max(total * scale - rest_density[order[place]], np.float32(0.0))
+                    total += masses[other] * kernel_value(q)
+                excess[row] = max(total * scale - rest_density[order[row]], np.float32(0.0))
 
 
 @njit(cache=True, parallel=True, fastmath=True)
 def density_gradient(
-    particles: Particles, pressing: Particles, shape: tuple[int, int, int], slope: np.ndarray, order: np.ndarray,
+    particles: Particles, active: Particles, shape: tuple[int, int, int], slope: np.ndarray, order: np.ndarray,
     h: np.float32, threads: int, gradient: np.ndarray,
 ) -> None:  # fmt: skip
-    """Gradient of an energy whose derivative by every density is `slope`: a vertex is pushed by the pressing ones near
-    it, and by all near it if it presses itself.
+    """Gradient of an energy whose derivative by every density is `slope`: a vertex is pushed by the active ones near
+    it, and by all near it if it is active itself.
 
     Args:
-        pressing: `active_particles` of the same.
+        active: `active_particles` of the same.
         slope: in the sorted order, not negative [J m^3/kg].
         threads: that share the work.
         gradient: filled, in the unsorted order [N].
     """
-    scale = np.float32(3.0 / (4.0 * math.pi)) / (h * h * h * h)
+    scale = np.float32(1.0 / (4.0 * math.pi)) / (h * h * h * h)
     inverse = np.float32(1.0) / h
     start = particles.start
     columns, along = shape[0] * shape[1], shape[2]
@@ -158,24 +157,24 @@ def density_gradient(
         column = interleaved(index, columns, threads)
         if column >= columns or start[column * along] == start[(column + 1) * along]:
             continue
-        room, ranges = np.empty((4, 256), np.float32), np.empty((9, 2), np.int64)
+        workspace, ranges = np.empty((4, 256), np.float32), np.empty((9, 2), np.int64)
         for cell in range(column * along, (column + 1) * along):
             if start[cell] == start[cell + 1]:
                 continue
-            room, count = _near_by(cell, pressing, shape, ranges, room)
-            for place in range(start[cell], start[cell + 1]):
-                gx, gy, gz = _slopes(particles.x[place], particles.y[place], particles.z[place], room, count, inverse)
-                pull, at = scale * particles.weight[place], order[place]
+            workspace, count = _near_by(cell, active, shape, ranges, workspace)
+            for row in range(start[cell], start[cell + 1]):
+                gx, gy, gz = _slopes(particles.x[row], particles.y[row], particles.z[row], workspace, count, inverse)
+                pull, at = scale * particles.weight[row], order[row]
                 gradient[at, 0], gradient[at, 1], gradient[at, 2] = pull * gx, pull * gy, pull * gz
-            if pressing.start[cell] == pressing.start[cell + 1]:
+            if active.start[cell] == active.start[cell + 1]:
                 continue
-            room, count = _near_by(cell, particles, shape, ranges, room)
-            for place in range(start[cell], start[cell + 1]):
-                if slope[place] > 0.0:
+            workspace, count = _near_by(cell, particles, shape, ranges, workspace)
+            for row in range(start[cell], start[cell + 1]):
+                if slope[row] > 0.0:
                     gx, gy, gz = _slopes(
-                        particles.x[place], particles.y[place], particles.z[place], room, count, inverse
+                        particles.x[row], particles.y[row], particles.z[row], workspace, count, inverse
                     )
-                    pull, at = scale * slope[place], order[place]
+                    pull, at = scale * slope[row], order[row]
                     gradient[at, 0] += pull * gx
                     gradient[at, 1] += pull * gy
                     gradient[at, 2] += pull * gz
@@ -183,39 +182,37 @@ def density_gradient(
 
 @njit(cache=True, inline="always")
 def _near_by(
-    cell: int, particles: Particles, shape: tuple[int, int, int], ranges: np.ndarray, room: np.ndarray
+    cell: int, particles: Particles, shape: tuple[int, int, int], ranges: np.ndarray, workspace: np.ndarray
 ) -> tuple[np.ndarray, int]:
-    """Write x, y, z and weight of all vertices in a cell and those round it to `room` [4, vertex]: one run for the
+    """Write x, y, z and weight of all vertices in a cell and those round it to `workspace` [4, vertex]: one run for the
     compiler. Returns it, or a larger one, and the number of vertices."""
     found = cell_columns(cell, shape, particles.start, ranges)
     count = 0
     for column in range(found):
         count += ranges[column, 1] - ranges[column, 0]
-    if count > room.shape[1]:
-        room = np.empty((4, 2 * count), np.float32)
+    if count > workspace.shape[1]:
+        workspace = np.empty((4, 2 * count), np.float32)
     at = 0
     for column in range(found):
-        for place in range(ranges[column, 0], ranges[column, 1]):
-            room[0, at], room[1, at] = particles.x[place], particles.y[place]
-            room[2, at], room[3, at] = particles.z[place], particles.weight[place]
+        for row in range(ranges[column, 0], ranges[column, 1]):
+            workspace[0, at], workspace[1, at] = particles.x[row], particles.y[row]
+            workspace[2, at], workspace[3, at] = particles.z[row], particles.weight[row]
             at += 1
-    return room, count
+    return workspace, count
 
 
 @njit(cache=True, fastmath=True, inline="always")
 def _slopes(
     px: np.float32, py: np.float32, pz: np.float32, others: np.ndarray, count: int, inverse: np.float32
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """Weighted sum over the first `count` of `others` [4, vertex] of the gradient of Eq. 13 at p, times h / 3."""
+    """Weighted sum over the first `count` of `others` [4, vertex] of the gradient of Eq. 13 at p, times h."""
     gx, gy, gz = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     xs, ys, zs, weights = others[0, :count], others[1, :count], others[2, :count], others[3, :count]
     for other in range(count):
         dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
         r = np.sqrt(dx * dx + dy * dy + dz * dz)
-        q = r * inverse
-        far, near = max(np.float32(2.0) - q, np.float32(0.0)), max(np.float32(1.0) - q, np.float32(0.0))
-        falls = weights[other] * (np.float32(4.0) * near * near - far * far) / max(r, np.float32(1e-8))
-        gx += falls * dx
-        gy += falls * dy
-        gz += falls * dz
+        slope = weights[other] * kernel_slope(r * inverse) / max(r, np.float32(1e-8))
+        gx += slope * dx
+        gy += slope * dy
+        gz += slope * dz
     return gx, gy, gz

@@ -1,9 +1,9 @@
 """Eqs. 6, 7, 9 and 10 of whole strands in one compiled pass, value and gradient.
 
-The same terms written out in torch are `HairEnergy.reference_terms`; a test holds the two together. A strand's 24
-vertices fit in cache, so one pass costs little more than reading them. A vertex looks up whether it is free of the body
-or at least outside, where only faces within its margin are sought; where neither is known, the search is bounded by
-the distance to the last face that its strand came across.
+The same terms written out in torch are `HairEnergy` on `Backend.TORCH`; a test holds the two together. A strand's 24
+vertices fit in cache, so one pass costs little more than reading them. An occupancy grid tells where a vertex is free
+of the body, or at least outside, where only faces within its margin are searched; where neither is known, the search is
+bounded by the distance to the last face found for the strand.
 """
 
 from typing import NamedTuple
@@ -14,20 +14,35 @@ from numba import get_num_threads, njit, prange
 from torch.autograd.function import FunctionCtx
 
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.energies.contact_force import contact_force
+from quaffure.energies.edge_force import stretch_force, stretch_shear_force
 from quaffure.energies.rest_state import RestState
-from quaffure.geometry.binary_bvh import LANES, closest_on_triangle, squared_distance
-from quaffure.geometry.bvh import BVH_STACK, Bvh, nearest_face
+from quaffure.geometry.bvh import Bvh, nearest_face, search_workspace
 from quaffure.geometry.cell_list import check_finite, interleaved
-from quaffure.geometry.occupancy_grid import FREE, OUTSIDE, REACH, OccupancyGrid, classify
-from quaffure.geometry.surface import Surface
+from quaffure.geometry.occupancy_grid import FREE, FREE_DISTANCE, UNKNOWN, OccupancyGrid, classify
+from quaffure.geometry.surface import Surface, SurfaceArrays, bvh_of, occupancy_of, sample_arrays
+from quaffure.geometry.triangle import closest_on_triangle, signed_distance_from_offset, squared_distance
 from quaffure.types import EdgeVectors, Float, Positions, Tensor
 
 TERMS = ("stretch_shear", "stretch", "gravity", "body_collision")
-_RUN = 16  # strands that one thread takes in turn: near neighbours, each hands the next a face to start from
+_RUN = 16  # strands that one thread takes in turn: near neighbours, each finds a face that the next starts from
+
+
+class _Strands(NamedTuple):
+    """A groom: unit directors [b, s, e, 3], and by strand rest lengths [m], masses [kg], collision margins [m].
+
+    `stiffness`: k_cosserat, k_stretch, g, k_body_collision.
+    """
+
+    director: np.ndarray
+    rest_length: np.ndarray
+    mass: np.ndarray
+    margin: np.ndarray
+    stiffness: np.ndarray
 
 
 class _Body(NamedTuple):
-    """One posed body, as the kernel reads it: see `Surface`."""
+    """One posed body: see `SurfaceArrays`."""
 
     corners: np.ndarray
     normals: np.ndarray
@@ -47,15 +62,12 @@ def strand_energy(
         surface: the posed body of every sample.
 
     Raises:
-        ValueError: the collision margin is larger than the distance that clear cells keep from the body, a coordinate
-            is not finite, or a gradient is asked for that is not computed here.
+        ValueError: a coordinate is not finite, or a gradient is required that is not computed here.
     """
     check_finite(positions)
     if director.requires_grad or surface.vertices.requires_grad:
-        raise ValueError("expected directors and a body without gradient: `reference_terms` differentiates those")
-    if material.collision_margin > REACH:
-        raise ValueError(f"expected a collision margin up to {REACH} m, found {material.collision_margin}")
-    return _StrandEnergy.apply(positions, director, rest, material, surface)
+        raise ValueError("expected directors and a body without gradient: `Backend.TORCH` differentiates those")
+    return _StrandEnergy.apply(positions, director, rest, material, surface)  # type: ignore[no-untyped-call]
 
 
 class _StrandEnergy(torch.autograd.Function):
@@ -74,12 +86,10 @@ class _StrandEnergy(torch.autograd.Function):
         stiffness = np.array(
             [material.k_cosserat, material.k_stretch, STANDARD_GRAVITY, material.k_body_collision], np.float32
         )
-        _strands(
-            positions.detach().numpy(), director.detach().contiguous().numpy(),
-            rest.rest_length.numpy(), rest.mass.numpy(), rest.collision_margin.numpy(), stiffness,
-            surface.corners, surface.normals, surface.wide, surface.map,
-            get_num_threads(), per_strand, gradient.numpy(),
-        )  # fmt: skip
+        directors, margin = director.detach().contiguous().numpy(), rest.collision_margin.numpy()
+        strands = _Strands(directors, rest.rest_length.numpy(), rest.mass.numpy(), margin, stiffness)
+        arrays, threads = surface.arrays, get_num_threads()
+        _strands(positions.detach().numpy(), strands, arrays, threads, per_strand, gradient.numpy())
         ctx.save_for_backward(gradient)
         terms = torch.from_numpy(per_strand.sum(axis=1)).to(positions.dtype)
         ctx.mark_non_differentiable(terms)
@@ -93,19 +103,7 @@ class _StrandEnergy(torch.autograd.Function):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _strands(
-    positions: np.ndarray,
-    directors: np.ndarray,
-    rest_length: np.ndarray,
-    mass: np.ndarray,
-    margin: np.ndarray,
-    stiffness: np.ndarray,
-    corners: np.ndarray,
-    normals: np.ndarray,
-    wide: Bvh,
-    space: OccupancyGrid,
-    threads: int,
-    terms: np.ndarray,
-    gradient: np.ndarray,
+    positions: np.ndarray, hair: _Strands, surface: SurfaceArrays, threads: int, terms: np.ndarray, gradient: np.ndarray
 ) -> None:
     batch, strands = positions.shape[:2]
     runs = (strands + _RUN - 1) // _RUN
@@ -114,22 +112,16 @@ def _strands(
         if item >= batch * runs:
             continue
         sample = item // runs
-        body = _Body(
-            corners[sample],
-            normals[sample],
-            Bvh(wide.blocks[sample], wide.boxes[sample], wide.levels),
-            OccupancyGrid(
-                space.origin[sample], space.clear[sample], space.slot[sample], space.outside[sample], space.free[sample]
-            ),
-        )
-        stack, room = np.empty(BVH_STACK, np.int32), np.empty(BVH_STACK + 2 * LANES, np.float32)
+        arrays = sample_arrays(surface, sample)
+        body = _Body(arrays.corners, arrays.normals, bvh_of(arrays), occupancy_of(arrays))
+        stack, scratch = search_workspace()
         seed = 0
         for strand in range((item % runs) * _RUN, min(strands, (item % runs + 1) * _RUN)):
-            x, out, of_strand = positions[sample, strand], gradient[sample, strand], terms[sample, strand]
-            of_strand[0], of_strand[1], of_strand[2] = _elastic_and_gravity(
-                x, directors[sample, strand], rest_length[strand], mass[strand], stiffness, out
+            x, out, own_terms = positions[sample, strand], gradient[sample, strand], terms[sample, strand]
+            own_terms[0], own_terms[1], own_terms[2] = _elastic_and_gravity(
+                x, hair.director[sample, strand], hair.rest_length[strand], hair.mass[strand], hair.stiffness, out
             )
-            of_strand[3], seed = _contact(x, margin[strand], stiffness[3], body, seed, stack, room, out)
+            own_terms[3], seed = _contact(x, hair.margin[strand], hair.stiffness[3], body, seed, stack, scratch, out)
 
 
 @njit(cache=True, fastmath=True, inline="always")
@@ -137,6 +129,7 @@ def _elastic_and_gravity(
     x: np.ndarray, director: np.ndarray, rest_length: np.ndarray, mass: np.ndarray, stiffness: np.ndarray,
     gradient: np.ndarray,
 ) -> tuple[float, float, float]:  # fmt: skip
+    """Eqs. 6, 7 and 9 of a strand; fills its gradient."""
     k_cosserat, k_stretch, gravity = stiffness[0], stiffness[1], stiffness[2]
     shear, stretch, height = 0.0, 0.0, 0.0
     for vertex in range(len(mass)):
@@ -147,18 +140,15 @@ def _elastic_and_gravity(
     for edge in range(len(rest_length)):
         ex, ey, ez = x[edge + 1, 0] - x[edge, 0], x[edge + 1, 1] - x[edge, 1], x[edge + 1, 2] - x[edge, 2]
         inverse = np.float32(1.0) / rest_length[edge]
-        sx, sy, sz = (
-            ex * inverse - director[edge, 0],
-            ey * inverse - director[edge, 1],
-            ez * inverse - director[edge, 2],
-        )
-        shear += np.float32(0.5) * k_cosserat * (sx * sx + sy * sy + sz * sz)
         length = np.sqrt(ex * ex + ey * ey + ez * ez)
-        longer = length - rest_length[edge]
-        stretch += np.float32(0.5) * k_stretch * longer * longer
-        along = k_stretch * longer / (length + np.float32(1e-20))
-        across = k_cosserat * inverse
-        fx, fy, fz = across * sx + along * ex, across * sy + along * ey, across * sz + along * ez
+        tension, energy = stretch_force(length, rest_length[edge], k_stretch)
+        stretch += energy
+        along = tension / (length + np.float32(1e-20))
+        fx, energy_x = stretch_shear_force(ex, director[edge, 0], inverse, k_cosserat)
+        fy, energy_y = stretch_shear_force(ey, director[edge, 1], inverse, k_cosserat)
+        fz, energy_z = stretch_shear_force(ez, director[edge, 2], inverse, k_cosserat)
+        shear += energy_x + energy_y + energy_z
+        fx, fy, fz = fx + along * ex, fy + along * ey, fz + along * ez
         gradient[edge, 0] -= fx
         gradient[edge, 1] -= fy
         gradient[edge, 2] -= fz
@@ -171,54 +161,31 @@ def _elastic_and_gravity(
 @njit(cache=True, fastmath=True, inline="always")
 def _contact(
     x: np.ndarray, margin: np.ndarray, k_body_collision: float, body: _Body, seed: int,
-    stack: np.ndarray, room: np.ndarray, gradient: np.ndarray,
+    stack: np.ndarray, scratch: np.ndarray, gradient: np.ndarray,
 ) -> tuple[float, int]:  # fmt: skip
-    """Eq. 10 of a strand, and the first face that it met: a good `seed` for the next strand."""
-    energy, place, first = 0.0, seed, -1
+    """Eq. 10 of a strand, and the first face in contact: a good `seed` for the next strand. Adds to the gradient."""
+    energy, leaf, first = 0.0, seed, -1
     for vertex in range(1, len(x)):
         px, py, pz = x[vertex, 0], x[vertex, 1], x[vertex, 2]
         where = classify(px, py, pz, body.space)
-        if where == FREE:
+        if where == FREE and margin[vertex] <= np.float32(FREE_DISTANCE):
             continue
-        if where == OUTSIDE:
-            found = nearest_face(px, py, pz, -1, margin[vertex] * margin[vertex], body.tree, stack, room)
+        if where == UNKNOWN:
+            squared = squared_distance(body.corners[leaf], px, py, pz)
+            found = nearest_face(px, py, pz, leaf, squared, body.tree, stack, scratch)
+        else:  # outside: faces beyond the margin do not matter
+            found = nearest_face(px, py, pz, -1, margin[vertex] * margin[vertex], body.tree, stack, scratch)
             if found < 0:
                 continue
-        else:
-            squared = squared_distance(body.corners[place], px, py, pz)
-            found = nearest_face(px, py, pz, place, squared, body.tree, stack, room)
-        place = found
+        leaf = found
         if first < 0:
             first = found
-        energy += _push(
-            px, py, pz, margin[vertex], k_body_collision, body.corners[found], body.normals[found], gradient[vertex]
-        )
+        cx, cy, cz, feature = closest_on_triangle(body.corners[found], px, py, pz)
+        nx, ny, nz = body.normals[found, feature]
+        distance, nx, ny, nz = signed_distance_from_offset(px - cx, py - cy, pz - cz, nx, ny, nz)
+        slope, own_energy = contact_force(distance, margin[vertex], k_body_collision)
+        energy += own_energy
+        gradient[vertex, 0] += slope * nx
+        gradient[vertex, 1] += slope * ny
+        gradient[vertex, 2] += slope * nz
     return energy, (first if first >= 0 else seed)
-
-
-@njit(cache=True, fastmath=True, inline="always")
-def _push(
-    px: float, py: float, pz: float, margin: float, k_body_collision: float,
-    triangle: np.ndarray, normals: np.ndarray, gradient: np.ndarray,
-) -> float:  # fmt: skip
-    """Eq. 10 of a vertex whose nearest face is known, its gradient added to `gradient`."""
-    cx, cy, cz, feature = closest_on_triangle(triangle, px, py, pz)
-    ox, oy, oz = px - cx, py - cy, pz - cz
-    nx, ny, nz = normals[feature, 0], normals[feature, 1], normals[feature, 2]
-    distance = np.sqrt(ox * ox + oy * oy + oz * oz)
-    inside = ox * nx + oy * ny + oz * nz < 0.0
-    signed = -distance if inside else distance
-    short = margin - signed
-    if short <= 0.0:
-        return 0.0
-    if distance > np.float32(1e-7):
-        scale = np.float32(1.0) / signed
-        nx, ny, nz = ox * scale, oy * scale, oz * scale
-    else:
-        scale = np.float32(1.0) / np.sqrt(nx * nx + ny * ny + nz * nz)
-        nx, ny, nz = nx * scale, ny * scale, nz * scale
-    force = np.float32(3.0) * k_body_collision * short * short
-    gradient[0] -= force * nx
-    gradient[1] -= force * ny
-    gradient[2] -= force * nz
-    return k_body_collision * short * short * short

@@ -1,4 +1,4 @@
-"""What the energies need to know of a groom at rest."""
+"""What the energies read of a groom at rest."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,8 +6,8 @@ from functools import cached_property
 import torch
 
 from quaffure.config import HairMaterial
-from quaffure.energies.self_collision import densities
-from quaffure.types import Float, RestLengths, Tensor
+from quaffure.geometry.polyline import integrate_directions_reference
+from quaffure.types import EdgeVectors, Float, Positions, RestLengths, Tensor
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,8 @@ class RestState:
     @cached_property
     def rest_density(self) -> Float[Tensor, "s n"]:
         """Density of hair at every vertex of the rest groom (rho_rest) [kg/m^3]."""
+        from quaffure.energies.self_collision import densities  # whose energy term reads this class
+
         return densities(self.rest_strands[None], self.mass, self.smoothing_length)[0]
 
     @property
@@ -41,6 +43,11 @@ class RestState:
     @property
     def strand_length(self) -> Float[Tensor, " s"]:
         return self.rest_length.sum(dim=1)
+
+    def posed_from_root(self, director: EdgeVectors) -> Positions:
+        """Posed strands with their roots at the origin [m], where float32 keeps more digits than at a head's height."""
+        root = director.new_zeros(*director.shape[:2], 3)
+        return integrate_directions_reference(root, director, self.rest_length.to(director))
 
 
 def rest_state(rest_strands: Float[Tensor, "s n 3"], material: HairMaterial) -> RestState:

@@ -1,24 +1,12 @@
 """Hair against hair as density of smoothed particles, Eqs. 11-13."""
 
-import math
-
 import torch
 
+from quaffure.energies.energy_term import EnergyTerm, HairState
+from quaffure.energies.smoothing_kernel import kernel_volume, smoothing_kernel
 from quaffure.geometry.cell_list import fixed_radius_pairs
-from quaffure.types import Energy, Float, Int, Positions, Tensor
-
-
-def smoothing_kernel(distance: Float[Tensor, "*n"], smoothing_length: float) -> Float[Tensor, "*n"]:
-    """Eq. 13, W(r, h) as printed (Bando et al. 2003): dimensionless, 4 at r = 0, zero from 2h on, C2 at h and 2h."""
-    q = distance / smoothing_length
-    near = 4 - 6 * q.square() + 3 * q.pow(3)
-    far = (2 - q).clamp(min=0).pow(3)
-    return torch.where(q < 1, near, far)
-
-
-def kernel_volume(smoothing_length: float) -> float:
-    """Integral of Eq. 13 over space, 4 pi h^3 [m^3]: dividing by it turns masses into a density."""
-    return 4 * math.pi * smoothing_length**3
+from quaffure.scene import HairScene
+from quaffure.types import Energy, Float, Int, Positions, Scalar, Tensor
 
 
 def density(
@@ -33,7 +21,7 @@ def density(
         smoothing_length: h [m].
     """
     first, second = pairs
-    # sqrt has no gradient at 0: two vertices in one place push each other in no direction.
+    # sqrt has no gradient at 0: two vertices at the same position push each other in no direction.
     squared = (positions[first] - positions[second]).square().sum(-1)
     weight = smoothing_kernel(squared.clamp(min=1e-16).sqrt(), smoothing_length)
     own = mass * 4
@@ -57,12 +45,30 @@ def densities(positions: Positions, mass: Float[Tensor, "s n"], smoothing_length
 
 
 def energy_self_collision(
-    density: Float[Tensor, "b s n"], rest_density: Float[Tensor, "s n"], k_self_collision: float
+    density: Float[Tensor, "b s n"], rest_density: Float[Tensor, "s n"], k_self_collision: Scalar
 ) -> Energy:
     """Eq. 11: k_sc times the cubed excess of the density over that of the rest groom at the same vertex [J]."""
     return k_self_collision * (density - rest_density).clamp(min=0).pow(3).sum(dim=(-2, -1))
 
 
 def density_excesses(density: Float[Tensor, "b s n"], rest_density: Float[Tensor, "s n"]) -> Float[Tensor, "b s n"]:
-    """Gauge of Eq. 11: max(rho / rho_rest - 1, 0) [%]."""
+    """Metric of Eq. 11: max(rho / rho_rest - 1, 0) [%]."""
     return (density / rest_density - 1).clamp(min=0) * 100
+
+
+class SelfCollision(EnergyTerm):
+    """Eqs. 11-13."""
+
+    name = "self_collision"
+    equation = "Eqs. 11-13"
+    metric_unit = "%"
+
+    def energy(self, hair: HairState, scene: HairScene) -> Energy:
+        density = self._densities(hair)
+        return energy_self_collision(density, hair.rest.rest_density, hair.material.k_self_collision)
+
+    def metric(self, hair: HairState, scene: HairScene) -> Float[Tensor, "b s n"]:
+        return density_excesses(self._densities(hair), hair.rest.rest_density)
+
+    def _densities(self, hair: HairState) -> Float[Tensor, "b s n"]:
+        return densities(hair.positions, hair.rest.mass, hair.material.smoothing_length)

@@ -1,27 +1,30 @@
-"""Bounding boxes over the faces of a mesh, sixteen children a node and sixteen faces a block.
+"""Bounding volume hierarchy over the faces of a mesh, sixteen children a node and sixteen faces a block.
 
-They are stored one array a number, so that the compiler tests all children or faces of a node abreast: three to four
-times as fast as the binary tree of `quaffure.geometry.binary_bvh`, whose order of the faces it shares.
+Boxes and faces are stored one array a number, so that the compiler tests all children or faces of a node abreast: three
+to four times as fast as a binary tree. The order of the faces is made once for a topology and valid in every pose; the
+boxes are refitted to each.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numba import njit, prange
 
-from quaffure.geometry.binary_bvh import LANES, squared_distance
+from quaffure.geometry.triangle import squared_distance, squared_distance_in_plane
 
-BVH_STACK = 128
-"""Entries that a walk through the tree may leave waiting: 15 a level, and 16^8 faces have eight levels."""
+LANES = 16
+"""Children of a node and faces of a block."""
+_STACK_SIZE = 128  # 15 nodes wait a level, and 16^8 faces have eight levels
+_LEAF_SIZE = 4  # faces that the order does not separate any further
 _BLOCK_ROWS = 17
 _BOX_ROWS = 11
 _ROUNDING = 1e-6  # of a height along a slab's direction, in float32 [m]
-_FAR = 1e9  # where missing children lie [m]; a walk never enters them, for it counts its children
+_FAR = 1e9  # position of missing children [m]; they are never visited, since children are counted
 
 
 class Bvh(NamedTuple):
-    """The wide tree in one pose, or in a batch of poses with one more axis in front.
+    """The tree in one pose, or in a batch of poses with one more axis in front.
 
     Attributes:
         blocks: each face in its own frame: first corner, axis along its first edge, axis across, unit normal, length
@@ -30,7 +33,8 @@ class Bvh(NamedTuple):
         boxes: of a node's children the lower and upper corners, and a slab: unit direction, least and greatest
             height along it; [11, lane] a node, flat [m]. Of blocks the direction is their mean normal, for a patch of
             skin is thin that way; of nodes the slab is all of space.
-        levels: as in `BinaryBvh`.
+        levels: the first node of every level from the lowest up, then the number of nodes, then that of faces. The
+            children of the lowest level are blocks of `LANES` faces.
     """
 
     blocks: np.ndarray
@@ -38,34 +42,83 @@ class Bvh(NamedTuple):
     levels: np.ndarray
 
 
+def leaf_order(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "k 3"]) -> Int[np.ndarray, " k"]:
+    """Faces in an order in which every block, and every node of the tree, is a compact piece of the surface.
+
+    Centroids are split along their widest axis, over and over, in halves of whole blocks.
+    """
+    centroids = vertices[faces].mean(axis=1)
+    order = np.arange(len(faces), dtype=np.int32)
+    pending = [(0, len(faces))]
+    while pending:
+        start, stop = pending.pop()
+        if stop - start <= _LEAF_SIZE:
+            continue
+        part = centroids[order[start:stop]]
+        axis = int(np.argmax(part.max(axis=0) - part.min(axis=0)))
+        middle = start + _left_share(stop - start)
+        order[start:stop] = order[start:stop][np.argpartition(part[:, axis], middle - start)]
+        pending += [(start, middle), (middle, stop)]
+    return order
+
+
+def _left_share(count: int) -> int:
+    """How many of `count` faces go left: half, in the largest power of `LANES` that splits them."""
+    if count <= LANES:
+        return count // 2
+    unit = LANES
+    while unit * LANES < count:
+        unit *= LANES
+    return unit * max(1, -(-count // unit) // 2)
+
+
+def bvh_levels(face_count: int) -> Int[np.ndarray, " l"]:
+    """`Bvh.levels` of a mesh of so many faces."""
+    children = -(-face_count // LANES)
+    starts = [0]
+    while len(starts) == 1 or children > 1:
+        children = -(-children // LANES)
+        starts.append(starts[-1] + children)
+    return np.array([*starts, face_count], np.int64)
+
+
+@njit(cache=True, inline="always")
+def search_workspace() -> tuple[np.ndarray, np.ndarray]:
+    """Stack and scratch memory of searches, one pair a thread."""
+    return np.empty(_STACK_SIZE, np.int32), np.empty(_STACK_SIZE + 2 * LANES, np.float32)
+
+
 @njit(cache=True, parallel=True, fastmath=True)
 def search_all(points: np.ndarray, corners: np.ndarray, tree: Bvh) -> np.ndarray:
-    """Places of the faces nearest to `points` [p, 3]; neighbours in the list should be neighbours in space."""
+    """Leaves (positions in the leaf order) of the faces nearest to `points` [p, 3].
+
+    Neighbours in the list should be neighbours in space.
+    """
     count = len(points)
-    places = np.empty(count, np.int32)
+    leaves = np.empty(count, np.int32)
     chunk = 256
     for block in prange((count + chunk - 1) // chunk):
-        stack, room = np.empty(BVH_STACK, np.int32), np.empty(BVH_STACK + 2 * LANES, np.float32)
-        place = 0
+        stack, scratch = search_workspace()
+        leaf = 0
         for index in range(block * chunk, min(count, (block + 1) * chunk)):
             x, y, z = points[index, 0], points[index, 1], points[index, 2]
-            place = nearest_face(x, y, z, place, squared_distance(corners[place], x, y, z), tree, stack, room)
-            places[index] = place
-    return places
+            leaf = nearest_face(x, y, z, leaf, squared_distance(corners[leaf], x, y, z), tree, stack, scratch)
+            leaves[index] = leaf
+    return leaves
 
 
 @njit(cache=True, fastmath=True)
 def nearest_face(
-    x: float, y: float, z: float, place: int, squared: float, tree: Bvh, stack: np.ndarray, room: np.ndarray
+    x: float, y: float, z: float, leaf: int, squared: float, tree: Bvh, stack: np.ndarray, scratch: np.ndarray
 ) -> int:
-    """Place of the nearest of the faces whose squared distance is below `squared`; `place` where there is none.
+    """Leaf of the nearest of the faces whose squared distance is below `squared`; `leaf` where there is none.
 
     Args:
-        stack: `BVH_STACK` int32.
-        room: `BVH_STACK` + 2 `LANES` float32.
+        stack, scratch: of `search_workspace`.
     """
     blocks, boxes, levels = tree
-    waiting, to_child, to_face = room[:BVH_STACK], room[BVH_STACK : BVH_STACK + LANES], room[BVH_STACK + LANES :]
+    waiting, to_child = scratch[:_STACK_SIZE], scratch[_STACK_SIZE : _STACK_SIZE + LANES]
+    to_face = scratch[_STACK_SIZE + LANES :]
     block_count = (levels[-1] + LANES - 1) // LANES
     best = np.float32(squared)
     stack[0], waiting[0] = levels[-2] - 1, np.float32(0.0)
@@ -84,14 +137,11 @@ def nearest_face(
                     for lane in range(LANES):
                         if to_face[lane] < best:
                             best = to_face[lane]
-                            place = block * LANES + lane
+                            leaf = block * LANES + lane
             continue
-        level = 1
-        while node >= levels[level + 1]:
-            level += 1
-        base = levels[level - 1] + (node - levels[level]) * LANES
+        base, end = _inner_children(node, levels)
         near, nearest = -1, best
-        for child in range(min(LANES, levels[level] - base)):
+        for child in range(end - base):
             if to_child[child] < best:
                 stack[top], waiting[top] = base + child, to_child[child]
                 if to_child[child] < nearest:
@@ -100,7 +150,52 @@ def nearest_face(
         if near >= 0:  # the nearest child first
             stack[near], stack[top - 1] = stack[top - 1], stack[near]
             waiting[near], waiting[top - 1] = waiting[top - 1], waiting[near]
-    return min(place, levels[-1] - 1)  # the last block may be padded
+    return min(leaf, levels[-1] - 1)  # the last block may be padded
+
+
+@njit(cache=True, fastmath=True)
+def faces_within(
+    x: float, y: float, z: float, limit: float, tree: Bvh, stack: np.ndarray, scratch: np.ndarray, found: np.ndarray
+) -> int:
+    """Write the leaves of the faces nearer than `limit` [m] to `found`, as many as it holds; return their number.
+
+    Args:
+        stack, scratch: of `search_workspace`.
+    """
+    blocks, boxes, levels = tree
+    to_child, to_face = scratch[:LANES], scratch[LANES : 2 * LANES]
+    block_count, squared, count = (levels[-1] + LANES - 1) // LANES, limit * limit, 0
+    stack[0], top = levels[-2] - 1, 1
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        _to_children(node, boxes, x, y, z, to_child)
+        if node >= levels[1]:
+            base, end = _inner_children(node, levels)
+            for child in range(end - base):
+                if to_child[child] < squared:
+                    stack[top] = base + child
+                    top += 1
+            continue
+        for child in range(min(LANES, block_count - node * LANES)):
+            if to_child[child] < squared:
+                first = (node * LANES + child) * LANES
+                _to_faces(node * LANES + child, blocks, x, y, z, to_face)
+                for lane in range(min(LANES, levels[-1] - first)):
+                    if to_face[lane] < squared and count < len(found):
+                        found[count] = first + lane
+                        count += 1
+    return count
+
+
+@njit(cache=True, inline="always")
+def _inner_children(node: int, levels: np.ndarray) -> tuple[int, int]:
+    """First child of a node above the lowest level, and the end of its children."""
+    level = 1
+    while node >= levels[level + 1]:
+        level += 1
+    base = levels[level - 1] + (node - levels[level]) * LANES
+    return base, min(base + LANES, levels[level])
 
 
 @njit(cache=True, fastmath=True, inline="always")
@@ -124,29 +219,19 @@ def _to_faces(block: int, blocks: np.ndarray, x: float, y: float, z: float, squa
     (u, v) is the point in the face's plane, its first edge from (0, 0) to (length, 0), its third corner at (cx, cy).
     """
     face = blocks[block * (_BLOCK_ROWS * LANES) : (block + 1) * (_BLOCK_ROWS * LANES)]
-    none, one = np.float32(0.0), np.float32(1.0)
     for lane in range(LANES):
         px, py, pz = x - face[lane], y - face[16 + lane], z - face[32 + lane]
         u = px * face[48 + lane] + py * face[64 + lane] + pz * face[80 + lane]
         v = px * face[96 + lane] + py * face[112 + lane] + pz * face[128 + lane]
         height = px * face[144 + lane] + py * face[160 + lane] + pz * face[176 + lane]
-        length, cx, cy = face[192 + lane], face[208 + lane], face[224 + lane]
-        beyond = u - min(max(u, none), length)
-        in_plane = beyond * beyond + v * v
-        along = min(max((u * cx + v * cy) * face[240 + lane], none), one)
-        du, dv = u - along * cx, v - along * cy
-        in_plane = min(in_plane, du * du + dv * dv)
-        bx, bu = cx - length, u - length
-        along = min(max((bu * bx + v * cy) * face[256 + lane], none), one)
-        du, dv = bu - along * bx, v - along * cy
-        in_plane = min(in_plane, du * du + dv * dv)
-        within = min(min(v, u * cy - v * cx), bx * v - cy * bu)
-        in_plane = in_plane if within < none else none
+        in_plane = squared_distance_in_plane(
+            u, v, face[192 + lane], face[208 + lane], face[224 + lane], face[240 + lane], face[256 + lane]
+        )
         squared[lane] = in_plane + height * height
 
 
 def allocate_bvh(levels: Int[np.ndarray, " l"], batch: int) -> Bvh:
-    """Room for the tree of a batch of poses, for `refit_bvh` to fill."""
+    """The tree of a batch of poses, for `refit_bvh` to fill."""
     blocks = -(-int(levels[-1]) // LANES)
     return Bvh(
         np.empty((batch, blocks * _BLOCK_ROWS * LANES), np.float32),
@@ -157,12 +242,12 @@ def allocate_bvh(levels: Int[np.ndarray, " l"], batch: int) -> Bvh:
 
 @njit(cache=True)
 def refit_bvh(corners: np.ndarray, tree: Bvh) -> None:
-    """Fill the blocks and boxes of one pose from `corners` [k, 3, 3] in the leaves' order."""
+    """Fill the blocks and boxes of one pose from `corners` [k, 3, 3] in the leaf order."""
     blocks, boxes, levels = tree
-    for place in range(len(blocks) // _BLOCK_ROWS):
-        block, lane = place // LANES, place % LANES
+    for leaf in range(len(blocks) // _BLOCK_ROWS):
+        block, lane = leaf // LANES, leaf % LANES
         rows = blocks[block * (_BLOCK_ROWS * LANES) + lane : (block + 1) * (_BLOCK_ROWS * LANES) : LANES]
-        _write_face(corners[min(place, len(corners) - 1)], rows)
+        _write_face(corners[min(leaf, len(corners) - 1)], rows)
     for node in range(levels[1]):
         for lane in range(LANES):
             start = (node * LANES + lane) * LANES

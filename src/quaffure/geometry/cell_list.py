@@ -121,9 +121,9 @@ def sort_into_grid(points: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarr
 
 @njit(cache=True, inline="always")
 def interleaved(index: int, count: int, threads: int) -> int:
-    """The item at `index` of a parallel loop over `count` + `threads` when items are dealt to the threads in turn.
+    """The item at `index` of a parallel loop over `count` + `threads` in an interleaved schedule of the items.
 
-    Each thread takes one run of indices; dense places lie together in space, and would all fall to one of them.
+    Each thread takes one run of indices; dense cells lie together in space, and one thread would get all of them.
     Indices without an item give `count` or more.
     """
     rounds = (count + threads - 1) // threads
@@ -132,7 +132,7 @@ def interleaved(index: int, count: int, threads: int) -> int:
 
 @njit(cache=True, inline="always")
 def cell_columns(cell: int, shape: tuple[int, int, int], start: np.ndarray, ranges: np.ndarray) -> int:
-    """Write the ranges of sorted places of the 3 x 3 columns of cells round `cell`; return how many there are.
+    """Write the ranges of sorted points of the 3 x 3 columns of cells round `cell`; return how many there are.
 
     Cells are numbered along z fastest, so three neighbouring cells of a column are one range.
     """
@@ -158,12 +158,12 @@ def _count_pairs(points: np.ndarray, start: np.ndarray, shape: tuple[int, int, i
             continue
         ranges = np.empty((9, 2), np.int64)
         found = cell_columns(cell, shape, start, ranges)
-        for place in range(start[cell], start[cell + 1]):
+        for row in range(start[cell], start[cell + 1]):
             count = 0
             for column in range(found):
-                for other in range(max(place + 1, ranges[column, 0]), ranges[column, 1]):
-                    count += _closer(points, place, other, radius)
-            counts[place] = count
+                for other in range(max(row + 1, ranges[column, 0]), ranges[column, 1]):
+                    count += _closer(points, row, other, radius)
+            counts[row] = count
     return counts
 
 
@@ -182,13 +182,13 @@ def _write_pairs(
             continue
         ranges = np.empty((9, 2), np.int64)
         found = cell_columns(cell, shape, start, ranges)
-        for place in range(start[cell], start[cell + 1]):
-            at = offsets[place]
+        for row in range(start[cell], start[cell + 1]):
+            at = offsets[row]
             for column in range(found):
-                for other in range(max(place + 1, ranges[column, 0]), ranges[column, 1]):
-                    if _closer(points, place, other, radius):
-                        pairs[0, at] = min(order[place], order[other])
-                        pairs[1, at] = max(order[place], order[other])
+                for other in range(max(row + 1, ranges[column, 0]), ranges[column, 1]):
+                    if _closer(points, row, other, radius):
+                        pairs[0, at] = min(order[row], order[other])
+                        pairs[1, at] = max(order[row], order[other])
                         at += 1
 
 

@@ -1,34 +1,35 @@
 """Cells of space round a point that hold no part of a closed surface, nor come near it, and lie outside.
 
-Most hair hangs free: one look into such a cell spares it the search for its nearest face. A cell is called clear only
+Most hair hangs free: one such look-up spares it the search for its nearest face. A cell is called clear only
 if it is reached, through cells that no face comes near, from one that is known to be outside; whatever is not reached
 is searched, so the answer is exact.
 
 Cells that faces do come near are split into 4 x 4 x 4 small ones, one bit each. The flood goes on through small cells
 that no face touches. Where it arrives a point is outside, so that faces beyond its margin need not be looked for;
-and where besides no face comes near, it needs no search at all.
+and where moreover no face comes near, it needs no search at all.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import UInt64
+from jaxtyping import Float, UInt64
 from numba import njit
 
-from quaffure.geometry.binary_bvh import MAX_DEPTH, closest_on_triangle, search
+from quaffure.geometry.bvh import Bvh, nearest_face, search_workspace
+from quaffure.geometry.triangle import closest_on_triangle, signed_distance_from_offset
 
 CELLS = 64
 """Cells along each axis."""
 CELL_SIZE = 0.02
 """Side of a cell [m]."""
-REACH = 0.005
+FREE_DISTANCE = 0.005
 """A clear cell is at least this far from the surface [m]."""
 ORIGIN = np.array([-0.64, -0.64, -0.80], np.float32)
 """Corner of the grid relative to the head [m]: hair hangs down."""
 MOST_SPLIT = 16384
 """Cells that may be split; points in further ones are searched."""
 FREE, OUTSIDE, UNKNOWN = 0, 1, 2
-"""What `classify` answers."""
+"""Results of `classify`."""
 _SPLIT = 4
 _SMALL = CELL_SIZE / _SPLIT
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -51,14 +52,14 @@ _RUNS = _runs()
 
 
 class OccupancyGrid(NamedTuple):
-    """What is known of space round a posed surface, or round each of a batch with one more axis in front.
+    """Occupancy of space round a posed surface, or round each of a batch with one more axis in front.
 
     Attributes:
         origin: corner of the grid [m].
         clear: 1 where a cell is clear.
-        slot: of a split cell its place in `outside` and `free`; -1 elsewhere.
+        slot: of a split cell its index in `outside` and `free`; -1 elsewhere.
         outside: bit 16 x + 4 y + z of a split cell is set where its small cell (x, y, z) is outside.
-        free: the same, where besides it is at least `REACH` from the surface.
+        free: the same, where moreover it is at least `FREE_DISTANCE` from the surface.
     """
 
     origin: np.ndarray
@@ -68,17 +69,22 @@ class OccupancyGrid(NamedTuple):
     free: np.ndarray
 
 
+def allocate_occupancy_grid(centres: Float[np.ndarray, "b 3"]) -> OccupancyGrid:
+    """Grids round points [m], for `flood_clear_cells` and `split_near_cells` to fill."""
+    grid, split = (len(centres), CELLS, CELLS, CELLS), (len(centres), MOST_SPLIT)
+    return OccupancyGrid(
+        centres + ORIGIN,
+        np.empty(grid, np.uint8),
+        np.empty(grid, np.int32),
+        np.empty(split, np.uint64),
+        np.empty(split, np.uint64),
+    )
+
+
 @njit(cache=True)
-def flood_clear_cells(
-    corners: np.ndarray,
-    normals: np.ndarray,
-    bounds: np.ndarray,
-    first: np.ndarray,
-    second: np.ndarray,
-    origin: np.ndarray,
-    clear: np.ndarray,
-) -> None:
-    """Fill `clear` [64, 64, 64] with 1 where a cell of the grid at `origin` is clear, else 0."""
+def flood_clear_cells(corners: np.ndarray, normals: np.ndarray, tree: Bvh, space: OccupancyGrid) -> None:
+    """Fill `clear`."""
+    origin, clear = space.origin, space.clear
     near = np.zeros((CELLS, CELLS, CELLS), np.uint8)
     _mark_near(corners, origin, near)
     clear[:] = 0
@@ -86,11 +92,12 @@ def flood_clear_cells(
     top = 0
     for seed in range(8):
         ix, iy, iz = (CELLS - 1) * (seed & 1), (CELLS - 1) * ((seed >> 1) & 1), (CELLS - 1) * (1 - (seed >> 2))
-        if (
-            near[ix, iy, iz] == 0
-            and clear[ix, iy, iz] == 0
-            and _outside(origin, ix, iy, iz, corners, normals, bounds, first, second)
-        ):
+        x, y, z = (
+            origin[0] + (ix + 0.5) * CELL_SIZE,
+            origin[1] + (iy + 0.5) * CELL_SIZE,
+            origin[2] + (iz + 0.5) * CELL_SIZE,
+        )
+        if near[ix, iy, iz] == 0 and clear[ix, iy, iz] == 0 and _is_outside(x, y, z, corners, normals, tree):
             clear[ix, iy, iz] = 1
             stack[top] = (ix * CELLS + iy) * CELLS + iz
             top += 1
@@ -113,14 +120,14 @@ def flood_clear_cells(
 
 @njit(cache=True)
 def _mark_near(corners: np.ndarray, origin: np.ndarray, near: np.ndarray) -> None:
-    """Mark every cell that the box of a face, grown by `REACH`, meets."""
+    """Mark every cell that the box of a face, grown by `FREE_DISTANCE`, meets."""
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for face in range(len(corners)):
         meets = True
         for axis in range(3):
             a, b, c = corners[face, 0, axis], corners[face, 1, axis], corners[face, 2, axis]
-            low[axis] = np.floor((min(a, b, c) - REACH - origin[axis]) / CELL_SIZE)
-            high[axis] = np.floor((max(a, b, c) + REACH - origin[axis]) / CELL_SIZE)
+            low[axis] = np.floor((min(a, b, c) - FREE_DISTANCE - origin[axis]) / CELL_SIZE)
+            high[axis] = np.floor((max(a, b, c) + FREE_DISTANCE - origin[axis]) / CELL_SIZE)
             meets = meets and high[axis] >= 0 and low[axis] < CELLS
         if not meets:
             continue
@@ -131,34 +138,28 @@ def _mark_near(corners: np.ndarray, origin: np.ndarray, near: np.ndarray) -> Non
 
 
 @njit(cache=True)
-def _outside(
-    origin: np.ndarray, ix: int, iy: int, iz: int, corners: np.ndarray, normals: np.ndarray, bounds: np.ndarray,
-    first: np.ndarray, second: np.ndarray,
-) -> bool:  # fmt: skip
-    """Whether the middle of a cell is outside, by the exact signed distance."""
-    point = np.empty(3, np.float32)
-    point[0] = origin[0] + (ix + 0.5) * CELL_SIZE
-    point[1] = origin[1] + (iy + 0.5) * CELL_SIZE
-    point[2] = origin[2] + (iz + 0.5) * CELL_SIZE
-    place = search(point, 0, corners, bounds, first, second, np.empty(MAX_DEPTH, np.int32))
-    cx, cy, cz, feature = closest_on_triangle(corners[place], point[0], point[1], point[2])
-    normal = normals[place, feature]
-    return (point[0] - cx) * normal[0] + (point[1] - cy) * normal[1] + (point[2] - cz) * normal[2] > 0.0
+def _is_outside(x: float, y: float, z: float, corners: np.ndarray, normals: np.ndarray, tree: Bvh) -> bool:
+    """Whether a point is outside, by the exact signed distance."""
+    stack, scratch = search_workspace()
+    leaf = nearest_face(np.float32(x), np.float32(y), np.float32(z), 0, np.inf, tree, stack, scratch)
+    cx, cy, cz, feature = closest_on_triangle(corners[leaf], x, y, z)
+    nx, ny, nz = normals[leaf, feature]
+    return signed_distance_from_offset(x - cx, y - cy, z - cz, nx, ny, nz)[0] > 0.0
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def is_clear(x: float, y: float, z: float, origin: np.ndarray, clear: np.ndarray) -> bool:
-    """Whether a point lies in a clear cell; points off the grid do not."""
+def is_clear(x: float, y: float, z: float, space: OccupancyGrid) -> bool:
+    """Whether a point lies in a clear cell, `FREE_DISTANCE` from the surface at least; points off the grid do not."""
     scale = np.float32(1.0 / CELL_SIZE)
-    fx, fy, fz = (x - origin[0]) * scale, (y - origin[1]) * scale, (z - origin[2]) * scale
+    fx, fy, fz = (x - space.origin[0]) * scale, (y - space.origin[1]) * scale, (z - space.origin[2]) * scale
     if fx < 0 or fy < 0 or fz < 0 or fx >= CELLS or fy >= CELLS or fz >= CELLS:
         return False
-    return clear[int(fx), int(fy), int(fz)] == 1
+    return space.clear[int(fx), int(fy), int(fz)] == 1
 
 
 @njit(cache=True, fastmath=True, inline="always")
 def classify(x: float, y: float, z: float, space: OccupancyGrid) -> int:
-    """`FREE`: outside, at least `REACH` from the surface. `OUTSIDE`: outside. `UNKNOWN`: anywhere."""
+    """`FREE`: outside, at least `FREE_DISTANCE` from the surface. `OUTSIDE`: outside. `UNKNOWN`: anywhere."""
     scale = np.float32(1.0 / _SMALL)
     fx, fy, fz = (x - space.origin[0]) * scale, (y - space.origin[1]) * scale, (z - space.origin[2]) * scale
     most = CELLS * _SPLIT
@@ -185,8 +186,8 @@ def split_near_cells(corners: np.ndarray, space: OccupancyGrid) -> None:
     open_cells, far = space.outside, space.free
     open_cells[: len(cells)] = _ALL
     far[: len(cells)] = _ALL
-    _take_out(corners, origin, slot, _ROUNDING, open_cells)
-    _take_out(corners, origin, slot, REACH, far)
+    _clear_touched(corners, origin, slot, _ROUNDING, open_cells)
+    _clear_touched(corners, origin, slot, FREE_DISTANCE, far)
     reached = _flood(cells, space.clear, slot, open_cells)
     for index in range(len(cells)):
         space.outside[index] = reached[index]
@@ -195,12 +196,12 @@ def split_near_cells(corners: np.ndarray, space: OccupancyGrid) -> None:
 
 @njit(cache=True)
 def _assign_slots(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray) -> np.ndarray:
-    """Number the cells that the box of a face, grown by `REACH`, meets; return their coordinates."""
+    """Number the cells that the box of a face, grown by `FREE_DISTANCE`, meets; return their coordinates."""
     cells = np.empty((MOST_SPLIT, 3), np.int32)
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     count = 0
     for face in range(len(corners)):
-        if not _small_range(corners[face], origin, REACH, low, high):
+        if not _small_range(corners[face], origin, FREE_DISTANCE, low, high):
             continue
         for ix in range(low[0] >> 2, (high[0] >> 2) + 1):
             for iy in range(low[1] >> 2, (high[1] >> 2) + 1):
@@ -225,7 +226,7 @@ def _small_range(face: np.ndarray, origin: np.ndarray, growth: float, low: np.nd
 
 
 @njit(cache=True)
-def _take_out(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray, growth: float, words: np.ndarray) -> None:
+def _clear_touched(corners: np.ndarray, origin: np.ndarray, slot: np.ndarray, growth: float, words: np.ndarray) -> None:
     """Clear the bits of all small cells that the box of a face, grown by `growth` [m], meets."""
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for face in range(len(corners)):
@@ -252,7 +253,7 @@ def _flood(cells: np.ndarray, clear: np.ndarray, slot: np.ndarray, open_cells: n
     top = count
     for index in range(count):
         for side in range(6):
-            jx, jy, jz = _beside(cells[index], side)
+            jx, jy, jz = _neighbour(cells[index], side)
             if _on_grid(jx, jy, jz) and clear[jx, jy, jz] == 1:
                 reached[index] |= _across(_ALL, side ^ 1) & open_cells[index]
     while top > 0:
@@ -263,7 +264,7 @@ def _flood(cells: np.ndarray, clear: np.ndarray, slot: np.ndarray, open_cells: n
             continue
         reached[index] = _spread(reached[index], open_cells[index])
         for side in range(6):
-            jx, jy, jz = _beside(cells[index], side)
+            jx, jy, jz = _neighbour(cells[index], side)
             other = slot[jx, jy, jz] if _on_grid(jx, jy, jz) else -1
             if other < 0:
                 continue
@@ -278,7 +279,7 @@ def _flood(cells: np.ndarray, clear: np.ndarray, slot: np.ndarray, open_cells: n
 
 
 @njit(cache=True, inline="always")
-def _beside(cell: np.ndarray, side: int) -> tuple[int, int, int]:
+def _neighbour(cell: np.ndarray, side: int) -> tuple[int, int, int]:
     """The cell at a side: 0 and 1 are +x and -x, 2 and 3 along y, 4 and 5 along z."""
     step, axis = 1 - 2 * (side & 1), side >> 1
     return (
@@ -295,7 +296,7 @@ def _on_grid(ix: int, iy: int, iz: int) -> bool:
 
 @njit(cache=True, inline="always")
 def _across(bits: np.uint64, side: int) -> np.uint64:
-    """What the small cells along a side of a cell become in the cell beside it."""
+    """What the small cells along a side of a cell become in the neighbour there."""
     axis = side >> 1
     stride = np.uint64((_SPLIT - 1) * _STRIDES[axis])
     if side & 1 == 0:

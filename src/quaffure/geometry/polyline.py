@@ -33,7 +33,7 @@ def integrate_directions(root: Float[Tensor, "b s 3"], vectors: EdgeVectors, res
     """
     if vectors.device.type != "cpu" or vectors.dtype != torch.float32 or root.requires_grad:
         return integrate_directions_reference(root, vectors, rest_length)
-    return _IntegrateDirections.apply(vectors, root, rest_length)
+    return _IntegrateDirections.apply(vectors, root, rest_length)  # type: ignore[no-untyped-call]
 
 
 class _IntegrateDirections(torch.autograd.Function):

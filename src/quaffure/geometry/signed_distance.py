@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from quaffure.geometry.bvh import search_all
-from quaffure.geometry.surface import Surface, reference_surface_normals
+from quaffure.geometry.surface import Surface, bvh_of, reference_surface_normals
 from quaffure.types import Float, Int, Tensor
 
 _REFERENCE_PAIRS = 4_000_000  # point-face pairs that the twin holds in memory at once
@@ -32,18 +32,18 @@ class ClosestPoints:
 
 
 def closest_points(points: Float[Tensor, "b p 3"], surface: Surface) -> ClosestPoints:
-    """Feet of `points` [m] on the surface of the same sample. Compiled search on the CPU, the twin elsewhere."""
+    """Closest points to `points` [m] on the same sample's surface. Compiled search on the CPU, the twin elsewhere."""
     if points.device.type != "cpu":
         return closest_points_reference(points, surface)
-    tree = surface.topology.tree
     samples = []
     for sample, of_sample in enumerate(points.detach()):
         array = np.ascontiguousarray(of_sample.numpy(), dtype=np.float32)
-        places = search_all(array, surface.corners[sample], surface.bvh(sample))
-        faces = torch.from_numpy(tree.face_order[places]).long()
+        arrays = surface.sample_arrays(sample)
+        leaves = search_all(array, arrays.corners, bvh_of.py_func(arrays))
+        faces = torch.from_numpy(surface.topology.face_order[leaves]).long()
         triangles = surface.vertices[sample].detach().to(points)[surface.topology.faces[faces]]
         barycentric, feature = closest_barycentric(of_sample, triangles)
-        normals = torch.from_numpy(surface.normals[sample, places, feature.numpy()]).to(points)
+        normals = torch.from_numpy(arrays.normals[leaves, feature.numpy()]).to(points)
         samples.append((faces, barycentric, normals))
     return ClosestPoints(*(torch.stack(field) for field in zip(*samples)))
 

@@ -1,20 +1,18 @@
-"""A posed, closed triangle surface with everything that nearest-face searches need."""
+"""A posed, closed triangle surface with the structures that nearest-face searches need."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from numba import njit, prange
 
-from quaffure.geometry.binary_bvh import BinaryBvh, build_binary_bvh, refit
-from quaffure.geometry.bvh import Bvh, allocate_bvh, refit_bvh
+from quaffure.geometry.bvh import Bvh, allocate_bvh, bvh_levels, leaf_order, refit_bvh
 from quaffure.geometry.mesh import angle_weighted_vertex_normals, face_normals, opposite_faces
 from quaffure.geometry.occupancy_grid import (
-    CELLS,
-    MOST_SPLIT,
-    ORIGIN,
     OccupancyGrid,
+    allocate_occupancy_grid,
     flood_clear_cells,
     split_near_cells,
 )
@@ -23,19 +21,72 @@ from quaffure.types import MeshFaces, MeshVertices, Tensor
 
 @dataclass(frozen=True)
 class SurfaceTopology:
-    """What stays the same in every pose: faces and the search tree over them.
+    """What stays the same in every pose: faces and their leaf order.
 
     Attributes:
         faces: vertex indices of every face, counter-clockwise seen from outside.
-        tree: built over some representative pose; valid for all, fastest near that one.
-        tree_faces: `faces` in the order of the tree's leaves.
-        tree_opposite: for each place and edge in that order, the place of the face across the edge.
+        face_order: the face of every leaf. Made for some representative pose; valid for all, fastest near that one.
+        leaf_faces: `faces` in the leaf order.
+        leaf_opposite: for each leaf and edge, the leaf of the face across the edge.
     """
 
     faces: MeshFaces
-    tree: BinaryBvh
-    tree_faces: Int[np.ndarray, "k 3"]
-    tree_opposite: Int[np.ndarray, "k 3"]
+    face_order: Int[np.ndarray, " k"]
+    leaf_faces: Int[np.ndarray, "k 3"]
+    leaf_opposite: Int[np.ndarray, "k 3"]
+
+
+class SurfaceArrays(NamedTuple):
+    """What kernels read of one posed surface, or of each of a batch with one more axis in front of all but `levels`.
+
+    Flat, for parallel kernels take no tuples within tuples.
+
+    Attributes:
+        corners: corner positions in the leaf order [k, 3, 3] [m].
+        normals: pseudonormals of each face in the leaf order: the face, its three edges, its three corners; not
+            unit [k, 7, 3]. The sign of a point is that of its offset along the normal of its nearest feature
+            (Baerentzen and Aanaes 2005).
+        blocks, boxes, levels: of `Bvh`.
+        origin, clear, slot, outside, free: of `OccupancyGrid`.
+    """
+
+    corners: np.ndarray
+    normals: np.ndarray
+    blocks: np.ndarray
+    boxes: np.ndarray
+    levels: np.ndarray
+    origin: np.ndarray
+    clear: np.ndarray
+    slot: np.ndarray
+    outside: np.ndarray
+    free: np.ndarray
+
+
+@njit(cache=True, inline="always")
+def sample_arrays(arrays: SurfaceArrays, sample: int) -> SurfaceArrays:
+    """One of a batch, without a copy."""
+    return SurfaceArrays(
+        arrays.corners[sample],
+        arrays.normals[sample],
+        arrays.blocks[sample],
+        arrays.boxes[sample],
+        arrays.levels,
+        arrays.origin[sample],
+        arrays.clear[sample],
+        arrays.slot[sample],
+        arrays.outside[sample],
+        arrays.free[sample],
+    )
+
+
+@njit(cache=True, inline="always")
+def bvh_of(arrays: SurfaceArrays) -> Bvh:
+    return Bvh(arrays.blocks, arrays.boxes, arrays.levels)
+
+
+@njit(cache=True, inline="always")
+def occupancy_of(arrays: SurfaceArrays) -> OccupancyGrid:
+    return OccupancyGrid(arrays.origin, arrays.clear, arrays.slot, arrays.outside, arrays.free)
 
 
 @dataclass(frozen=True)
@@ -45,45 +96,37 @@ class Surface:
     Attributes:
         topology: shared by the batch.
         vertices: positions [m].
-        corners: corner positions in the leaves' order [m].
-        bounds: boxes of the tree's nodes, lower then upper corner [m].
-        normals: pseudonormals of each face in the leaves' order: the face, its three edges, its three corners; not
-            unit. The sign of a point is that of its offset along the normal of its nearest feature
-            (Baerentzen and Aanaes 2005).
-        wide: the tree that nearest faces are sought in.
-        map: what is known of each place in space round the head; see `quaffure.geometry.occupancy_grid`.
+        arrays: of the whole batch.
     """
 
     topology: SurfaceTopology
     vertices: MeshVertices
-    corners: Float[np.ndarray, "b k 3 3"]
-    bounds: Float[np.ndarray, "b m 6"]
-    normals: Float[np.ndarray, "b k 7 3"]
-    wide: Bvh
-    map: OccupancyGrid
+    arrays: SurfaceArrays
 
-    def bvh(self, sample: int) -> Bvh:
-        """The tree of one pose."""
-        return Bvh(self.wide.blocks[sample], self.wide.boxes[sample], self.wide.levels)
+    def sample_arrays(self, sample: int) -> SurfaceArrays:
+        """What kernels read of one pose."""
+        one: SurfaceArrays = sample_arrays.py_func(self.arrays, sample)
+        return one
+
+    def samples(self, samples: slice) -> "Surface":
+        """A part of the batch, without a copy."""
+        levels = self.arrays.levels
+        parts = SurfaceArrays(*(field[samples] for field in self.arrays))
+        return Surface(self.topology, self.vertices[samples], parts._replace(levels=levels))
 
 
 def surface_topology(vertices: Float[Tensor, "v 3"], faces: MeshFaces) -> SurfaceTopology:
-    """Topology of a mesh whose tree is built over `vertices`.
+    """Topology of a mesh whose leaf order is made for `vertices`.
 
     Raises:
         ValueError: the mesh is not closed and consistently oriented.
     """
     opposite = opposite_faces(faces).cpu().numpy()
     faces_array = faces.cpu().numpy()
-    tree = build_binary_bvh(vertices.detach().cpu().numpy(), faces_array)
-    place_of_face = np.empty(len(faces_array), np.int32)
-    place_of_face[tree.face_order] = np.arange(len(faces_array), dtype=np.int32)
-    return SurfaceTopology(
-        faces=faces,
-        tree=tree,
-        tree_faces=faces_array[tree.face_order].astype(np.int32),
-        tree_opposite=place_of_face[opposite[tree.face_order]],
-    )
+    order = leaf_order(vertices.detach().cpu().numpy(), faces_array)
+    leaf_of_face = np.empty(len(faces_array), np.int32)
+    leaf_of_face[order] = np.arange(len(faces_array), dtype=np.int32)
+    return SurfaceTopology(faces, order, faces_array[order].astype(np.int32), leaf_of_face[opposite[order]])
 
 
 def posed_surface(
@@ -96,60 +139,36 @@ def posed_surface(
     """
     array = np.ascontiguousarray(vertices.detach().cpu().numpy(), dtype=np.float32)
     centre = array.mean(axis=1) if focus is None else focus.detach().cpu().numpy().astype(np.float32)
-    batch, places, nodes = len(array), len(topology.tree_faces), len(topology.tree.first)
-    grid = (batch, CELLS, CELLS, CELLS)
-    surface = Surface(
-        topology=topology,
-        vertices=vertices,
-        corners=np.empty((batch, places, 3, 3), np.float32),
-        bounds=np.empty((batch, nodes, 6), np.float32),
-        normals=np.empty((batch, places, 7, 3), np.float32),
-        wide=allocate_bvh(topology.tree.levels, batch),
-        map=OccupancyGrid(
-            centre + ORIGIN,
-            np.empty(grid, np.uint8),
-            np.empty(grid, np.int32),
-            np.empty((batch, MOST_SPLIT), np.uint64),
-            np.empty((batch, MOST_SPLIT), np.uint64),
-        ),
+    batch, leaves = len(array), len(topology.leaf_faces)
+    arrays = SurfaceArrays(
+        np.empty((batch, leaves, 3, 3), np.float32),
+        np.empty((batch, leaves, 7, 3), np.float32),
+        *allocate_bvh(bvh_levels(leaves), batch),
+        *allocate_occupancy_grid(centre),
     )
-    _fill(
-        array, topology.tree_faces, topology.tree_opposite, topology.tree.first, topology.tree.second,
-        surface.corners, surface.bounds, surface.normals, surface.wide, surface.map,
-    )  # fmt: skip
-    return surface
+    _fill(array, topology.leaf_faces, topology.leaf_opposite, arrays)
+    return Surface(topology, vertices, arrays)
 
 
 @njit(cache=True, parallel=True)
-def _fill(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    opposite: np.ndarray,
-    first: np.ndarray,
-    second: np.ndarray,
-    corners: np.ndarray,
-    bounds: np.ndarray,
-    normals: np.ndarray,
-    wide: Bvh,
-    space: OccupancyGrid,
-) -> None:
+def _fill(vertices: np.ndarray, faces: np.ndarray, opposite: np.ndarray, arrays: SurfaceArrays) -> None:
     for sample in prange(len(vertices)):
-        for place in range(len(faces)):
-            for corner in range(3):
-                for axis in range(3):
-                    corners[sample, place, corner, axis] = vertices[sample, faces[place, corner], axis]
-        _pseudonormals(corners[sample], faces, opposite, vertices.shape[1], normals[sample])
-        refit(corners[sample], first, second, bounds[sample])
-        refit_bvh(corners[sample], Bvh(wide.blocks[sample], wide.boxes[sample], wide.levels))
-        flood_clear_cells(
-            corners[sample], normals[sample], bounds[sample], first, second, space.origin[sample], space.clear[sample]
-        )
-        split_near_cells(
-            corners[sample],
-            OccupancyGrid(
-                space.origin[sample], space.clear[sample], space.slot[sample], space.outside[sample], space.free[sample]
-            ),
-        )
+        one = sample_arrays(arrays, sample)
+        tree, space = bvh_of(one), occupancy_of(one)
+        _gather(vertices[sample], faces, one.corners)
+        _pseudonormals(one.corners, faces, opposite, vertices.shape[1], one.normals)
+        refit_bvh(one.corners, tree)
+        flood_clear_cells(one.corners, one.normals, tree, space)
+        split_near_cells(one.corners, space)
+
+
+# Called, not written out in the parallel loop: numba drops assignments to fields of a tuple there as dead code.
+@njit(cache=True)
+def _gather(vertices: np.ndarray, faces: np.ndarray, corners: np.ndarray) -> None:
+    for leaf in range(len(faces)):
+        for corner in range(3):
+            for axis in range(3):
+                corners[leaf, corner, axis] = vertices[faces[leaf, corner], axis]
 
 
 @njit(cache=True, fastmath=True)
@@ -158,8 +177,8 @@ def _pseudonormals(
 ) -> None:
     at_vertex = np.zeros((vertex_count, 3), np.float32)
     tiny = np.float32(1e-20)
-    for place in range(len(faces)):
-        face = corners[place]
+    for leaf in range(len(faces)):
+        face = corners[leaf]
         ax, ay, az = face[1, 0] - face[0, 0], face[1, 1] - face[0, 1], face[1, 2] - face[0, 2]
         bx, by, bz = face[2, 0] - face[1, 0], face[2, 1] - face[1, 1], face[2, 2] - face[1, 2]
         cx, cy, cz = face[0, 0] - face[2, 0], face[0, 1] - face[2, 1], face[0, 2] - face[2, 2]
@@ -167,18 +186,18 @@ def _pseudonormals(
         twice_area = np.sqrt(nx * nx + ny * ny + nz * nz)
         inverse = np.float32(1.0) / (twice_area + tiny)
         nx, ny, nz = nx * inverse, ny * inverse, nz * inverse
-        normals[place, 0, 0], normals[place, 0, 1], normals[place, 0, 2] = nx, ny, nz
+        normals[leaf, 0, 0], normals[leaf, 0, 1], normals[leaf, 0, 2] = nx, ny, nz
         cosines = (-(cx * ax + cy * ay + cz * az), -(ax * bx + ay * by + az * bz), -(bx * cx + by * cy + bz * cz))
         for corner in range(3):
             angle = np.arctan2(twice_area, cosines[corner])
-            at_vertex[faces[place, corner], 0] += angle * nx
-            at_vertex[faces[place, corner], 1] += angle * ny
-            at_vertex[faces[place, corner], 2] += angle * nz
-    for place in range(len(faces)):
+            at_vertex[faces[leaf, corner], 0] += angle * nx
+            at_vertex[faces[leaf, corner], 1] += angle * ny
+            at_vertex[faces[leaf, corner], 2] += angle * nz
+    for leaf in range(len(faces)):
         for side in range(3):
             for axis in range(3):
-                normals[place, 1 + side, axis] = normals[place, 0, axis] + normals[opposite[place, side], 0, axis]
-                normals[place, 4 + side, axis] = at_vertex[faces[place, side], axis]
+                normals[leaf, 1 + side, axis] = normals[leaf, 0, axis] + normals[opposite[leaf, side], 0, axis]
+                normals[leaf, 4 + side, axis] = at_vertex[faces[leaf, side], axis]
 
 
 def reference_surface_normals(topology: SurfaceTopology, vertices: MeshVertices) -> Float[Tensor, "b k 7 3"]:

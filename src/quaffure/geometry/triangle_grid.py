@@ -2,12 +2,12 @@
 
 A grid of small cells lists the faces that a point in each cell could be under, or close above, as far as each face
 reaches. Unlike a tree it answers most points at once, that nothing is near; unlike stored distances it is exact, but
-for points that are beside all faces, at ridges and creases (`BESIDE`). Faces are listed only round the points that the
-grid is made for, which costs less than a drape. Distances without bounds are in `quaffure.geometry.signed_distance`.
-Shapes cannot be checked at run time inside compiled code, hence `no_type_check`.
+for points that are outside the prisms over all faces, at ridges and in hollows (`EDGE_TOLERANCE`). Faces are listed
+only round the points that the grid is made for, which costs less than a drape. Distances without bounds are in
+`quaffure.geometry.signed_distance`.
 """
 
-from typing import NamedTuple, no_type_check
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,24 +15,25 @@ from numba import get_num_threads, njit, prange
 
 from quaffure.geometry.mesh import face_normals
 from quaffure.geometry.mls_surface import FAST
+from quaffure.geometry.triangle import squared_distance_in_plane
 from quaffure.types import Float, Int, Tensor
 
 CELL_SIZE, CELLS = 0.0125, 80
 """Side of a cell [m], and how many there are along each axis."""
 CORNER = (-0.5, -0.5, -0.75)
 """Of the grid, from its centre [m]: hair hangs down."""
-BESIDE = 0.001
-"""How far beside a face a point may be and still count as under it [m]: at a ridge or crease a point can be beside all
-faces, and learns of none. More would let faces beyond a ridge claim points that are outside."""
+EDGE_TOLERANCE = 0.001
+"""How far outside the prism over a face a point may be and still count as under it [m]: at a ridge or in a hollow a
+point can be outside all prisms, and finds no face. More would let faces beyond a ridge claim points outside."""
 IN_BLOCK = 8
 """Faces that are compared without a branch; as long as a list's blocks."""
 NONE, OUT_OF_BAND = -1, -2
-"""In place of a face: none is near; nobody has looked which are."""
+"""In place of a face: none is near; not searched."""
 _WIDE, _REGIONS = 5, CELLS // 5  # cells along a side of a region, in all of which faces are listed or in none; regions
-_ROOM = 2.0  # blocks of lists to begin with, for each face
+_BLOCKS_PER_FACE = 2.0  # blocks of lists to begin with, for each face
 _FLAT = 1e-10  # faces with a smaller area are left out: their normals are rounding [m^2]
 _REFERENCE_PAIRS = 4_000_000  # point-face pairs that the twin holds in memory at once
-_APART = 64  # rows between the rooms of threads, which would write into one line of the cache
+_APART = 64  # rows between the workspaces of threads, which would write into one line of the cache
 _TIE = 0.99  # of faces about as near as each other, the one that a point is furthest above or below tells its side
 # Columns of a face's record: normal, the directions along its first edge and across, each with its height at the face;
 # length of that edge, third corner in the plane, inverse squared lengths of the other two edges; reach.
@@ -46,14 +47,14 @@ class TriangleGrid(NamedTuple):
         origin: lowest corner [m].
         records: of each face, and of one that is near to nothing.
         first: of every cell the last block of its list; `NONE` without one, `OUT_OF_BAND` away from the grid's points.
-        following: of every block the next, or `NONE`.
+        next_block: of every block the next, or `NONE`.
         faces: of every block.
     """
 
     origin: Float[np.ndarray, "3"]
     records: Float[np.ndarray, "face 20"]
     first: Int[np.ndarray, " cell"]
-    following: Int[np.ndarray, " block"]
+    next_block: Int[np.ndarray, " block"]
     faces: Int[np.ndarray, "block 8"]
 
 
@@ -70,7 +71,7 @@ def triangle_grid(
         vertices: finite, float32 [m].
         reach: how far below and above each face points are told of it [m].
         centre: of the grid, see `CORNER` [m].
-        points: finite, float32 [m]; every second one is looked at.
+        points: finite, float32 [m]; every second one is used.
     """
     threads, count = get_num_threads(), len(faces)
     origin = (centre + np.array(CORNER)).astype(np.float32)
@@ -79,12 +80,12 @@ def triangle_grid(
         _mark(points, origin, marked)
     records, boxes = np.empty((count + 1, _COLUMNS), np.float32), np.empty((count, 6), np.int32)
     _measure(vertices, faces, reach, origin, marked, threads, records, boxes)
-    room = int(_ROOM * count / threads) + 64
+    capacity = int(_BLOCKS_PER_FACE * count / threads) + 64
     while True:
-        following, blocks = np.empty(threads * room, np.int32), np.empty((threads * room, IN_BLOCK), np.int32)
-        if _list(records, boxes, marked, threads, first, following, blocks):
-            return TriangleGrid(origin, records, first, following, blocks)
-        room *= 2
+        next_block, blocks = np.empty(threads * capacity, np.int32), np.empty((threads * capacity, IN_BLOCK), np.int32)
+        if _list(records, boxes, marked, threads, first, next_block, blocks):
+            return TriangleGrid(origin, records, first, next_block, blocks)
+        capacity *= 2
 
 
 def nearest_triangle_in_band_reference(
@@ -114,27 +115,26 @@ def _nearest_of_all(
     offset = points[:, None] - a
     u, v, height = ((offset * direction).sum(-1) for direction in (along, across, normal))
     x, y = ((c - a) * along).sum(-1), ((c - a) * across).sum(-1)
-    beside = (u - u.clamp(min=0).minimum(length)).square() + v.square()
+    in_plane = (u - u.clamp(min=0).minimum(length)).square() + v.square()
     for start, end_x in ((0 * length, x), (length, x - length)):
         share = ((u - start) * end_x + v * y) / (end_x.square() + y.square() + 1e-24)
         share = share.clamp(0, 1)
-        beside = beside.minimum((u - start - share * end_x).square() + (v - share * y).square())
+        in_plane = in_plane.minimum((u - start - share * end_x).square() + (v - share * y).square())
     within = torch.minimum(v, torch.minimum(u * y - v * x, (x - length) * v - y * (u - length)))
-    beside = torch.where(within < 0, beside, 0)
-    reached = (height >= -reach[:, 0]) & (height <= reach[:, 1]) & (beside <= BESIDE**2) & ~flat
-    key, nearest = torch.where(reached, beside + _TIE * height.square(), 1).min(dim=1)
+    in_plane = torch.where(within < 0, in_plane, 0)
+    reached = (height >= -reach[:, 0]) & (height <= reach[:, 1]) & (in_plane <= EDGE_TOLERANCE**2) & ~flat
+    key, nearest = torch.where(reached, in_plane + _TIE * height.square(), 1).min(dim=1)
     chosen = height.gather(1, nearest[:, None])[:, 0]
     return torch.where(key < 1, chosen, 1), torch.where(key < 1, nearest, NONE)
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
 def nearest_triangle_in_band(x: float, y: float, z: float, grid: TriangleGrid, rows: np.ndarray) -> tuple[float, int]:
     """Height of a point above the nearest of the faces that reach it, and that face; 1 and `NONE` or `OUT_OF_BAND`.
 
     Args:
         x, y, z: finite, and less than 1e6 m, since they become integers.
-        rows: room for twice `IN_BLOCK` float32.
+        rows: memory for twice `IN_BLOCK` float32.
     """
     one, none = np.float32(1.0), np.float32(0.0)
     x, y, z = x - grid.origin[0], y - grid.origin[1], z - grid.origin[2]
@@ -152,40 +152,29 @@ def nearest_triangle_in_band(x: float, y: float, z: float, grid: TriangleGrid, r
         for lane in range(IN_BLOCK):
             if rows[lane] < best:
                 best, height, face = rows[lane], rows[IN_BLOCK + lane], grid.faces[block, lane]
-        block = grid.following[block]
+        block = grid.next_block[block]
     return height, face
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _compare(
     x: float, y: float, z: float, block: int, faces: np.ndarray, records: np.ndarray, rows: np.ndarray
 ) -> None:
     """Fill in the squared distances to a block of faces, 1 where they are out of reach, then the heights above them."""
-    none, one, beyond = np.float32(0.0), np.float32(1.0), np.float32(BESIDE * BESIDE)
+    one, beyond = np.float32(1.0), np.float32(EDGE_TOLERANCE * EDGE_TOLERANCE)
     for lane in range(IN_BLOCK):
         face = records[faces[block, lane]]
         height = x * face[0] + y * face[1] + z * face[2] - face[3]
         u = x * face[_ALONG] + y * face[_ALONG + 1] + z * face[_ALONG + 2] - face[_ALONG + 3]
         v = x * face[_ACROSS] + y * face[_ACROSS + 1] + z * face[_ACROSS + 2] - face[_ACROSS + 3]
-        length, cx, cy = face[_LENGTH], face[_THIRD], face[_THIRD + 1]
-        du = u - min(max(u, none), length)
-        beside = du * du + v * v
-        share = min(max((u * cx + v * cy) * face[_INVERSE], none), one)
-        du, dv = u - share * cx, v - share * cy
-        beside = min(beside, du * du + dv * dv)
-        bx, bu = cx - length, u - length
-        share = min(max((bu * bx + v * cy) * face[_INVERSE + 1], none), one)
-        du, dv = bu - share * bx, v - share * cy
-        beside = min(beside, du * du + dv * dv)
-        within = min(min(v, u * cy - v * cx), bx * v - cy * bu)
-        beside = beside if within < none else none
-        out = (height < -face[_REACH]) | (height > face[_REACH + 1]) | (beside > beyond)
-        rows[lane] = one if out else beside + np.float32(_TIE) * height * height
+        in_plane = squared_distance_in_plane(
+            u, v, face[_LENGTH], face[_THIRD], face[_THIRD + 1], face[_INVERSE], face[_INVERSE + 1]
+        )
+        out = (height < -face[_REACH]) | (height > face[_REACH + 1]) | (in_plane > beyond)
+        rows[lane] = one if out else in_plane + np.float32(_TIE) * height * height
         rows[IN_BLOCK + lane] = height
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _mark(points: np.ndarray, origin: np.ndarray, marked: np.ndarray) -> None:
     """Mark the regions that every second point is in, and those next to them."""
@@ -204,7 +193,6 @@ def _mark(points: np.ndarray, origin: np.ndarray, marked: np.ndarray) -> None:
                     marked[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2, max(k - 1, 0) : k + 2] = 1
 
 
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _measure(
     vertices: np.ndarray, faces: np.ndarray, reach: np.ndarray, origin: np.ndarray, marked: np.ndarray, threads: int,
@@ -214,17 +202,17 @@ def _measure(
 
     Faces that reach into no marked region are left out: their boxes are empty.
     """
-    count, room = len(faces), np.empty((threads, _APART, 3), np.float32)
+    count, workspaces = len(faces), np.empty((threads, _APART, 3), np.float32)
     records[count] = np.float32(0.0)
     records[count, 3] = np.float32(-1.0)  # every point is out of its reach, above it
     for thread in prange(threads):
-        corners, down, up = room[thread, :3], room[thread, 3], room[thread, 4]
+        corners, down, up = workspaces[thread, :3], workspaces[thread, 3], workspaces[thread, 4]
         for face in range(thread * count // threads, (thread + 1) * count // threads):
             for corner in range(3):
                 for axis in range(3):
                     corners[corner, axis] = vertices[faces[face, corner], axis] - origin[axis]
             record, box, below, above = records[face], boxes[face], reach[face, 0], reach[face, 1]
-            up[:] = max(below, above)  # any way that the face may look
+            up[:] = max(below, above)  # whatever way the face is oriented
             _write_box(corners, up, up, box)
             if _meets(box, marked) and _write_record(corners, record):
                 record[_REACH], record[_REACH + 1] = below, above
@@ -236,20 +224,18 @@ def _measure(
                 box[0], box[1] = 1, 0
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _write_box(corners: np.ndarray, down: np.ndarray, up: np.ndarray, box: np.ndarray) -> None:
     """First and last cell along each axis of a face and how far it reaches down and up each."""
     per_cell, none, last = np.float32(1.0 / CELL_SIZE), np.float32(0.0), np.float32(CELLS - 1)
     for axis in range(3):
         a, b, c = corners[0, axis], corners[1, axis], corners[2, axis]
-        low = (min(a, min(b, c)) - down[axis] - np.float32(BESIDE)) * per_cell
-        high = (max(a, max(b, c)) + up[axis] + np.float32(BESIDE)) * per_cell
+        low = (min(a, min(b, c)) - down[axis] - np.float32(EDGE_TOLERANCE)) * per_cell
+        high = (max(a, max(b, c)) + up[axis] + np.float32(EDGE_TOLERANCE)) * per_cell
         box[2 * axis] = int(min(max(low, none), last + np.float32(1.0)))
         box[2 * axis + 1] = int(min(max(high, np.float32(-1.0)), last))
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _meets(box: np.ndarray, marked: np.ndarray) -> bool:
     met = False
@@ -260,7 +246,6 @@ def _meets(box: np.ndarray, marked: np.ndarray) -> bool:
     return met
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _write_record(corners: np.ndarray, record: np.ndarray) -> bool:
     """Write all columns but the reach; False for a face without area."""
@@ -288,34 +273,32 @@ def _write_record(corners: np.ndarray, record: np.ndarray) -> bool:
     return length * width > np.float32(2 * _FLAT)
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _write_bounds(record: np.ndarray, bounds: np.ndarray) -> None:
     """Least and greatest height along a record's directions of the centres of cells that its face reaches into."""
-    none, half, beside = np.float32(0.0), np.float32(0.5 * CELL_SIZE), np.float32(BESIDE)
+    none, half, in_plane = np.float32(0.0), np.float32(0.5 * CELL_SIZE), np.float32(EDGE_TOLERANCE)
     for side in range(3):
         direction = record[4 * side : 4 * side + 4]
         slack = half * (abs(direction[0]) + abs(direction[1]) + abs(direction[2]))
         bounds[side, 0], bounds[side, 1] = direction[3] - slack, direction[3] + slack
     u, v = record[_THIRD], record[_THIRD + 1]
     bounds[0, 0], bounds[0, 1] = bounds[0, 0] - record[_REACH], bounds[0, 1] + record[_REACH + 1]
-    bounds[1, 0] = bounds[1, 0] + min(none, u) - beside
-    bounds[1, 1] = bounds[1, 1] + max(record[_LENGTH], u) + beside
-    bounds[2, 0], bounds[2, 1] = bounds[2, 0] - beside, bounds[2, 1] + v + beside
+    bounds[1, 0] = bounds[1, 0] + min(none, u) - in_plane
+    bounds[1, 1] = bounds[1, 1] + max(record[_LENGTH], u) + in_plane
+    bounds[2, 0], bounds[2, 1] = bounds[2, 0] - in_plane, bounds[2, 1] + v + in_plane
 
 
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _list(
     records: np.ndarray, boxes: np.ndarray, marked: np.ndarray, threads: int,
-    first: np.ndarray, following: np.ndarray, blocks: np.ndarray,
+    first: np.ndarray, next_block: np.ndarray, blocks: np.ndarray,
 ) -> bool:  # fmt: skip
-    """List every face in the cells of marked regions that it may reach into; False where there is no room for it."""
-    room, count, size, half = len(blocks) // threads, len(boxes), np.float32(CELL_SIZE), np.float32(0.5)
+    """List every face in the cells of marked regions that it may reach into; False where there is not enough memory."""
+    capacity, count, size, half = len(blocks) // threads, len(boxes), np.float32(CELL_SIZE), np.float32(0.5)
     fits, filled = np.ones(threads, np.uint8), np.zeros(len(blocks), np.int32)
-    rooms = np.empty((threads, _APART, 2), np.float32)
+    workspaces = np.empty((threads, _APART, 2), np.float32)
     for thread in prange(threads):  # each has the planes of cells that are its own, all of their lists and their blocks
-        used, bounds = thread * room, rooms[thread, :3]
+        used, bounds = thread * capacity, workspaces[thread, :3]
         for i in range(thread, CELLS, threads):
             _clear(i, marked, first)
         for face in range(count):
@@ -334,17 +317,16 @@ def _list(
                         if block == OUT_OF_BAND:
                             continue
                         if block < 0 or filled[block] == IN_BLOCK:
-                            if used == (thread + 1) * room:
+                            if used == (thread + 1) * capacity:
                                 fits[thread] = 0
                                 continue
-                            following[used], blocks[used], first[cell] = block, count, used
+                            next_block[used], blocks[used], first[cell] = block, count, used
                             block, used = used, used + 1
                         blocks[block, filled[block]] = face
                         filled[block] += 1
     return fits.min() == 1
 
 
-@no_type_check
 @njit(cache=True)
 def _clear(i: int, marked: np.ndarray, first: np.ndarray) -> None:
     """Empty the lists of a plane of cells."""
@@ -354,7 +336,6 @@ def _clear(i: int, marked: np.ndarray, first: np.ndarray) -> None:
             first[begin : begin + _WIDE] = NONE if marked[i // _WIDE, j // _WIDE, region] else OUT_OF_BAND
 
 
-@no_type_check
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
 def _reaches(x: float, y: float, z: float, record: np.ndarray, bounds: np.ndarray) -> bool:
     height = x * record[0] + y * record[1] + z * record[2]

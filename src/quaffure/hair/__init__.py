@@ -1,0 +1,33 @@
+"""Hair at rest: grooms, strands, the scalp texture, posing, registration and interpolation between guides."""
+
+from typing import TYPE_CHECKING
+
+from quaffure._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from quaffure.hair.clearance import distances_and_normals, inside_share, pushed_out, rest_surface
+    from quaffure.hair.drape_sequence import DrapeSequence
+    from quaffure.hair.groom import Groom
+    from quaffure.hair.guide_interpolation import GuideInterpolation, groom_of_drape, interpolation_of, with_strands
+    from quaffure.hair.posing import posed_strands, root_positions, root_rotations, triangle_frames
+    from quaffure.hair.registration import HeadMesh, register_groom
+    from quaffure.hair.resample import concatenate_strands, polyline_lengths, resample_by_arc_length
+    from quaffure.hair.scalp_roots import ScalpRoots, spread_roots
+    from quaffure.hair.scalp_texture import select_guides, texel_mask
+    from quaffure.hair.strands import Strands
+
+__all__, __getattr__, __dir__ = lazy_exports(
+    __name__,
+    {
+        "clearance": ["distances_and_normals", "inside_share", "pushed_out", "rest_surface"],
+        "drape_sequence": ["DrapeSequence"],
+        "groom": ["Groom"],
+        "guide_interpolation": ["GuideInterpolation", "groom_of_drape", "interpolation_of", "with_strands"],
+        "posing": ["posed_strands", "root_positions", "root_rotations", "triangle_frames"],
+        "registration": ["HeadMesh", "register_groom"],
+        "resample": ["concatenate_strands", "polyline_lengths", "resample_by_arc_length"],
+        "scalp_roots": ["ScalpRoots", "spread_roots"],
+        "scalp_texture": ["select_guides", "texel_mask"],
+        "strands": ["Strands"],
+    },
+)

@@ -1,4 +1,4 @@
-"""Strands kept out of the body: exact distances, a push that fades along the strand, lengths restored."""
+"""Projection of strands out of the body: exact distances, displacements that fade along the strand, kept lengths."""
 
 import torch
 
@@ -10,14 +10,14 @@ from quaffure.types import Bool, Float, Tensor
 
 CLEARANCE = 3e-3
 """Distance that rest strands keep from the skin [m]."""
-# A root lies on the skin: the clearance grows by this much per length of strand.
+# A root lies on the skin: increase of the clearance per length of strand [-].
 CLEARANCE_RAMP = 0.25
-# Even beside the root a vertex is this far out: the sign of a distance of zero is rounding [m].
+# Smallest clearance of a vertex, next to the root: the sign of a distance of zero is rounding [m].
 LEAST_CLEARANCE = 1e-4
-# What of a vertex's push its successor and its predecessor follow; the rest of a strand gives way smoothly.
-FOLLOW_TIPWARDS, FOLLOW_ROOTWARDS = 0.8, 0.4
-SETTLING_ROUNDS = 10
-# Two pushes in opposite directions (hair between neck and shoulder) need damping to settle.
+# Share of a vertex's displacement that its successor and its predecessor take, so that the strand bends smoothly.
+TIPWARD_SHARE, ROOTWARD_SHARE = 0.8, 0.4
+FINAL_ROUNDS = 10
+# Damping for displacements in opposite directions (hair between neck and shoulder).
 STEP = 0.9
 
 
@@ -31,25 +31,29 @@ def distances_and_normals(
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch 3"]]:
     """Exact signed distance to the surface's first sample [m] and the outward unit direction away from it."""
     flat = points.reshape(1, -1, 3)
-    foot = closest_points(flat, surface)
-    triangles = surface.vertices[0][surface.topology.faces[foot.faces[0]]]
-    offset = flat[0] - (foot.barycentric[0][..., None] * triangles).sum(-2)
+    closest = closest_points(flat, surface)
+    triangles = surface.vertices[0][surface.topology.faces[closest.faces[0]]]
+    offset = flat[0] - (closest.barycentric[0][..., None] * triangles).sum(-2)
     length = offset.norm(dim=-1, keepdim=True)
-    sign = torch.where((offset * foot.normals[0]).sum(-1, keepdim=True) < 0, -1.0, 1.0)
-    outward = torch.nn.functional.normalize(foot.normals[0], dim=-1)
+    sign = torch.where((offset * closest.normals[0]).sum(-1, keepdim=True) < 0, -1.0, 1.0)
+    outward = torch.nn.functional.normalize(closest.normals[0], dim=-1)
     normal = torch.where(length > 1e-6, sign * offset / length.clamp(min=1e-9), outward)
     return (sign * length).reshape(points.shape[:-1]), normal.reshape(points.shape)
 
 
+def arc_lengths(strands: Float[Tensor, "s n 3"]) -> Float[Tensor, "s n"]:
+    """Length of each strand from its root to each vertex [m]."""
+    return torch.nn.functional.pad(strands.diff(dim=1).norm(dim=-1).cumsum(1), (1, 0))
+
+
 def inside_share(strands: Float[Tensor, "s n 3"], surface: Surface) -> float:
-    """Share of vertices, roots left out, strictly inside the body."""
+    """Share of vertices, without the roots, strictly inside the body."""
     return float((distances_and_normals(strands[:, 1:], surface)[0] < 0).float().mean())
 
 
 def required_clearance(strands: Float[Tensor, "s n 3"], clearance: float) -> Float[Tensor, "s n"]:
-    """How far each vertex has to keep from the skin [m]: zero at the root, growing to `clearance`."""
-    reach = torch.nn.functional.pad(strands.diff(dim=1).norm(dim=-1).cumsum(1), (1, 0))
-    needed = (CLEARANCE_RAMP * reach).clamp(min=LEAST_CLEARANCE, max=clearance)
+    """Smallest distance of each vertex from the skin [m]: zero at the root, rising to `clearance`."""
+    needed = (CLEARANCE_RAMP * arc_lengths(strands)).clamp(min=LEAST_CLEARANCE, max=clearance)
     needed[:, 0] = 0
     return needed
 
@@ -59,7 +63,7 @@ def pushed_out(
 ) -> Float[Tensor, "s n 3"]:
     """Strands whose vertices keep `clearance` [m] from the body; roots stay, edges keep their lengths.
 
-    What the rounds leave inside (strands caught in a fold of the skin) is moved out without regard to length.
+    Vertices still inside after the rounds (in a fold of the skin) are moved out without regard to length.
     """
     lengths = strands.diff(dim=1).norm(dim=-1)
     needed = required_clearance(strands, clearance)
@@ -72,7 +76,7 @@ def pushed_out(
             return result
         moved = result[active] + STEP * push
         result[active] = integrate_directions_reference(moved[None, :, 0], moved.diff(dim=1)[None], lengths[active])[0]
-    for _ in range(SETTLING_ROUNDS):
+    for _ in range(FINAL_ROUNDS):
         distance, normal = distances_and_normals(result[active], surface)
         short = (0.5 * needed[active] - distance).clamp(min=0)
         short[:, 0] = 0
@@ -83,18 +87,18 @@ def pushed_out(
 def _push(
     strands: Float[Tensor, "s n 3"], needed: Float[Tensor, "s n"], surface: Surface
 ) -> tuple[Float[Tensor, "s n 3"], Bool[Tensor, " s"]]:
-    """Move of every vertex, and which strands are still too close by more than a tenth of a millimetre."""
+    """Displacement of every vertex, and whether each strand is too close by more than a tenth of a millimetre."""
     distance, normal = distances_and_normals(strands, surface)
     short = (needed - distance).clamp(min=0)
     short[:, 0] = 0
     push = list((short[..., None] * normal).unbind(1))
     free = (short == 0)[..., None].unbind(1)
     for vertex in range(2, len(push)):
-        push[vertex] = torch.where(free[vertex], FOLLOW_TIPWARDS * push[vertex - 1], push[vertex])
+        push[vertex] = torch.where(free[vertex], TIPWARD_SHARE * push[vertex - 1], push[vertex])
     for vertex in range(len(push) - 2, 0, -1):
         push[vertex] = torch.where(
             free[vertex] & (push[vertex].norm(dim=-1, keepdim=True) < 1e-9),
-            FOLLOW_ROOTWARDS * push[vertex + 1],
+            ROOTWARD_SHARE * push[vertex + 1],
             push[vertex],
         )
     return torch.stack(push, dim=1), (short > 1e-4).any(1)

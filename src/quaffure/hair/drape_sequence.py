@@ -1,4 +1,4 @@
-"""A drape over time: what every draper hands to files, pictures, video and measurements."""
+"""A drape over time, as files, pictures, videos and metrics take it."""
 
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,9 +1,12 @@
 """A hairstyle at rest on the body's scalp."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 
+from quaffure.body.scalp import texel_index
 from quaffure.config import TEXTURE_SIZE
 from quaffure.types import Float, Int, Tensor
 
@@ -13,12 +16,12 @@ class Groom:
     """Guide strands registered to the body, resampled to a common number of vertices.
 
     Attributes:
-        name: a bundled name, or the stem of the file that it came from.
+        name: a bundled name, or the stem of its file.
         rest_strands: vertices in the rest groom, on the mean body in its rest pose [m, world].
-        root_faces: face of the body that carries each root.
-        root_barycentric: where in that face.
-        root_uv: where on the scalp chart, in the unit square.
-        licence: the terms of the groom.
+        root_faces: face of the body under each root.
+        root_barycentric: barycentric coordinates of the root in that face.
+        root_uv: position on the scalp chart, in the unit square.
+        licence: terms of use.
     """
 
     name: str
@@ -42,28 +45,20 @@ class Groom:
         return self.rest_lengths.sum(dim=1)
 
     def texels(self, size: int = TEXTURE_SIZE) -> Int[Tensor, " s"]:
-        """Flat index (row times size plus column) of the texel that holds each root; row from v, column from u."""
-        cell = (self.root_uv * size).long().clamp(0, size - 1)
-        return cell[:, 1] * size + cell[:, 0]
+        """Flat index (row times size plus column) of the texel of each root; row from v, column from u."""
+        return texel_index(self.root_uv, size)
 
     def select(self, strands: Int[Tensor, " m"]) -> "Groom":
-        """The groom of some of its strands, in the order given."""
-        return replace(
-            self,
-            rest_strands=self.rest_strands[strands],
-            root_faces=self.root_faces[strands],
-            root_barycentric=self.root_barycentric[strands],
-            root_uv=self.root_uv[strands],
-        )
+        """The groom of some of its strands, in the given order."""
+        return self._map_tensors(lambda tensor: tensor[strands])
 
     def to(self, device: torch.device | str) -> "Groom":
-        """The same groom on a device; this very one where nothing has to move, so that what is kept for it is found."""
+        """The same groom on a device; the same object if it is there already, so that caches by identity find it."""
         if self.rest_strands.device == torch.device(device):
             return self
-        return replace(
-            self,
-            rest_strands=self.rest_strands.to(device),
-            root_faces=self.root_faces.to(device),
-            root_barycentric=self.root_barycentric.to(device),
-            root_uv=self.root_uv.to(device),
-        )
+        return self._map_tensors(lambda tensor: tensor.to(device))
+
+    def _map_tensors(self, function: Callable[[Tensor], Tensor]) -> "Groom":
+        names = ("rest_strands", "root_faces", "root_barycentric", "root_uv")
+        changes: dict[str, Any] = {name: function(getattr(self, name)) for name in names}
+        return replace(self, **changes)

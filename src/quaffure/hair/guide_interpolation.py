@@ -1,15 +1,15 @@
-"""Guide interpolation: from guides, which are draped, to the tens of thousands of strands that are drawn.
+"""Guide interpolation: from guides, which are draped, to the tens of thousands of strands that are rendered.
 
-The paper leaves this step to others. A strand is a mean of the three guides round its root, seen from their roots, and
-moved to its own root, which rides on its face of the body. Plain means would flatten curls that are out of step, so
-only the axes of the guides are mixed (a quartic along the strand); everything finer comes from the nearest guide
-alone. Which guides, and how much of each at most, is settled once on the groom at rest: no strand jumps between
-guides. Where guides part in a drape, round a shoulder, strands between them leave the further ones smoothly.
+The paper does not describe this step. A strand is a mean of the three guides around its root, relative to their roots,
+added to its own root, which moves with its face of the body. Plain means would flatten curls of different phase, so
+only the axes of the guides are blended (a quartic along the strand); the detail comes from the nearest guide alone.
+The guides and their largest weights are fixed on the groom at rest: no strand jumps between guides. Where guides
+diverge in a drape, at a shoulder, the weights of the further ones fade out smoothly.
 """
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import no_type_check
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -21,14 +21,21 @@ from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
-from quaffure.hair.guide_triangles import APART, TOGETHER, first_told, spread_places, togetherness, triangulate
+from quaffure.hair.guide_triangles import (
+    COHERENT,
+    DIVERGED,
+    coherence,
+    first_direction_vertex,
+    sample_roots,
+    triangulate,
+)
 from quaffure.hair.posing import triangle_frames
 from quaffure.hair.registration import nearest_on_scalp
 
 AXIS_DEGREE = 4
-"""Of the polynomial along a strand that is its axis; what that leaves over are curls and frizz."""
+"""Degree of the polynomial that is the axis of a strand; the remainder is curls and frizz."""
 MOST_STRANDS = 1_000_000
-# A place off the scalp (the hull of the roots can be wider) goes half the way to its nearest guide, this often.
+# A root off the scalp (the hull of the guides can be wider) is moved half the way to its nearest guide, this often.
 HALVINGS = 4
 FARTHEST_ROOT = 2e-3  # m: a drape's roots lie on its body
 
@@ -40,7 +47,7 @@ class GuideInterpolation:
     Attributes:
         guides: three guides of every strand, the nearest first.
         weights: share of each in the strand's axis at rest; they sum to 1.
-        carriers: body vertices that carry the root.
+        carriers: body vertices of the root's face.
         root_weights: barycentric coordinates of the root among them.
         guide_lengths: of the guides at rest [m].
         vertex_count: of a guide and of a strand.
@@ -68,7 +75,7 @@ class GuideInterpolation:
         Args:
             guides: roots first [m, world].
             body_vertices: the body that they were draped on [m, world].
-            out: where to write, when at hand.
+            out: array for the result, if available.
 
         Raises:
             InputError: guides of another groom.
@@ -77,20 +84,17 @@ class GuideInterpolation:
             raise InputError("guides", f"{len(self.guide_lengths)} of {self.vertex_count} vertices", f"{guides.shape}")
         if out is None:
             out = np.empty((len(self), self.vertex_count, 3), np.float32)
-        axes, finer = np.empty_like(guides), np.empty_like(guides)
-        _split(np.ascontiguousarray(guides), axis_projection(self.vertex_count), axes, finer)
-        vertices = np.ascontiguousarray(body_vertices)
-        _mix(
-            axes, finer, self.guides, self.weights, self.guide_lengths, vertices, self.carriers, self.root_weights,
-            first_told(self.vertex_count), out,
-        )  # fmt: skip
+        axes, detail = np.empty_like(guides), np.empty_like(guides)
+        _split(np.ascontiguousarray(guides), axis_projection(self.vertex_count), axes, detail)
+        mixture = _Mixture(self.guides, self.weights, self.guide_lengths, self.carriers, self.root_weights)
+        _mix(axes, detail, mixture, np.ascontiguousarray(body_vertices), first_direction_vertex(self.vertex_count), out)
         return out
 
 
 def interpolation_of(groom: Groom, body: BodyModel, count: int, seed: int = 0) -> GuideInterpolation:
-    """Places for `count` strands on the part of the scalp that the guides cover, and the guides of each.
+    """Roots for `count` strands on the part of the scalp that the guides cover, and the guides of each.
 
-    Guides that go another way at rest than the nearest one (across a parting, round an ear) have no share.
+    Guides that diverge at rest from the nearest one (across a parting, around an ear) have no weight.
 
     Args:
         groom: the guides.
@@ -103,15 +107,15 @@ def interpolation_of(groom: Groom, body: BodyModel, count: int, seed: int = 0) -
         raise InputError("strands", f"1 to {MOST_STRANDS}", f"{count}")
     rest, uv = groom.rest_strands.numpy(), groom.root_uv.numpy()
     triangles = triangulate(uv, rest[:, 0], groom.name)
-    triangle, shares = spread_places(triangles, rest[:, 0], count, seed)
+    triangle, shares = sample_roots(triangles, rest[:, 0], count, seed)
     guides = triangles[triangle]
     order = np.argsort(-shares, axis=1, kind="stable")
     guides, shares = np.take_along_axis(guides, order, 1), np.take_along_axis(shares, order, 1)
     faces, root_weights = _roots(groom, body, guides, shares)
     axes = axis_projection(rest.shape[1]) @ (rest - rest[:, :1])
-    pairs = _pairs(guides)
+    pairs = np.stack([np.repeat(guides[:, :1], 2, axis=1), guides[:, 1:]], axis=-1)
     lengths = groom.strand_lengths.numpy()
-    shares[:, 1:] *= togetherness(axes, lengths, pairs)
+    shares[:, 1:] *= coherence(axes, lengths, pairs)
     weights = shares / shares.sum(axis=1, keepdims=True)
     return GuideInterpolation(
         guides=guides.astype(np.int32),
@@ -126,7 +130,7 @@ def interpolation_of(groom: Groom, body: BodyModel, count: int, seed: int = 0) -
 def _roots(
     groom: Groom, body: BodyModel, guides: Int[np.ndarray, "m 3"], shares: Float[np.ndarray, "m 3"]
 ) -> tuple[Int[Tensor, " m"], Float[Tensor, "m 3"]]:
-    """Body faces and barycentric coordinates of places between guides; those off the scalp go to their first guide."""
+    """Body faces and barycentric coordinates of roots between guides; those off the scalp move to their first guide."""
     uv = (torch.from_numpy(shares)[..., None] * groom.root_uv[guides]).sum(1).float()
     nearest = torch.from_numpy(guides[:, 0]).long()
     faces, weights = body.scalp.locate(uv)
@@ -139,14 +143,9 @@ def _roots(
     return faces, weights
 
 
-def _pairs(guides: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "m 2 2"]:
-    """The nearest guide of every strand with each of the other two."""
-    return np.stack([np.repeat(guides[:, :1], 2, axis=1), guides[:, 1:]], axis=-1)
-
-
 @cache
 def axis_projection(vertices: int) -> Float32[np.ndarray, "n n"]:
-    """Matrix that takes a strand, seen from its root, to its axis: the nearest polynomial that starts in the root."""
+    """Matrix from a strand relative to its root to its axis: the best-fit polynomial through the root."""
     basis = np.linspace(0, 1, vertices)[:, None] ** np.arange(1, min(AXIS_DEGREE, vertices - 1) + 1)
     return (basis @ np.linalg.pinv(basis)).astype(np.float32)
 
@@ -168,17 +167,17 @@ def with_strands(sequence: DrapeSequence, interpolation: GuideInterpolation) -> 
 
 
 def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:
-    """The groom at rest that a drape was made of, found again from the first of its posed frames.
+    """The groom at rest of a drape, recovered from the first of its posed frames.
 
     Raises:
-        InputError: the drape's body is not `body`, or its strands do not grow on the scalp.
+        InputError: the drape's body is not `body`, or its roots are not on the scalp.
     """
     if not np.array_equal(sequence.body_faces, body.faces.numpy()):
         found = f"{len(sequence.body_faces)} other faces"
         raise InputError("drape", "the body of this package", found)
     posed, vertices = torch.from_numpy(sequence.posed[0]), torch.from_numpy(sequence.body_vertices[0])
-    faces, weights, feet = nearest_on_scalp(posed[:, 0], replace(body, rest_vertices=vertices))
-    apart = float((feet - posed[:, 0]).norm(dim=-1).max())
+    faces, weights, closest = nearest_on_scalp(posed[:, 0], replace(body, rest_vertices=vertices))
+    apart = float((closest - posed[:, 0]).norm(dim=-1).max())
     if apart > FARTHEST_ROOT:
         raise InputError("drape", f"roots within {1e3 * FARTHEST_ROOT:g} mm of the scalp", f"{1e3 * apart:.1f} mm")
     carriers = body.faces[faces]
@@ -189,25 +188,9 @@ def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:
     return Groom(name or "drape", rest, faces, weights, body.scalp.uv_at(faces, weights), licence)
 
 
-def strands_reference(
-    interpolation: GuideInterpolation, guides: Float[np.ndarray, "s n 3"], body_vertices: Float[np.ndarray, "v 3"]
-) -> Float[np.ndarray, "m n 3"]:
-    """Slow twin of `GuideInterpolation.strands`, in the precision of its input."""
-    relative = guides - guides[:, :1]
-    axes = axis_projection(guides.shape[1]).astype(guides.dtype) @ relative
-    finer = (relative - axes)[interpolation.guides[:, 0]]
-    shares = interpolation.weights.astype(guides.dtype)
-    shares[:, 1:] *= togetherness(axes, interpolation.guide_lengths, _pairs(interpolation.guides))
-    shares /= shares.sum(1, keepdims=True)
-    mixed = (shares[..., None, None] * axes[interpolation.guides]).sum(1)
-    roots = (interpolation.root_weights[..., None] * body_vertices[interpolation.carriers]).sum(1)
-    return roots[:, None] + mixed + finer
-
-
-@no_type_check
 @njit(cache=True, parallel=True, fastmath=True)
-def _split(guides: np.ndarray, projection: np.ndarray, axes: np.ndarray, finer: np.ndarray) -> None:
-    """Axis of every guide, seen from its root, and what is finer."""
+def _split(guides: np.ndarray, projection: np.ndarray, axes: np.ndarray, detail: np.ndarray) -> None:
+    """Axis of every guide, relative to its root, and the remaining detail."""
     strands, count, _ = guides.shape
     for strand in prange(strands):
         for vertex in range(count):
@@ -216,28 +199,29 @@ def _split(guides: np.ndarray, projection: np.ndarray, axes: np.ndarray, finer: 
                 for other in range(count):
                     total += projection[vertex, other] * (guides[strand, other, axis] - guides[strand, 0, axis])
                 axes[strand, vertex, axis] = total
-                finer[strand, vertex, axis] = guides[strand, vertex, axis] - guides[strand, 0, axis] - total
+                detail[strand, vertex, axis] = guides[strand, vertex, axis] - guides[strand, 0, axis] - total
 
 
-@no_type_check
+class _Mixture(NamedTuple):
+    """Fields of `GuideInterpolation`, as the kernel reads them."""
+
+    guides: np.ndarray
+    weights: np.ndarray
+    lengths: np.ndarray
+    carriers: np.ndarray
+    root_weights: np.ndarray
+
+
 @njit(cache=True, parallel=True, fastmath=True)
 def _mix(
-    axes: np.ndarray,
-    finer: np.ndarray,
-    guides: np.ndarray,
-    weights: np.ndarray,
-    lengths: np.ndarray,
-    body_vertices: np.ndarray,
-    carriers: np.ndarray,
-    root_weights: np.ndarray,
-    first: int,
-    strands: np.ndarray,
+    axes: np.ndarray, detail: np.ndarray, mixture: _Mixture, body_vertices: np.ndarray, first: int, strands: np.ndarray
 ) -> None:
+    guides, weights, lengths, carriers, root_weights = mixture
     count = strands.shape[1]
     for strand in prange(len(strands)):
         a, b, c = guides[strand]
-        share_b = weights[strand, 1] * _togetherness(axes[a], axes[b], lengths[a] + lengths[b], first)
-        share_c = weights[strand, 2] * _togetherness(axes[a], axes[c], lengths[a] + lengths[c], first)
+        share_b = weights[strand, 1] * _coherence(axes[a], axes[b], lengths[a] + lengths[b], first)
+        share_c = weights[strand, 2] * _coherence(axes[a], axes[c], lengths[a] + lengths[c], first)
         total = weights[strand, 0] + share_b + share_c
         share_b, share_c = share_b / total, share_c / total
         for axis in range(3):
@@ -251,19 +235,18 @@ def _mix(
                     + nearest
                     + share_b * (axes[b, vertex, axis] - nearest)
                     + share_c * (axes[c, vertex, axis] - nearest)
-                    + finer[a, vertex, axis]
+                    + detail[a, vertex, axis]
                 )
 
 
-@no_type_check
 @njit(cache=True, fastmath=True)
-def _togetherness(a: np.ndarray, b: np.ndarray, both_lengths: float, first: int) -> float:
-    """`togetherness` of two guides' axes."""
+def _coherence(a: np.ndarray, b: np.ndarray, both_lengths: float, first: int) -> float:
+    """`coherence` of two guides' axes."""
     last = len(a) - 1
     largest = np.float32(0.0)
     for vertex in range(first, last + 1):
         x, y, z = a[vertex, 0] - b[vertex, 0], a[vertex, 1] - b[vertex, 1], a[vertex, 2] - b[vertex, 2]
         largest = max(largest, (x * x + y * y + z * z) / np.float32(vertex * vertex))
     ratio = np.sqrt(largest) * np.float32(2 * last) / both_lengths
-    apart = min(max((ratio - np.float32(TOGETHER)) / np.float32(APART - TOGETHER), np.float32(0.0)), np.float32(1.0))
+    apart = min(max((ratio - np.float32(COHERENT)) / np.float32(DIVERGED - COHERENT), np.float32(0.0)), np.float32(1.0))
     return np.float32(1.0) - apart * apart * (np.float32(3.0) - np.float32(2.0) * apart)

@@ -1,7 +1,7 @@
-"""Where strands grow between guides: triangles of neighbouring guides, and places spread over them.
+"""Roots of strands between guides: triangles of neighbouring guides, and points distributed evenly over them.
 
 The triangulation is Delaunay's, on the scalp's chart. A strand in a triangle of guides is a mean of the three with
-barycentric weights, so that its tip has the place among their tips that its root has among their roots.
+barycentric weights, so that its tip has the same position among their tips as its root among their roots.
 """
 
 import math
@@ -13,12 +13,12 @@ from scipy.spatial import Delaunay, QhullError
 from quaffure.errors import InputError
 
 WIDEST_TRIANGLE = 4.0
-"""Longest edge of a triangle, in median spacings of the guides: across a wider gap there is no hair."""
-TOGETHER, APART = 0.2, 0.45
-"""Guides go together that are nowhere further apart than the first share of the way from their roots, and have parted
+"""Longest edge of a triangle, in median edge lengths: there is no hair across a wider gap."""
+COHERENT, DIVERGED = 0.2, 0.45
+"""Largest distance between two guides relative to the length from their roots: coherent up to the first value, diverged
 from the second on [-]."""
-# Before this share of the length there is no telling where a strand goes.
-SHORTEST_WAY = 1 / 6
+# Share of the length from which on the direction of a strand is defined.
+DIRECTION_START = 1 / 6
 # Plastic number of the R2 sequence, two coordinates that cover a square evenly at any count (M. Roberts 2018,
 # "The unreasonable effectiveness of quasirandom sequences").
 PLASTIC = 1.3247179572447460
@@ -47,12 +47,12 @@ def triangulate(
     return triangles[edges.max(axis=1) <= WIDEST_TRIANGLE * np.median(edges)].astype(np.int64)
 
 
-def spread_places(
+def sample_roots(
     triangles: Int[np.ndarray, "t 3"], roots: Float[np.ndarray, "s 3"], count: int, seed: int
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 3"]]:
-    """Places spread evenly, as dense as the guides are: the triangle of each, and the weights of its corners.
+    """Evenly distributed points with the density of the guides: the triangle of each, and its barycentric weights.
 
-    Every triangle gets its share to the nearest whole number (systematic sampling), and fills it without clumps.
+    The number in a triangle is its expectation rounded up or down (systematic sampling), without clumps inside.
     """
     generator = np.random.default_rng(seed)
     corners = roots[triangles].astype(np.float64)
@@ -69,24 +69,24 @@ def spread_places(
     return triangle, np.concatenate([1 - square.sum(axis=1, keepdims=True), square], axis=1)
 
 
-def togetherness(
+def coherence(
     axes: Float[np.ndarray, "s n 3"], lengths: Float[np.ndarray, " s"], pairs: Int[np.ndarray, "*p 2"]
 ) -> Float[np.ndarray, "*p"]:
-    """1 for two guides that go one way, 0 for two that part, as at a parting, round an ear or about a shoulder.
+    """1 for two guides of similar shape, 0 for two that diverge, as at a parting, an ear or a shoulder.
 
     Args:
-        axes: guides without their curls, seen from their roots [m].
+        axes: guides without their curls, relative to their roots [m].
         lengths: of the guides at rest [m].
     """
-    first = first_told(axes.shape[1])
+    first = first_direction_vertex(axes.shape[1])
     share = np.linspace(0, 1, axes.shape[1])[first:]
     gap = np.linalg.norm(np.diff(axes[pairs][..., first:, :], axis=-3)[..., 0, :, :], axis=-1)
-    way = lengths[pairs].mean(axis=-1)[..., None] * share
-    apart = ((gap / way).max(axis=-1) - TOGETHER) / (APART - TOGETHER)
+    length_along = lengths[pairs].mean(axis=-1)[..., None] * share
+    apart = ((gap / length_along).max(axis=-1) - COHERENT) / (DIVERGED - COHERENT)
     apart = np.clip(apart, 0, 1)
     return 1 - apart * apart * (3 - 2 * apart)
 
 
-def first_told(vertices: int) -> int:
-    """The first vertex at which it can be told where a strand goes."""
-    return math.ceil(SHORTEST_WAY * (vertices - 1))
+def first_direction_vertex(vertices: int) -> int:
+    """The first vertex at which the direction of a strand is defined."""
+    return math.ceil(DIRECTION_START * (vertices - 1))

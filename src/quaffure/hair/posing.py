@@ -1,4 +1,4 @@
-"""Pose-based groom transform, Sec. 3.3: every strand carried rigidly by its scalp triangle."""
+"""Pose-based groom transform, Sec. 3.3: every strand moves rigidly with its scalp triangle."""
 
 import torch
 
@@ -16,7 +16,7 @@ def triangle_frames(triangles: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 3 3
 
 
 def root_positions(groom: Groom, vertices: MeshVertices, body: BodyModel) -> Float[Tensor, "b s 3"]:
-    """Where the roots are on posed bodies [m]."""
+    """Positions of the roots on posed bodies [m]."""
     triangles = vertices[:, body.faces[groom.root_faces]]
     return (groom.root_barycentric[..., None] * triangles).sum(-2)
 

@@ -14,18 +14,18 @@ from quaffure.geometry.signed_distance import closest_barycentric
 from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import inside_share, pushed_out, rest_surface
 from quaffure.hair.groom import Groom
-from quaffure.hair.head_alignment import Alignment, ScalpTarget, align, refine, scalp_target
+from quaffure.hair.head_alignment import Alignment, ScalpTarget, align, refine
 from quaffure.hair.resample import resample_by_arc_length, without_degenerate
 from quaffure.hair.strands import Strands
 from quaffure.types import Tensor
 
 FARTHEST_ROOT = 0.035
-"""A root further than this from the scalp is no hair of the head [m]."""
+"""Largest distance of a root from the scalp [m]; others are dropped."""
 FEWEST_STRANDS = 20
 LARGEST_MEDIAN_RESIDUAL = 0.012  # m
 LEAST_KEPT = 0.2  # of the strands
 MOST_INSIDE = 5e-4  # of the vertices
-# Third singular value of the roots over the first: below, they lie on a line or a plane, or in one point.
+# Smallest ratio of the third singular value of the roots to the first: below, they are on a line or a plane.
 FLATTEST = 0.03
 NEIGHBOURS = 16  # scalp triangles tried for the nearest point of a root
 TARGET_ROWS = 40
@@ -33,7 +33,7 @@ TARGET_ROWS = 40
 
 @dataclass(frozen=True)
 class HeadMesh:
-    """The head that a groom was made on, in the groom's units and axes.
+    """The head of a groom, in the groom's units and axes.
 
     Attributes:
         vertices: [file units].
@@ -46,17 +46,17 @@ class HeadMesh:
 
 @dataclass(frozen=True)
 class RegistrationReport:
-    """What registration guessed, and how well it went.
+    """Estimates and residuals of a registration.
 
     Attributes:
-        source: where the strands came from.
-        unit: of the file: m, cm, mm, inch, or the size of a unit of its own.
+        source: the file of the strands.
+        unit: of the file: m, cm, mm, inch, or its size where it has no name.
         up_axis: of the file, as in "+y".
         scale: metres in a file unit.
         rotation: from the file's axes to ours.
         median_residual, p95_residual, max_residual: distance of the aligned roots from the scalp, kept strands [mm].
         kept, dropped: strands; dropped are those without length or too far from the scalp.
-        inside_before, inside_after: share of vertices, roots left out, inside the body: on arrival and at the end.
+        inside_before, inside_after: share of vertices, without the roots, inside the body: when aligned and at the end.
     """
 
     source: str
@@ -90,17 +90,17 @@ def register_groom(
     licence: str = "",
     surface: Surface | None = None,
 ) -> tuple[Groom, RegistrationReport]:
-    """Carry a groom to our scalp, resampled to the common number of vertices.
+    """Transform a groom to our scalp, resampled to the common number of vertices.
 
-    Units, axes and place are guessed by fitting the roots to the scalp (and the groom's own head, if given, to our
-    head) with a similarity transform. Each root then moves to the nearest point of the scalp and takes its strand
-    along; strands are pushed out of the body with their lengths kept.
+    Units, axes and position are estimated by fitting the roots to the scalp (and the groom's own head, if given, to
+    our head) with a similarity transform. Each strand is then translated so that its root is the nearest point of the
+    scalp; strands are projected out of the body with their lengths kept.
 
     Args:
-        surface: of the body at rest, when at hand (`rest_surface`).
+        surface: of the body at rest, if available (`rest_surface`).
 
     Raises:
-        InputError: too few strands, roots that do not cover a part of a head, or no fit good enough.
+        InputError: too few strands, roots that do not cover a part of a head, or a poor fit.
     """
     usable, degenerate = without_degenerate(strands)
     polylines = resample_by_arc_length(usable, VERTICES_PER_STRAND).astype(np.float64)
@@ -112,18 +112,18 @@ def register_groom(
         alignment = _align_heads(alignment, head, polylines[:, 0], body)
     surface = surface or rest_surface(body)
     aligned = alignment.transform(polylines)
-    faces, barycentric, feet = nearest_on_scalp(torch.from_numpy(aligned[:, 0]).float(), body)
-    offset = feet.double().numpy() - aligned[:, 0]
+    faces, barycentric, closest = nearest_on_scalp(torch.from_numpy(aligned[:, 0]).float(), body)
+    offset = closest.double().numpy() - aligned[:, 0]
     residual = np.linalg.norm(offset, axis=1)
     near = residual <= FARTHEST_ROOT
     _check_fit(strands.source, residual, near)
     kept = torch.from_numpy(np.flatnonzero(near))
-    arrived = torch.from_numpy((aligned + offset[:, None])[near]).float()
-    arrived[:, 0] = feet[kept]
-    rest = pushed_out(arrived, surface)
+    placed = torch.from_numpy((aligned + offset[:, None])[near]).float()
+    placed[:, 0] = closest[kept]
+    rest = pushed_out(placed, surface)
     groom = Groom(name, rest, faces[kept], barycentric[kept], body.scalp.uv_at(faces[kept], barycentric[kept]), licence)
     dropped = degenerate + int((~near).sum())
-    report = _report(strands.source, alignment, residual[near], dropped, arrived, rest, surface)
+    report = _report(strands.source, alignment, residual[near], dropped, placed, rest, surface)
     if report.inside_after > MOST_INSIDE:
         raise InputError(
             strands.source, f"at most {100 * MOST_INSIDE} % of vertices inside", f"{100 * report.inside_after:.3f} %"
@@ -134,21 +134,21 @@ def register_groom(
 def nearest_on_scalp(
     points: Float[Tensor, "p 3"], body: BodyModel
 ) -> tuple[Int[Tensor, " p"], Float[Tensor, "p 3"], Float[Tensor, "p 3"]]:
-    """Body face, barycentric coordinates and place of the scalp's point nearest to each of `points` [m]."""
+    """Body face, barycentric coordinates and position of the scalp's point closest to each of `points` [m]."""
     triangles = body.rest_vertices[body.faces[body.scalp.faces]]
     centroids = triangles.mean(1)
-    faces, weights, feet = [], [], []
+    faces, weights, closest = [], [], []
     for part in points.split(4096):
         near = torch.cdist(part, centroids).topk(min(NEIGHBOURS, len(centroids)), largest=False).indices
         candidates = triangles[near]
         barycentric, _ = closest_barycentric(part[:, None].expand(-1, near.shape[1], -1), candidates)
-        places = (barycentric[..., None] * candidates).sum(-2)
-        best = (places - part[:, None]).square().sum(-1).argmin(1)
+        positions = (barycentric[..., None] * candidates).sum(-2)
+        best = (positions - part[:, None]).square().sum(-1).argmin(1)
         rows = torch.arange(len(part))
         faces.append(body.scalp.faces[near[rows, best]])
         weights.append(barycentric[rows, best])
-        feet.append(places[rows, best])
-    return torch.cat(faces), torch.cat(weights), torch.cat(feet)
+        closest.append(positions[rows, best])
+    return torch.cat(faces), torch.cat(weights), torch.cat(closest)
 
 
 def _target(body: BodyModel) -> ScalpTarget:
@@ -163,10 +163,10 @@ def _target(body: BodyModel) -> ScalpTarget:
     corners = body.faces[faces[kept]]
     points = (barycentric[kept][..., None] * body.rest_vertices[corners]).sum(-2)
     normals = (barycentric[kept][..., None] * _vertex_normals(body)[corners]).sum(-2)
-    return scalp_target(
+    return ScalpTarget(
         points.double().numpy(),
         torch.nn.functional.normalize(normals, dim=-1).double().numpy(),
-        (~surrounded).flatten()[kept].long().numpy(),
+        (~surrounded).flatten()[kept].numpy(),
     )
 
 
@@ -176,17 +176,17 @@ def _vertex_normals(body: BodyModel) -> Float[Tensor, "v 3"]:
 
 
 def _align_heads(alignment: Alignment, head: HeadMesh, roots: Float[np.ndarray, "s 3"], body: BodyModel) -> Alignment:
-    """Fit the cranium of the groom's head, all that is higher than its lowest root, to ours."""
+    """Fit the cranium of the groom's head, the part above its lowest root, to ours."""
     lowest = np.quantile(alignment.transform(roots)[:, 2], 0.02)
     vertices = head.vertices[np.unique(head.faces)]
     cranium = vertices[alignment.transform(vertices)[:, 2] > lowest]
     if len(cranium) < FEWEST_STRANDS:
         raise InputError("head", "a head that reaches above the roots of its groom", f"{len(cranium)} vertices there")
     ours = body.rest_vertices[:, 2] > lowest - 0.03
-    target = scalp_target(
+    target = ScalpTarget(
         body.rest_vertices[ours].double().numpy(),
         _vertex_normals(body)[ours].double().numpy(),
-        np.zeros(int(ours.sum()), dtype=np.int64),
+        np.zeros(int(ours.sum()), dtype=bool),
     )
     return refine(alignment, cranium, target, (0.9, 1.1))
 
@@ -195,16 +195,13 @@ def _check_roots(roots: Float[np.ndarray, "s 3"], source: str) -> None:
     if len(roots) < FEWEST_STRANDS:
         raise InputError(source, f"at least {FEWEST_STRANDS} strands", str(len(roots)))
     values = np.linalg.svd(roots - roots.mean(0), compute_uv=False)
-    if values[0] <= 1e-6 * (1 + np.abs(roots).max()) or values[2] < FLATTEST * values[0]:
-        flat = "one point" if values[0] <= 1e-6 * (1 + np.abs(roots).max()) else "a line or a plane"
+    in_one_point = values[0] <= 1e-6 * (1 + np.abs(roots).max())
+    if in_one_point or values[2] < FLATTEST * values[0]:
+        flat = "one point" if in_one_point else "a line or a plane"
         raise InputError(source, "roots spread over a part of a head", f"roots in {flat}")
 
 
-def _check_fit(
-    source: str,
-    residual: Float[np.ndarray, " s"],
-    near: Bool[np.ndarray, " s"],
-) -> None:
+def _check_fit(source: str, residual: Float[np.ndarray, " s"], near: Bool[np.ndarray, " s"]) -> None:
     if near.sum() < max(FEWEST_STRANDS, LEAST_KEPT * len(near)):
         reach = f"roots within {1e3 * FARTHEST_ROOT:.0f} mm of the scalp once aligned"
         raise InputError(source, reach, f"{int(near.sum())} of {len(near)} there")
@@ -219,7 +216,7 @@ def _report(
     alignment: Alignment,
     residual: Float[np.ndarray, " s"],
     dropped: int,
-    arrived: Float[Tensor, "s n 3"],
+    placed: Float[Tensor, "s n 3"],
     rest: Float[Tensor, "s n 3"],
     surface: Surface,
 ) -> RegistrationReport:
@@ -227,5 +224,5 @@ def _report(
     rotation = tuple(tuple(float(x) for x in row) for row in alignment.transform.rotation)
     return RegistrationReport(
         source, alignment.unit, alignment.up_axis, alignment.transform.scale, rotation, median, high, largest,
-        len(rest), dropped, inside_share(arrived, surface), inside_share(rest, surface),
+        len(rest), dropped, inside_share(placed, surface), inside_share(rest, surface),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Strands of any length of polyline, brought to a common number of vertices."""
+"""Resampling of ragged polylines to a common number of vertices."""
 
 import numpy as np
 from jaxtyping import Float
@@ -32,7 +32,7 @@ def polyline_lengths(strands: Strands) -> Float[np.ndarray, " s"]:
 
 
 def without_degenerate(strands: Strands) -> tuple[Strands, int]:
-    """The strands that have a length, and how many had none to speak of.
+    """The strands of sufficient length, and the number of the others.
 
     Raises:
         InputError: none has.

@@ -1,16 +1,18 @@
-"""Where strands grow from: roots spread evenly over the scalp, and the smooth normals under them."""
+"""Strand roots distributed evenly over the scalp, with smooth normals."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch.nn.functional import normalize
 
 from quaffure.body.body_model import BodyModel
+from quaffure.body.scalp import texel_index
 from quaffure.config import TEXTURE_SIZE
 from quaffure.geometry.mesh import angle_weighted_vertex_normals
 from quaffure.types import Float, Int, Tensor
 
-# Roots stay this share of a cell clear of its border.
+# Largest random offset of a root, as a share of its cell.
 JITTER = 0.35
 
 
@@ -19,12 +21,12 @@ class ScalpRoots:
     """Roots of strands on the mean body at rest.
 
     Attributes:
-        faces: body faces that carry them.
-        barycentric: where in those faces.
-        uv: where on the scalp chart.
+        faces: body faces under the roots.
+        barycentric: coordinates in those faces.
+        uv: positions on the scalp chart.
         points: positions [m].
-        normals: unit, outwards; the scalp's own, the ears beside it do not bend them.
-        head: the body's Head joint, from which heights are counted [m].
+        normals: unit, outwards; of the scalp's triangles alone, without the ears.
+        head: the body's Head joint, the origin of heights [m].
     """
 
     faces: Int[Tensor, " s"]
@@ -39,19 +41,14 @@ class ScalpRoots:
 
     @property
     def from_head(self) -> Float[Tensor, "s 3"]:
-        """Positions seen from the Head joint [m]."""
+        """Positions relative to the Head joint [m]."""
         return self.points - self.head
 
     def select(self, strands: Int[Tensor, " m"]) -> "ScalpRoots":
-        """Some of the roots, in the order given."""
-        return ScalpRoots(
-            self.faces[strands],
-            self.barycentric[strands],
-            self.uv[strands],
-            self.points[strands],
-            self.normals[strands],
-            self.head,
-        )
+        """Some of the roots, in the given order."""
+        names = ("faces", "barycentric", "uv", "points", "normals")
+        changes: dict[str, Any] = {name: getattr(self, name)[strands] for name in names}
+        return replace(self, **changes)
 
 
 def spread_roots(body: BodyModel, rows: int, generator: torch.Generator) -> ScalpRoots:
@@ -64,12 +61,10 @@ def spread_roots(body: BodyModel, rows: int, generator: torch.Generator) -> Scal
     even = torch.stack([u, v], dim=-1).reshape(-1, 2)
     even = even[body.scalp.locate(even)[0] >= 0]
     uv = even + JITTER / rows * (2 * torch.rand(even.shape, generator=generator) - 1)
-    # Where the jitter leaves the scalp or crowds a texel, it is taken back.
+    # Where the jitter leaves the scalp or shares a texel, it is undone.
     for _ in range(len(even)):
-        row, column = body.scalp.texels(uv, TEXTURE_SIZE).unbind(-1)
-        texel, visits = torch.unique(row * TEXTURE_SIZE + column, return_inverse=True)
-        crowded = torch.bincount(visits, minlength=len(texel))[visits] > 1
-        bad = ((body.scalp.locate(uv)[0] < 0) | crowded) & (uv != even).any(-1)
+        _, texel, counts = torch.unique(texel_index(uv, TEXTURE_SIZE), return_inverse=True, return_counts=True)
+        bad = ((body.scalp.locate(uv)[0] < 0) | (counts[texel] > 1)) & (uv != even).any(-1)
         if not bad.any():
             break
         uv = torch.where(bad[:, None], even, uv)
@@ -77,7 +72,7 @@ def spread_roots(body: BodyModel, rows: int, generator: torch.Generator) -> Scal
 
 
 def roots_at(body: BodyModel, uv: Float[Tensor, "s 2"]) -> ScalpRoots:
-    """Roots at places of the scalp chart."""
+    """Roots at points of the scalp chart."""
     faces, barycentric = body.scalp.locate(uv)
     corners = body.faces[faces]
     points = (barycentric[..., None] * body.rest_vertices[corners]).sum(-2)

@@ -1,4 +1,4 @@
-"""The scalp as a texture: one strand in a texel, and features of strands to textures and back."""
+"""Scalp textures: at most one strand in a texel, and conversion of strand features to textures and back."""
 
 import torch
 
@@ -10,7 +10,7 @@ from quaffure.types import Bool, Float, Int, Tensor
 def select_guides(groom: Groom, size: int = TEXTURE_SIZE) -> Groom:
     """At most one strand in a texel: the one whose root is nearest to the texel's centre. Ordered by texel.
 
-    The choice does not depend on the order of the strands: ties are broken by where root and tip are.
+    The choice does not depend on the order of the strands: ties are broken by the positions of root and tip.
     """
     texels = groom.texels(size)
     centre = torch.stack([texels % size, texels // size], dim=1) + 0.5
@@ -28,7 +28,7 @@ def select_guides(groom: Groom, size: int = TEXTURE_SIZE) -> Groom:
 def encode(
     groom: Groom, features: Float[Tensor, "*batch s c"], size: int = TEXTURE_SIZE
 ) -> tuple[Float[Tensor, "*batch h w c"], Bool[Tensor, "h w"]]:
-    """Features of strands as a texture, zero where no strand grows, and the mask of texels that hold one.
+    """Features of strands as a texture, zero in texels without a strand, and the mask of texels with one.
 
     Raises:
         ValueError: two strands fall into one texel (`select_guides` leaves one).
@@ -42,7 +42,7 @@ def encode(
 
 
 def decode(texture: Float[Tensor, "*batch h w c"], groom: Groom) -> Float[Tensor, "*batch s c"]:
-    """What a texture holds at each strand's texel; undoes `encode` exactly."""
+    """Values of a texture at each strand's texel; the exact inverse of `encode`."""
     return gather_texels(texture.flatten(-3, -2), groom.texels(texture.shape[-2]))
 
 
@@ -52,7 +52,7 @@ def gather_texels(flat: Float[Tensor, "*batch t c"], texels: Int[Tensor, " s"]) 
 
 
 def texel_mask(groom: Groom, size: int = TEXTURE_SIZE) -> Bool[Tensor, "h w"]:
-    """Texels that hold a strand."""
+    """Texels with a strand."""
     mask = torch.zeros(size * size, dtype=torch.bool, device=groom.root_uv.device)
     mask[groom.texels(size)] = True
     return mask.view(size, size)

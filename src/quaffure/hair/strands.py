@@ -1,4 +1,4 @@
-"""Strands as a file holds them: ragged, in the file's own units and axes."""
+"""Strands of a file: ragged, in the file's own units and axes."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ class Strands:
     Attributes:
         points: all vertices of all strands one after another [file units].
         counts: vertices of each strand, roots first; each at least 2.
-        source: where they came from, for messages.
+        source: the file, for messages.
     """
 
     points: Float[np.ndarray, "p 3"]

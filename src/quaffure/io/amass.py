@@ -1,8 +1,8 @@
 """Reads AMASS-style motion: an `.npz` with `poses`, the joint rotations of SMPL, SMPL-H or SMPL-X, and a frame rate.
 
 All three models start with the same 22 joints; fingers, jaw and eyes that follow are not used, nor is `trans` (hair is
-quasi-static and does not feel where the body is). AMASS's world is z up while SMPL's rest pose is y up and faces +z:
-the root's rotation holds the change of axes. Files made for y-up tools lack it; they are told apart by the pelvis,
+quasi-static and independent of the body's position). AMASS's world is z up while SMPL's rest pose is y up and faces +z:
+the root's rotation holds the change of axes. Files made for y-up tools lack it; they are recognised by the pelvis,
 whose own up axis then points along the world's y (mean above `Y_UP_COSINE`).
 """
 
@@ -18,15 +18,15 @@ from quaffure.body.motion import Motion, filter_flips, resample
 from quaffure.body.retargeting import (
     BODY_FROM_Y_UP,
     RETARGET_FPS,
-    JointSource,
     align_bone,
     body_bone,
     local_pose,
+    read_rig,
     source_rotation,
 )
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
-from quaffure.io.npz_strands import read_npz
+from quaffure.npz import read_numbers
 
 # SMPL's body joints, in the order of `poses`, and each one's parent.
 SMPL_JOINTS = (
@@ -42,32 +42,7 @@ Y_UP_COSINE = 0.8
 REST_ARM_DIRECTION = {"Left": (1.0, 0.0, 0.0), "Right": (-1.0, 0.0, 0.0)}
 
 
-def _sided(side: str) -> dict[str, JointSource]:
-    source = side.lower()
-    return {
-        f"{side[0]}HipJoint": JointSource(("pelvis",)),
-        f"{side}UpLeg": JointSource((f"{source}_hip",)),
-        f"{side}Leg": JointSource((f"{source}_knee",)),
-        f"{side}Foot": JointSource((f"{source}_ankle",)),
-        f"{side}ToeBase": JointSource((f"{source}_foot",)),
-        f"{side}Shoulder": JointSource((f"{source}_collar",)),
-        f"{side}Arm": JointSource((f"{source}_shoulder",), (f"{side}ForeArm", f"{source}_elbow")),
-        f"{side}ForeArm": JointSource((f"{source}_elbow",), (f"{side}Hand", f"{source}_wrist")),
-        f"{side}Hand": JointSource((f"{source}_wrist",), (f"{side}FingerBase", f"{source}_wrist")),
-    }
-
-
-SMPL_BODY: dict[str, JointSource] = {
-    "Hips": JointSource(("pelvis",)),
-    "LowerBack": JointSource(("spine1",)),
-    "Spine": JointSource(("spine2",)),
-    "Spine1": JointSource(("spine3",)),
-    "Neck": JointSource(("spine3", "neck")),
-    "Neck1": JointSource(("neck",)),
-    "Head": JointSource(("head",)),
-    **_sided("Left"),
-    **_sided("Right"),
-}
+SMPL_BODY = read_rig("smpl")
 
 
 def read_amass(path: Path, body: BodyModel) -> Motion:
@@ -76,7 +51,7 @@ def read_amass(path: Path, body: BodyModel) -> Motion:
     Raises:
         InputError: not an `.npz`, no `poses` [F >= 1, >= 66] or frame rate in it, or a number that is not finite.
     """
-    arrays = read_npz(path, ("poses", *FRAME_RATE_KEYS))
+    arrays = read_numbers(path, ("poses", *FRAME_RATE_KEYS))
     if "poses" not in arrays:
         raise InputError(path, "an array poses [frames, 66 or more], as in AMASS", "none")
     poses = arrays["poses"]
@@ -110,12 +85,12 @@ def _world_rotations(poses: Float[Tensor, "f 66"]) -> dict[str, Float[Tensor, "f
 
 def _on_body(world: dict[str, Float[Tensor, "f 3 3"]], body: BodyModel) -> dict[str, Float[Tensor, "f 3 3"]]:
     """World rotations by the body's joint names; see the formula in `quaffure.body.retargeting`."""
-    turned: dict[str, Tensor] = {}
+    rotations: dict[str, Tensor] = {}
     for name, source in SMPL_BODY.items():
         rotation = source_rotation(source, world)
         if source.bone_ends is not None:
             direction = REST_ARM_DIRECTION["Left" if name.startswith("Left") else "Right"]
             bone = body_bone(body, name, source.bone_ends[0])
             rotation = rotation @ align_bone(bone, torch.tensor(direction, dtype=torch.float64))
-        turned[name] = rotation
-    return turned
+        rotations[name] = rotation
+    return rotations

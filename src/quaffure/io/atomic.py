@@ -11,9 +11,9 @@ from quaffure.errors import InputError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a path beside `path`, with the same suffix, that takes its place when the block ends well.
+    """Yield a path in the same folder, with the same suffix, that replaces `path` when the block ends well.
 
-    When the block raises, the temporary file is removed and whatever stood at `path` stays as it was.
+    When the block raises, the temporary file is removed and a file at `path` stays as it was.
 
     Raises:
         InputError: the folder of `path` does not exist or is not writable.
@@ -49,7 +49,7 @@ def check_folder_of(path: Path) -> None:
 
 
 def made_folder(path: Path, what: str) -> Path:
-    """The folder, with those that it lies in, made where it does not exist.
+    """The folder, made with its parents where it does not exist.
 
     Args:
         what: what it is, for the error: `a folder for drapes`.

@@ -8,7 +8,7 @@ from quaffure.errors import InputError
 
 
 class BinaryCursor:
-    """The bytes of a file and a place in them.
+    """The bytes of a file and a position in them.
 
     Args:
         path: the file; read whole.
@@ -28,7 +28,7 @@ class BinaryCursor:
         """Check that `count` items still fit between here and the end of the file.
 
         Raises:
-            InputError: they do not; tells the bytes that were expected and the bytes that are there.
+            InputError: they do not; names the bytes that were expected and those that were found.
         """
         end = self.offset + count * bytes_each
         if end > len(self.content):

@@ -4,9 +4,9 @@ There is no standard; this follows what Biovision's own files, MotionBuilder and
 agree on. Joint names may hold spaces; `End Site` blocks only mark the ends of bones and are skipped.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -36,16 +36,20 @@ class _Lines:
         self.next_index += 1
         return self.lines[self.next_index - 1][1]
 
+    def skip(self, keyword: str) -> None:
+        """Pass over a line that is one keyword."""
+        if (line := self.take(keyword)).upper() != keyword:
+            self.fail(keyword, f"'{line[:40]}'")
+
     def fail(self, expected: str, found: str) -> NoReturn:
         raise InputError(f"{self.path}, line {self.number}", expected, found)
 
 
-@dataclass
-class _Skeleton:
-    names: list[str] = field(default_factory=list)
-    parents: list[int] = field(default_factory=list)
-    offsets: list[list[float]] = field(default_factory=list)
-    channels: list[tuple[str, ...]] = field(default_factory=list)
+class _Joint(NamedTuple):
+    name: str
+    parent: int
+    offset: list[float]
+    channels: tuple[str, ...]
 
 
 def read_bvh(path: Path) -> BvhClip:
@@ -57,14 +61,14 @@ def read_bvh(path: Path) -> BvhClip:
             the line.
     """
     lines = _read_lines(path)
-    skeleton = _parse_hierarchy(lines)
+    names, parents, offsets, channels = zip(*_parse_hierarchy(lines))
     frame_count, frame_time = _parse_motion_header(lines)
-    values = _parse_frames(lines, frame_count, sum(len(names) for names in skeleton.channels))
+    values = _parse_frames(lines, frame_count, sum(map(len, channels)))
     return BvhClip(
-        joint_names=tuple(skeleton.names),
-        parents=np.array(skeleton.parents, dtype=np.int64),
-        offsets=np.array(skeleton.offsets, dtype=np.float64),
-        channels=tuple(skeleton.channels),
+        joint_names=names,
+        parents=np.array(parents, dtype=np.int64),
+        offsets=np.array(offsets, dtype=np.float64),
+        channels=channels,
         values=values,
         frame_time=frame_time,
         source=str(path),
@@ -82,51 +86,34 @@ def _read_lines(path: Path) -> _Lines:
     return _Lines(path, [(number, line) for number, line in lines if line], last=max(len(lines), 1))
 
 
-def _parse_hierarchy(lines: _Lines) -> _Skeleton:
+def _parse_hierarchy(lines: _Lines) -> list[_Joint]:
     """Joints in file order. A loop with a stack, so that a file nested ten thousand deep is no trap."""
-    if (line := lines.take("HIERARCHY")).upper() != "HIERARCHY":
-        lines.fail("HIERARCHY", f"'{line[:40]}'")
-    skeleton = _Skeleton()
+    lines.skip("HIERARCHY")
+    joints: list[_Joint] = []
     open_joints: list[int] = []
-    while open_joints or not skeleton.names:
-        word, _, rest = lines.take("ROOT" if not skeleton.names else "JOINT, End Site or }").partition(" ")
+    while open_joints or not joints:
+        word, _, rest = lines.take("ROOT" if not joints else "JOINT, End Site or }").partition(" ")
         if word == "}" and open_joints:
             open_joints.pop()
         elif word.upper() == ("JOINT" if open_joints else "ROOT"):
-            open_joints.append(_parse_joint(lines, skeleton, rest.strip(), open_joints[-1] if open_joints else -1))
+            joints.append(_parse_joint(lines, joints, rest.strip(), open_joints[-1] if open_joints else -1))
+            open_joints.append(len(joints) - 1)
         elif word.upper() == "END" and open_joints:
-            _skip_end_site(lines)
+            lines.skip("{")
+            _parse_offset(lines)
+            lines.skip("}")
         else:
             lines.fail("JOINT, End Site or }" if open_joints else "ROOT and its name", f"'{f'{word} {rest}'[:40]}'")
-    return skeleton
+    return joints
 
 
-def _parse_joint(lines: _Lines, skeleton: _Skeleton, name: str, parent: int) -> int:
-    """Append one joint's opening lines to `skeleton`; its index."""
+def _parse_joint(lines: _Lines, others: list[_Joint], name: str, parent: int) -> _Joint:
     if not name:
         lines.fail("a joint name", "none")
-    if name in skeleton.names:
+    if any(name == other.name for other in others):
         lines.fail("joint names that differ", f"'{name}' twice")
-    _parse_brace(lines)
-    offset = _parse_offset(lines)
-    channels = _parse_channels(lines)
-    skeleton.names.append(name)
-    skeleton.parents.append(parent)
-    skeleton.offsets.append(offset)
-    skeleton.channels.append(channels)
-    return len(skeleton.names) - 1
-
-
-def _skip_end_site(lines: _Lines) -> None:
-    _parse_brace(lines)
-    _parse_offset(lines)
-    if (line := lines.take("}")) != "}":
-        lines.fail("}", f"'{line[:40]}'")
-
-
-def _parse_brace(lines: _Lines) -> None:
-    if (line := lines.take("{")) != "{":
-        lines.fail("{", f"'{line[:40]}'")
+    lines.skip("{")
+    return _Joint(name, parent, _parse_offset(lines), _parse_channels(lines))
 
 
 def _parse_offset(lines: _Lines) -> list[float]:
@@ -151,8 +138,7 @@ def _parse_channels(lines: _Lines) -> tuple[str, ...]:
 
 def _parse_motion_header(lines: _Lines) -> tuple[int, float]:
     """Number of frames and seconds per frame."""
-    if (line := lines.take("MOTION")).upper() != "MOTION":
-        lines.fail("MOTION", f"'{line[:40]}'")
+    lines.skip("MOTION")
     label, _, count = lines.take("Frames: and their number").partition(":")
     if label.strip().lower() != "frames" or not count.strip().isdecimal() or int(count) < 1:
         lines.fail("Frames: and a number above 0", f"'{label}:{count}'"[:60])

@@ -1,10 +1,6 @@
 """The drape file: a `DrapeSequence` as one `.npz`, readable without this package."""
 
 import json
-import math
-import struct
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,20 +10,20 @@ import numpy as np
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.io.atomic import replacing
+from quaffure.npz import INTEGER, NUMBER, TEXT, Spec, check_arrays, read_arrays
 
 # F frames, S strands, N vertices of a strand, E = N - 1, V body vertices, K body faces.
-SHAPES = {
-    "strands": ("F", "S", "N", 3),
-    "posed": ("F", "S", "N", 3),
-    "rest_lengths": ("S", "E"),
-    "body_vertices": ("F", "V", 3),
-    "body_faces": ("K", 3),
-    "body_pose": ("F", 81),
-    "body_shape": (10,),
-    "fps": (),
+SPEC: Spec = {
+    "strands": (("F", "S", "N", 3), NUMBER),
+    "posed": (("F", "S", "N", 3), NUMBER),
+    "rest_lengths": (("S", "E"), NUMBER),
+    "body_vertices": (("F", "V", 3), NUMBER),
+    "body_faces": (("K", 3), INTEGER),
+    "body_pose": (("F", 81), NUMBER),
+    "body_shape": ((10,), NUMBER),
+    "fps": ((), NUMBER),
 }
-# Deflate never packs tighter than this; a member that claims more is a forged header.
-LARGEST_COMPRESSION = 1032
+DRAPE_FILE = "a drape file (.npz)"
 
 
 def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] | None = None) -> None:
@@ -39,8 +35,8 @@ def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] |
     Raises:
         InputError: `path` cannot be written, or the sequence breaks the contract of the file.
     """
-    arrays = {name: np.asarray(getattr(seq, name), dtype=_dtype(name)) for name in SHAPES}
-    _check_contract(arrays, path)
+    arrays = {name: np.asarray(getattr(seq, name), dtype=_dtype(name)) for name in SPEC}
+    _check_meaning(arrays, check_arrays(arrays, SPEC, path, DRAPE_FILE), path)
     meta = np.array(json.dumps(seq.meta, ensure_ascii=False))
     with replacing(path) as temporary, temporary.open("wb") as file:
         # Not compressed: float positions shrink by a tenth at ten times the writing time.
@@ -53,20 +49,10 @@ def read_drape(path: Path) -> DrapeSequence:
     Raises:
         InputError: no such file, not a drape file, or a broken one.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            missing = [name for name in (*SHAPES, "meta") if name not in names]
-            if missing:
-                raise InputError(path, f"the arrays {', '.join((*SHAPES, 'meta'))}", f"no {', '.join(missing)}")
-            found = {name: _read_member(archive, names[name], path) for name in (*SHAPES, "meta")}
-    except FileNotFoundError as error:
-        raise InputError(path, "a drape file (.npz)", "no such file") from error
-    except (OSError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
-        raise InputError(path, "a drape file (.npz)", f"no readable archive ({error})") from error
+    found, sizes = read_arrays(path, {**SPEC, "meta": ((), TEXT)}, DRAPE_FILE)
     meta = _parse_meta(found.pop("meta"), path)
-    arrays = {name: _numbers(array, name, path) for name, array in found.items()}
-    _check_contract(arrays, path)
+    arrays = {name: array.astype(_dtype(name), copy=False) for name, array in found.items()}
+    _check_meaning(arrays, sizes, path)
     fps = float(arrays.pop("fps"))
     return DrapeSequence(**arrays, fps=fps, meta=meta)
 
@@ -75,58 +61,17 @@ def _dtype(name: str) -> np.dtype:
     return np.dtype({"body_faces": "i4", "fps": "f8"}.get(name, "f4"))
 
 
-def _read_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, path: Path) -> np.ndarray:
-    if info.file_size > LARGEST_COMPRESSION * max(info.compress_size, 1):
-        raise InputError(path, f"an honest size of {info.filename}", f"{info.file_size} bytes in {info.compress_size}")
-    try:
-        with archive.open(info) as member:
-            version = np.lib.format.read_magic(member)
-            read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-            if version not in read_header:
-                raise ValueError(f"version {version} of the npy format")
-            shape, _, dtype = read_header[version](member)
-            size = math.prod(shape) * dtype.itemsize
-        if size >= info.file_size:
-            raise ValueError(f"shape {shape} in {info.file_size} bytes")
-        with archive.open(info) as member:
-            return np.lib.format.read_array(member, allow_pickle=False)
-    except (ValueError, TypeError, SyntaxError, struct.error) as error:
-        raise InputError(path, f"a plain array {info.filename}", str(error)) from error
-
-
-def _numbers(array: np.ndarray, name: str, path: Path) -> np.ndarray:
-    kinds = "iu" if name == "body_faces" else "fiu"
-    if array.dtype.kind not in kinds:
-        raise InputError(path, f"{name} of {_dtype(name)}", f"{array.dtype}")
-    return array.astype(_dtype(name), copy=False)
-
-
 def _parse_meta(array: np.ndarray, path: Path) -> dict[str, Any]:
     try:
-        meta = json.loads(str(array)) if array.ndim == 0 and array.dtype.kind == "U" else None
+        meta = json.loads(str(array))
     except (json.JSONDecodeError, RecursionError):
         meta = None
     if not isinstance(meta, dict):
-        raise InputError(path, "meta, a JSON object in a string", f"{array.dtype} {str(array)[:60]!r}")
+        raise InputError(path, "meta, a JSON object in a string", f"{str(array)[:60]!r}")
     return meta
 
 
-def _check_contract(arrays: dict[str, np.ndarray], path: Path) -> None:
-    sizes: dict[str | int, int] = {}
-    for name, axes in SHAPES.items():
-        shape = arrays[name].shape
-        if len(shape) == len(axes):
-            for axis, size in zip(axes, shape):
-                sizes.setdefault(axis, size if isinstance(axis, str) else int(axis))
-        expected = tuple(sizes.get(axis, axis) for axis in axes)
-        if shape != expected:
-            raise InputError(path, f"{name} of shape {expected}", f"{shape}")
-        if not np.isfinite(arrays[name]).all():
-            raise InputError(path, f"finite {name}", "NaN or infinity")
-    _check_meaning(arrays, sizes, path)
-
-
-def _check_meaning(arrays: dict[str, np.ndarray], sizes: dict[str | int, int], path: Path) -> None:
+def _check_meaning(arrays: dict[str, np.ndarray], sizes: dict[str, int], path: Path) -> None:
     if min(sizes["F"], sizes["S"]) < 1 or sizes["N"] < 2 or sizes["E"] != sizes["N"] - 1:
         raise InputError(
             path,

@@ -1,7 +1,5 @@
 """The groom file: a registered `Groom` as one `.npz`, readable without this package."""
 
-import math
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +9,16 @@ from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import replacing
+from quaffure.npz import INTEGER, REAL, TEXT, Spec, array_names, read_arrays
 
-NUMBERS: dict[str, tuple[tuple[str | int, ...], str]] = {
-    "rest_strands": (("S", "N", 3), "f"),
-    "root_faces": (("S",), "iu"),
-    "root_barycentric": (("S", 3), "f"),
-    "root_uv": (("S", 2), "f"),
+NUMBERS: Spec = {
+    "rest_strands": (("S", "N", 3), REAL),
+    "root_faces": (("S",), INTEGER),
+    "root_barycentric": (("S", 3), REAL),
+    "root_uv": (("S", 2), REAL),
 }
 TEXTS = ("name", "licence")
-LARGEST_COMPRESSION = 1032  # deflate never packs tighter; a member that claims more is forged
-ROOT_SLACK = 2e-3  # m: between a strand's first vertex and its place on the scalp
+ROOT_SLACK = 2e-3  # m: between a strand's first vertex and its root on the scalp
 LONGEST_STRAND = 3.0  # m
 BARYCENTRIC_SLACK = 1e-3
 
@@ -37,12 +35,8 @@ def write_groom(path: Path, groom: Groom) -> None:
 
 
 def is_groom_file(path: Path) -> bool:
-    """Whether an `.npz` holds a registered groom rather than strands of unknown place."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return {f"{name}.npy" for name in NUMBERS} <= set(archive.namelist())
-    except (OSError, zipfile.BadZipFile):
-        return False
+    """Whether an `.npz` holds a registered groom rather than strands without a body."""
+    return {*NUMBERS} <= array_names(path)
 
 
 def read_groom(path: Path, body: BodyModel) -> Groom:
@@ -54,57 +48,13 @@ def read_groom(path: Path, body: BodyModel) -> Groom:
     Raises:
         InputError: no such file, not a groom file, a broken one, or one for another body.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            missing = [name for name in (*NUMBERS, *TEXTS) if f"{name}.npy" not in archive.namelist()]
-            if missing:
-                raise InputError(path, f"the arrays {', '.join((*NUMBERS, *TEXTS))}", f"no {', '.join(missing)}")
-            arrays = {name: _read_member(archive, name, path) for name in (*NUMBERS, *TEXTS)}
-    except FileNotFoundError as error:
-        raise InputError(path, "a groom file (.npz)", "no such file") from error
-    except InputError:
-        raise
-    # On damaged bytes zipfile, zlib and numpy's header parser raise many unrelated types between them.
-    except Exception as error:
-        raise InputError(path, "an undamaged groom file (.npz)", str(error) or type(error).__name__) from error
-    _check_arrays(arrays, path, body)
-    tensors = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in NUMBERS if name != "root_faces"}
-    faces = torch.from_numpy(arrays["root_faces"].astype(np.int64))
-    return Groom(name=str(arrays["name"]), licence=str(arrays["licence"]), root_faces=faces, **tensors)
-
-
-def _read_member(archive: zipfile.ZipFile, name: str, path: Path) -> np.ndarray:
-    info = archive.getinfo(f"{name}.npy")
-    with archive.open(info) as member:
-        version = np.lib.format.read_magic(member)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read(member)
-        size = member.tell() + math.prod(shape) * dtype.itemsize
-    forged = info.file_size > LARGEST_COMPRESSION * max(info.compress_size, 1)
-    if dtype.hasobject or size != info.file_size or forged:
-        raise InputError(path, f"an array {name} of its header's size", f"{shape} {dtype} in {info.file_size} bytes")
-    with archive.open(info) as member:
-        return np.lib.format.read_array(member, allow_pickle=False)
-
-
-def _check_arrays(arrays: dict[str, np.ndarray], path: Path, body: BodyModel) -> None:
-    sizes: dict[str | int, int] = {}
-    for name, (axes, kinds) in NUMBERS.items():
-        array = arrays[name]
-        fits = array.ndim == len(axes) and array.dtype.kind in kinds
-        if not fits or any(
-            size != sizes.setdefault(axis, axis if isinstance(axis, int) else size)
-            for axis, size in zip(axes, array.shape)
-        ):
-            raise InputError(path, f"{name} of shape {axes}", f"{array.dtype} {array.shape}")
-        if kinds == "f" and not np.isfinite(array).all():
-            raise InputError(path, f"finite {name}", "NaN or infinity")
-    for name in TEXTS:
-        if arrays[name].ndim or arrays[name].dtype.kind != "U":
-            raise InputError(path, f"{name}, a text", f"{arrays[name].dtype} {arrays[name].shape}")
+    arrays, sizes = read_arrays(path, {**NUMBERS, **dict.fromkeys(TEXTS, ((), TEXT))}, "a groom file (.npz)")
     if sizes["S"] < 1 or sizes["N"] < 2:
         raise InputError(path, "at least one strand of two vertices", f"{sizes['S']} of {sizes['N']}")
     _check_roots(arrays, path, body)
+    tensors = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in NUMBERS if name != "root_faces"}
+    faces = torch.from_numpy(arrays["root_faces"].astype(np.int64))
+    return Groom(name=str(arrays["name"]), licence=str(arrays["licence"]), root_faces=faces, **tensors)
 
 
 def _check_roots(arrays: dict[str, np.ndarray], path: Path, body: BodyModel) -> None:

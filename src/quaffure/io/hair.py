@@ -45,7 +45,7 @@ def read_hair(path: Path) -> Strands:
     else:
         counts = np.full(strands, default_segments + 1, dtype=np.int64)
     xyz = cursor.array("<f4", 3 * points, f"{points} points")
-    # The look of the hair is no concern of a drape, but a file cut short there is still a broken file.
+    # Thickness and colour are not used, but a file cut short there is still a broken file.
     for flag, floats, what in (
         (THICKNESS, 1, "thicknesses"),
         (TRANSPARENCY, 1, "transparencies"),
@@ -68,8 +68,8 @@ def write_hair(path: Path, strands: Strands) -> None:
     segments = strands.counts - 1
     if segments.max() > MOST_SEGMENTS:
         raise InputError(strands.source, f"at most {MOST_SEGMENTS} segments a strand in .hair", f"{segments.max()}")
-    look = (1.0, 0.0, 1.0, 1.0, 1.0)  # thickness, transparency, colour
+    appearance = (1.0, 0.0, 1.0, 1.0, 1.0)  # thickness, transparency, colour
     sizes = (len(strands), len(strands.points), SEGMENTS | POINTS, int(segments[0]))
-    header = HEADER.pack(b"HAIR", *sizes, *look, b"quaffure")
+    header = HEADER.pack(b"HAIR", *sizes, *appearance, b"quaffure")
     with replacing(path) as temporary:
         temporary.write_bytes(header + segments.astype("<u2").tobytes() + strands.points.astype("<f4").tobytes())

@@ -22,7 +22,7 @@ def load_groom(groom: str | Path, body: BodyModel | None = None, head: Path | No
     Args:
         groom: a bundled name (`STYLES`), or the path of a groom file or of a strand file.
         body: the shipped one where none is given.
-        head: the mesh (.obj) of the head that a strand file's hair grows on, in the same units and axes.
+        head: the mesh (.obj) of the head that a strand file's hair belongs to, in the same units and axes.
 
     Raises:
         InputError: no such name or file, a broken file, or strands that cannot be registered.

@@ -1,9 +1,6 @@
 """Strands in numpy's `.npz`: `points` [P,3] with `counts` [S] for strands of any length, or `strands` [S,N,3]."""
 
-import math
 from pathlib import Path
-from typing import IO, Any
-from zipfile import ZipFile
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,9 +8,7 @@ from jaxtyping import Float, Int
 from quaffure.errors import InputError
 from quaffure.hair.strands import Strands, checked_strands
 from quaffure.io.atomic import replacing
-
-# The most that deflate can shrink (zlib's technical notes); a member that claims more has a damaged size.
-MOST_COMPRESSION = 1032
+from quaffure.npz import read_numbers
 
 
 def read_npz_strands(path: Path) -> Strands:
@@ -22,12 +17,10 @@ def read_npz_strands(path: Path) -> Strands:
     Raises:
         InputError: not an `.npz`, damaged, or without arrays of the names and shapes above.
     """
-    arrays = read_npz(path, ("points", "counts", "strands"))
+    arrays = read_numbers(path, ("points", "counts", "strands"))
     if "points" in arrays and "counts" in arrays:
-        points, counts = (
-            _points(path, "points", arrays["points"], 2),
-            _counts(path, arrays["counts"], len(arrays["points"])),
-        )
+        points = _points(path, "points", arrays["points"], 2)
+        counts = _counts(path, arrays["counts"], len(points))
     elif "strands" in arrays:
         strands = _points(path, "strands", arrays["strands"], 3)
         if strands.shape[1] < 2:  # S x 0 points fit into any file, S counts may not fit into memory
@@ -46,46 +39,6 @@ def write_npz_strands(path: Path, strands: Strands) -> None:
     """
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez(file, points=strands.points, counts=strands.counts)
-
-
-def read_npz(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """The arrays of an `.npz` file among `names`; each one's size is checked before it is allocated.
-
-    Raises:
-        InputError: the file is missing, not an `.npz` or damaged, or an array does not hold plain numbers.
-    """
-    try:
-        with ZipFile(path) as archive:
-            present = [name for name in names if f"{name}.npy" in archive.namelist()]
-            return {name: _array(path, archive, name) for name in present}
-    except InputError:
-        raise
-    except OSError as error:
-        raise InputError(path, "a readable .npz file", error.strerror or str(error)) from error
-    # On damaged bytes zipfile, zlib and numpy's header parser raise some ten unrelated types between them.
-    except Exception as error:
-        raise InputError(path, "an undamaged .npz file", str(error) or type(error).__name__) from error
-
-
-def _array(path: Path, archive: ZipFile, name: str) -> np.ndarray:
-    member = archive.getinfo(f"{name}.npy")
-    with archive.open(member) as file:
-        shape, dtype = _header(file)
-        if dtype.kind not in "fiu":
-            raise InputError(path, f"plain numbers in its array {name}", f"{dtype} (pickled objects are never loaded)")
-        expected, found = file.tell() + math.prod(shape) * dtype.itemsize, member.file_size
-        if expected != found or found > MOST_COMPRESSION * path.stat().st_size:
-            raise InputError(path, f"{expected} bytes to hold its array {name} {list(shape)}", f"{found} bytes")
-    with archive.open(member) as file:
-        return np.lib.format.read_array(file, allow_pickle=False)
-
-
-def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    version = np.lib.format.read_magic(file)
-    # Version 3 exists only for field names beyond Latin-1, and plain numbers have no fields.
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read(file)
-    return shape, dtype
 
 
 def _points(path: Path, name: str, array: np.ndarray, dimensions: int) -> Float[np.ndarray, "... 3"]:

@@ -12,17 +12,17 @@ from quaffure.body.retargeting import retarget_bvh
 from quaffure.errors import InputError
 from quaffure.io.amass import read_amass
 from quaffure.io.bvh import read_bvh
-from quaffure.io.npz_strands import read_npz
+from quaffure.npz import read_numbers
 
 
 def read_motion(path: Path, body: BodyModel) -> Motion:
-    """The motion in a file, on the body's joints; its suffix, in any case, tells the format.
+    """The motion in a file, on the body's joints; its suffix, in any case, selects the format.
 
     `.bvh` is retargeted from the Daz-friendly rig. An `.npz` with `body_pose` [F,81] and `fps` (such as a drape file)
     is taken as it is; any other `.npz` is read as AMASS. The motion is called after the file.
 
     Raises:
-        InputError: no such file, a suffix that no reader knows, or what the format's reader refuses.
+        InputError: no such file, a suffix without a reader, or what the format's reader refuses.
     """
     supported = f"a motion file ({', '.join(sorted(MOTION_READERS))})"
     if not path.is_file():
@@ -39,11 +39,11 @@ def _read_bvh_motion(path: Path, body: BodyModel) -> Motion:
 
 
 def _read_npz_motion(path: Path, body: BodyModel) -> Motion:
-    arrays = read_npz(path, ("body_pose", "fps"))
+    arrays = read_numbers(path, ("body_pose", "fps"))
     if "body_pose" not in arrays:
         return read_amass(path, body)
     if "fps" not in arrays or arrays["fps"].size != 1:
-        raise InputError(path, "one number fps beside body_pose", "none" if "fps" not in arrays else "several")
+        raise InputError(path, "one number fps with body_pose", "none" if "fps" not in arrays else "several")
     body_pose = torch.from_numpy(arrays["body_pose"].astype(np.float32))
     return Motion(body_pose, float(arrays["fps"].reshape(())), str(path))
 

@@ -31,10 +31,10 @@ STRAND_READERS: dict[str, Callable[[Path], Strands]] = {
 
 
 def read_strands(path: Path) -> Strands:
-    """Strands of a file, in its own units and axes; its suffix, in any case, tells the format.
+    """Strands of a file, in its own units and axes; its suffix, in any case, selects the format.
 
     Raises:
-        InputError: no such file, a folder, a suffix that no reader knows, or what the format's reader refuses.
+        InputError: no such file, a folder, a suffix without a reader, or what the format's reader refuses.
     """
     supported = f"a strand file ({', '.join(sorted(STRAND_READERS))})"
     if path.is_dir():

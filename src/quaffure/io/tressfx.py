@@ -46,7 +46,7 @@ def read_tressfx(path: Path) -> Strands:
     (offset,) = cursor.integers("<u4", 1, "header")
     if offset < layout.header:
         raise InputError(path, f"positions after the header, from byte {layout.header} on", f"their offset {offset}")
-    # What lies between, before and after the blocks that the offsets name is nobody's business: no finish() here.
+    # Bytes between, before and after the blocks that the offsets name are allowed: no finish() here.
     cursor.offset = offset
     points = cursor.array("<f4", strands * count * layout.columns, f"{strands} strands of {count} points")
     return checked_strands(points.reshape(-1, layout.columns)[:, :3], np.full(strands, count), path)

@@ -1,8 +1,8 @@
 """OpenUSD: a drape out, as animated curves on an animated body; curves in, as a groom.
 
-The layout follows what hair tools look for. Blender makes hair curves of every `BasisCurves`; Unreal makes a groom of
+The layout follows what hair tools expect. Blender makes hair curves of every `BasisCurves`; Unreal makes a groom of
 all curves below a prim with `GroomAPI` and reads the `groom_*` primvars of its Alembic convention, where `groom_guide`
-tells simulation guides (1) from rendered strands (0); guides alone would show no hair. So the strands are written
+is 1 for simulation guides and 0 for rendered strands; guides alone would show no hair. So the strands are written
 once as strands, and a few of them once more as guides, with the purpose `guide` that viewers hide.
 """
 

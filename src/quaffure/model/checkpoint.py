@@ -1,25 +1,25 @@
 """Weights with the configuration that rebuilds their network, in one safetensors file."""
 
 import json
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
-from quaffure.model.quaffure_network import NetworkConfig, QuaffureNetwork, build_network
+from quaffure.model.network_config import from_file_values, known_fields, to_file_values
+from quaffure.model.quaffure_network import QuaffureNetwork, build_network
 from quaffure.model.weights_file import read_weights, save_weights
 
 FORMAT = "4"
-"""Changes whenever the same weights would come to mean something else: since 2, answers count in compliance, since 3,
-strands slide twice before the network (`quaffure.model.initial_shape`), since 4, one of a few neighbours feels the
-first time for all, and stubble starts as it grows."""
+"""Changes whenever the same weights would come to mean something else: since 2, outputs count in compliance; since 3,
+contact is resolved twice before the network (`quaffure.model.initial_shape`); since 4, contact forces are estimated on
+cluster representatives, and very short hair starts at its rest shape."""
 
 
 def save_network(path: Path, network: QuaffureNetwork, material: HairMaterial, notes: dict[str, str]) -> None:
     """Write half-precision weights, the network's configuration and the material that it was trained for."""
-    settings = {"network": json.dumps(asdict(network.config)), "material": json.dumps(asdict(material))}
-    metadata = {"format": FORMAT, **settings, **notes}
-    save_weights(path, network, metadata)
+    settings = {"network": json.dumps(to_file_values(network.config)), "material": json.dumps(asdict(material))}
+    save_weights(path, network, {"format": FORMAT, **settings, **notes})
 
 
 def load_network(path: str | Path) -> tuple[QuaffureNetwork, HairMaterial, dict[str, str]]:
@@ -34,7 +34,7 @@ def load_network(path: str | Path) -> tuple[QuaffureNetwork, HairMaterial, dict[
     if "network" in notes and found != FORMAT:
         raise InputError(path, f"weights of format {FORMAT}", f"format {found}, of another version of this package")
     try:
-        config = NetworkConfig(**known_fields(json.loads(notes.pop("network")), NetworkConfig))
+        config = from_file_values(json.loads(notes.pop("network")))
         material = HairMaterial(**known_fields(json.loads(notes.pop("material")), HairMaterial))
         network = build_network(config)
         network.load_state_dict(weights)
@@ -42,10 +42,3 @@ def load_network(path: str | Path) -> tuple[QuaffureNetwork, HairMaterial, dict[
         first_line = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(path, "a checkpoint of this package", first_line) from error
     return network.eval(), material, notes
-
-
-def known_fields(values: dict[str, object], kind: type) -> dict:
-    unknown = set(values) - {field.name for field in fields(kind)}
-    if unknown:
-        raise ValueError(f"unknown {kind.__name__} fields {sorted(unknown)}")
-    return values

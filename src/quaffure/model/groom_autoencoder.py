@@ -15,8 +15,8 @@ Widths = tuple[int, int, int, int]
 DECODED_CHANNELS = 1 + 3 * EDGES_PER_STRAND
 # The largest factor by which a decoded length may leave `UNIT_LENGTH` [natural logarithm].
 MOST_LOG_LENGTH = 5.0
-# Standard deviation of what a layer's weights make of inputs of unit variance: SiLU halves what passes it.
-GAIN, GAIN_OF_ANSWERS = 1.6, 0.5
+# Standard deviation of a layer's outputs for inputs of unit variance: SiLU halves what passes it.
+GAIN, OUTPUT_GAIN = 1.6, 0.5
 
 
 class GroomDecoder(nn.Module):
@@ -24,10 +24,10 @@ class GroomDecoder(nn.Module):
 
     A vertex lies at its share of the strand's length along its mean direction, so every channel has one order of
     magnitude, near the root as at the tip. Directions are not of unit length: where strands vary at random (phase of
-    curls, frizz), the best answer is their mean, and that is shorter.
+    curls, frizz), the best prediction is their mean, and that is shorter.
 
     Attributes:
-        mean: what is added to the answer for every texel; starts as the mean of the grooms to be learnt.
+        mean: added to the output of every texel; starts as the mean of the grooms to be learnt.
     """
 
     def __init__(self, widths: Widths) -> None:
@@ -44,8 +44,8 @@ class GroomDecoder(nn.Module):
             samples: row of `code` that each strand belongs to.
             texels: flat index of each strand's texel.
         """
-        answers = self.texture(code).mT.flatten(0, 1)
-        own = answers.index_select(0, samples * TEXTURE_SIZE**2 + texels).float()
+        decoded = self.texture(code).mT.flatten(0, 1)
+        own = decoded.index_select(0, samples * TEXTURE_SIZE**2 + texels).float()
         own = own + self.mean.index_select(0, texels)
         shape = own[:, 1:].unflatten(1, (EDGES_PER_STRAND, 3)) * _shares(own)
         log_length = own[:, :1].clamp(-MOST_LOG_LENGTH, MOST_LOG_LENGTH)
@@ -64,12 +64,12 @@ class GroomAutoencoder(nn.Module):
         self.widths = widths
         self.encoder = GroomEncoder(TEXTURE_CHANNELS)
         self.decoder = GroomDecoder(widths)
-        # Torch's own start shrinks the signal at every layer: ten of them on, the answer hardly depends on the input.
+        # Torch's own start shrinks the signal at every layer: ten of them on, the output hardly depends on the input.
         for name, layer in self.named_modules():
             if isinstance(layer, nn.Conv2d | nn.Linear):
-                answers = name.endswith(("to_code", "to_texels.0"))
+                is_output = name.endswith(("to_code", "to_texels.0"))
                 fan_in = layer.weight[0].numel()
-                nn.init.normal_(layer.weight, std=(GAIN_OF_ANSWERS if answers else GAIN) / math.sqrt(fan_in))
+                nn.init.normal_(layer.weight, std=(OUTPUT_GAIN if is_output else GAIN) / math.sqrt(fan_in))
                 nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
 
     @torch.no_grad()
@@ -84,7 +84,7 @@ class GroomAutoencoder(nn.Module):
 
 
 def decoded_channels(features: Float[Tensor, "s channels"]) -> Float[Tensor, "s decoded_channels"]:
-    """What `GroomDecoder`'s texture would have to hold for strands of `strand_features`."""
+    """Channels of `GroomDecoder`'s texture for strands of `strand_features`."""
     directions = features[:, 3:SHAPE_CHANNELS].unflatten(1, (EDGES_PER_STRAND, 3)) / _shares(features)
     return torch.cat([features[:, SHAPE_CHANNELS : SHAPE_CHANNELS + 1], directions.flatten(1)], dim=1)
 

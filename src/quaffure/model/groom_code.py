@@ -24,7 +24,7 @@ Network = TypeVar("Network", bound=nn.Module)
 
 @torch.no_grad()
 def groom_code(groom: Groom, body: BodyModel | None = None, encoder: GroomEncoder | None = None) -> Float[Tensor, "16"]:
-    """What the hairstyle is, in numbers of about one. The order of the strands plays no part.
+    """The code of a hairstyle, numbers of about one; independent of the order of the strands.
 
     Args:
         groom: registered to `body`, at most one strand a texel (`quaffure.load_groom`).

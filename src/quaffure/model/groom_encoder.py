@@ -11,7 +11,7 @@ CODE_SIZE = 16
 
 
 class GroomEncoder(nn.Module):
-    """Strided convolutions from the 64 x 64 texture down to 4 x 4, then a code. The order of the strands plays no part.
+    """Strided convolutions from the 64 x 64 texture down to 4 x 4, then a code, whatever the order of strands.
 
     The last channel of the input says which texels hold a strand; the others are zero elsewhere. The code has no bound:
     while the autoencoder learns the mean groom, a bounded one runs into its flat ends, where no gradient is left.

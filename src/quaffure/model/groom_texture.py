@@ -1,4 +1,4 @@
-"""What the groom encoder reads, Sec. 3.2: every strand in the frame of its root, its size apart from its shape."""
+"""Input of the groom encoder, Sec. 3.2: every strand in the frame of its root, its size apart from its shape."""
 
 from dataclasses import dataclass
 
@@ -23,10 +23,10 @@ LEAST_LENGTH = 1e-3
 
 @dataclass(frozen=True)
 class GroomSample:
-    """A groom as the autoencoder sees it.
+    """A groom as the autoencoder reads it.
 
     Attributes:
-        style: what is the same for two growings of one style.
+        style: name that all samples of one style share.
         features: see `strand_features`; half precision.
         texels: flat index of each strand's texel.
     """
@@ -91,7 +91,7 @@ def root_frames(groom: Groom, body: BodyModel) -> Float[Tensor, "s 3 3"]:
     """Orthonormal frames on the scalp of the rest body, columns: along u, along v, outwards (world_from_root).
 
     Unlike the frames of single triangles (`posing.triangle_frames`), which turn from one triangle to the next
-    by any angle, they follow the chart: strands that grow alike have neighbours that look alike.
+    by any angle, they follow the chart: strands of one style have similar features.
 
     Raises:
         InputError: a root is not on the scalp.
@@ -99,7 +99,9 @@ def root_frames(groom: Groom, body: BodyModel) -> Float[Tensor, "s 3 3"]:
     chart, corners = body.scalp, body.faces[body.scalp.faces]
     along_u = torch.zeros_like(body.rest_vertices)
     for corner in range(3):
-        along_u.index_add_(0, corners[:, corner], _gradient_of_u(body.rest_vertices[corners], chart.uv))
+        along_u.index_add_(
+            0, corners[:, corner], _gradient_of_u(body.rest_vertices[corners], chart.uv.to(body.rest_vertices))
+        )
     normals = angle_weighted_vertex_normals(body.rest_vertices[None], corners)[0]
     if not bool(torch.isin(groom.root_faces, chart.faces).all()):
         raise InputError(groom.name, "roots on the scalp", "roots elsewhere")

@@ -1,10 +1,12 @@
-"""A trained `DirectionNetwork` laid out for speed: the same function, evaluated with fewer operations.
+"""Networks without gradient, for drapes on the CPU: a layout of `DirectionNetwork` for speed, and any other as it is.
 
-Doublings are folded into the convolutions that follow them, the two first strand layers are one product, and texels
-stay next to their channels, so that a strand's is one row of memory.
+In the layout, doublings are folded into the convolutions that follow them, the two first strand layers are one product,
+and texels stay next to their channels, so that a strand's is one row of memory.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import nn
@@ -16,7 +18,7 @@ from quaffure.model.activated_layers import (
     activated_doubling,
     activated_linear,
 )
-from quaffure.model.quaffure_network import DirectionNetwork
+from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.types import Float, Int, Tensor
 
 Layer = tuple[Tensor, Tensor]
@@ -32,22 +34,78 @@ def fast_bfloat16() -> bool:
     return bool(probe())
 
 
+@dataclass(frozen=True)
+class NetworkInputs:
+    """A batch of drapes of one groom.
+
+    Attributes:
+        groom_code: of the groom, from the frozen encoder.
+        texels: flat index of every strand's texel.
+        pose_code: beta, theta [rad] without heading, and the pose features (`quaffure.body.head_frame`).
+    """
+
+    groom_code: Float[Tensor, "16"]
+    texels: Int[Tensor, " s"]
+    pose_code: Float[Tensor, "b code"]
+
+
+class StrandTexels(NamedTuple):
+    """Texels of strands.
+
+    Attributes:
+        flat: row times size plus column.
+        rows: of `InferenceNetwork.encode`, see `texture_rows`.
+    """
+
+    flat: Int[Tensor, " s"]
+    rows: Int[Tensor, " s"]
+
+
+class ForwardNetwork:
+    """A network's own `forward`, of any class; see `InferenceNetwork`."""
+
+    dtype = torch.float32
+
+    def __init__(self, network: nn.Module, features: int, bf16: bool) -> None:
+        self._network, self.columns, self._bf16 = network, features, bf16
+
+    def encode(
+        self, groom_codes: Float[Tensor, "b 16"], pose_code: Float[Tensor, "b code"]
+    ) -> list[tuple[Tensor, Tensor]]:
+        return list(zip(groom_codes, pose_code.split(1)))
+
+    @torch.no_grad()
+    def changes(
+        self, encoded: tuple[Tensor, Tensor], texels: StrandTexels, features: Float[Tensor, "s columns"]
+    ) -> Float[Tensor, "s outputs"]:
+        code, pose_code = encoded
+        with torch.autocast("cpu", torch.bfloat16, enabled=self._bf16):
+            return self._network(NetworkInputs(code, texels.flat, pose_code), features[None])[0].flatten(1).float()
+
+
 class InferenceNetwork:
-    """Texture and strand layers of a `DirectionNetwork` that sees the skin, without gradient.
+    """Texture and strand layers of a network of edge directions, laid out for speed.
 
     Attributes:
         dtype: of weights and activations; sums are in float32.
-        told_size: how many numbers a strand's own shape and views are.
+        feature_size: how many numbers a strand's own shape and local features are.
+        columns: these and its texel.
     """
 
     @torch.no_grad()
-    def __init__(self, network: DirectionNetwork, dtype: torch.dtype) -> None:
-        self.dtype, self.config = dtype, network.config
-        self.told_size = network.from_strand.in_features
-        decoder = network.decoder
+    def __init__(
+        self, decoder: DeformationDecoder, from_texel: nn.Linear, from_strand: Tensor, strand: nn.Sequential,
+        dtype: torch.dtype,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            from_texel, from_strand: the first strand layer, and weights [width, features] of its second input.
+            strand: activations and layers after it.
+        """
+        self.dtype, self.feature_size = dtype, from_strand.shape[1]
         dense = (layer for layer in decoder.dense if isinstance(layer, nn.Linear))
         self._dense = [activated_linear(*self._affine(layer)) for layer in dense]
-        self._first_size = decoder.widths[0]
+        self._inputs, self._first_size = self._dense[0].weight.shape[1], decoder.widths[0]
         self._stages: list[tuple[bool, ActivatedLayer, ActivatedLayer]] = []
         for index, stage in enumerate(decoder.stages):
             doubled, second = (layer for layer in stage.children() if isinstance(layer, nn.Conv2d))
@@ -60,47 +118,47 @@ class InferenceNetwork:
         assert isinstance(to_texels, nn.Conv2d)
         assert to_texels.bias is not None
         outputs = to_texels.out_channels // 4
-        # Channels of the four texels of a place one after another, as a pixel shuffle would not leave them.
+        # Channels of the four texels of a block one after another, as a pixel shuffle would not leave them.
         self._to_texels = (
             self._stored(to_texels.weight[:, :, 0, 0].unflatten(0, (outputs, 4)).transpose(0, 1).flatten(0, 1)),
             self._stored(to_texels.bias.unflatten(0, (outputs, 4)).T.flatten()),
         )
-        before = torch.cat([network.strand_weight(), network.from_texel.weight], dim=1)
-        self._strand = [(self._stored(before), self._stored(network.from_texel.bias))]
-        self._strand += [self._affine(layer) for layer in network.strand if isinstance(layer, nn.Linear)]
+        before = torch.cat([from_strand, from_texel.weight], dim=1)
+        self.columns = before.shape[1]
+        self._strand = [(self._stored(before), self._stored(from_texel.bias))]
+        self._strand += [self._affine(layer) for layer in strand if isinstance(layer, nn.Linear)]
 
     @torch.inference_mode()
-    def textures(self, code: Float[Tensor, "b inputs"]) -> Float[Tensor, "b texels channels"]:
-        """What `DeformationDecoder` answers, places of 2 x 2 texels one after another; see `texel_rows`."""
+    def encode(
+        self, groom_codes: Float[Tensor, "b 16"], pose_code: Float[Tensor, "b code"]
+    ) -> Float[Tensor, "b texels channels"]:
+        """Output of `DeformationDecoder`, blocks of 2 x 2 texels one after another; see `texture_rows`."""
+        code = torch.cat([groom_codes, pose_code], dim=1)[:, : self._inputs]
         values = code.to(self.dtype)
         for layer in self._dense:
-            values = layer(values)
+            values = layer.run(values)
         texture = values.reshape(len(code), self._first_size, 4, 4).contiguous(memory_format=torch.channels_last)
         for folded, first, second in self._stages:
-            texture = second(first(texture if folded else interpolate(texture, scale_factor=2)))
-        places = texture.permute(0, 2, 3, 1).flatten(1, 2)
-        return linear(places, *self._to_texels).unflatten(2, (4, -1)).flatten(1, 2)
+            texture = second.run(first.run(texture if folded else interpolate(texture, scale_factor=2)))
+        blocks = texture.permute(0, 2, 3, 1).flatten(1, 2)
+        return linear(blocks, *self._to_texels).unflatten(2, (4, -1)).flatten(1, 2)
 
     @torch.inference_mode()
-    def answers(
-        self, texture: Float[Tensor, "texels channels"], rows: Int[Tensor, " s"], inputs: Float[Tensor, "s size"]
-    ) -> Float[Tensor, "s answers"]:
+    def changes(
+        self, encoded: Float[Tensor, "texels channels"], texels: StrandTexels, features: Float[Tensor, "s columns"]
+    ) -> Float[Tensor, "s outputs"]:
         """Change of every edge's direction.
 
         Args:
-            texture: of one sample.
-            rows: of the strands' texels, see `texel_rows`.
-            inputs: a strand's positions [m] and views in its first `told_size` columns; the others are filled here.
+            encoded: a row of `encode`.
+            features: a strand's positions [m] and local features in the first `feature_size` columns; the others are
+                filled with its texel.
         """
-        torch.index_select(texture, 0, rows, out=inputs[:, self.told_size :])
-        values = inputs
+        torch.index_select(encoded, 0, texels.rows, out=features[:, self.feature_size :])
+        values = features
         for weight, bias in self._strand[:-1]:
             values = silu(linear(values, weight, bias), inplace=True)
         return linear(values, *self._strand[-1])
-
-    def inputs(self, strands: int) -> Float[Tensor, "s size"]:
-        """Room for what `answers` reads."""
-        return torch.empty(strands, self._strand[0][0].shape[1], dtype=self.dtype)
 
     def operations(self, strands: int) -> float:
         """Floating-point operations of one sample, activation functions left out."""
@@ -141,8 +199,8 @@ class InferenceNetwork:
         return values.detach().to(self.dtype, copy=True).contiguous()
 
 
-def texel_rows(texels: Int[Tensor, " s"], size: int) -> Int[Tensor, " s"]:
-    """Rows of `InferenceNetwork.textures` of texels given by row times size plus column."""
+def texture_rows(texels: Int[Tensor, " s"], size: int) -> Int[Tensor, " s"]:
+    """Rows of `InferenceNetwork.encode` of texels given by row times size plus column."""
     row, column = texels // size, texels % size
     return ((row // 2) * (size // 2) + column // 2) * 4 + (row % 2) * 2 + column % 2
 
@@ -153,6 +211,6 @@ def folded_doubling(weight: Float[Tensor, "wide narrow 3 3"]) -> Float[Tensor, "
     Of a texel's three neighbours along an axis two are copies of one: their weights add up, which leaves 16 products
     of 36.
     """
-    # Rows: taps of the transposed convolution; columns: those of the 3 x 3 one that see the same texel.
+    # Rows: taps of the transposed convolution; columns: those of the 3 x 3 one that read the same texel.
     taps = weight.new_tensor([[0, 0, 1], [0, 1, 1], [1, 1, 0], [1, 0, 0]])
     return torch.einsum("yj,xi,onji->noyx", taps, taps, weight)

@@ -1,139 +1,143 @@
-"""The network's drape: one pass, no iterations, and hair out of the skin."""
+"""The network's drape: one pass, no iterations."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
 import torch
+from torch import nn
 
+from quaffure.backend import Backend, choose_backend
 from quaffure.body.body_model import BodyModel
-from quaffure.body.head_frame import HeadFrameBody, head_frame_body
 from quaffure.config import HairMaterial
-from quaffure.geometry.polyline import integrate_directions
 from quaffure.hair.groom import Groom
-from quaffure.model.compiled_drape import BATCH, CompiledDrape
-from quaffure.model.inference_network import InferenceNetwork
-from quaffure.model.initial_shape import InitialShape, initial_shape, initial_shape_reference
-from quaffure.model.prepared_groom import PackedGroom, PreparedGroom, pack_groom, prepare_groom
-from quaffure.model.projection import projected
-from quaffure.model.quaffure_network import DirectionNetwork, DisplacementNetwork, NetworkInputs, QuaffureNetwork
+from quaffure.model.cpu_backend import CpuBackend, CpuTrainingBackend
+from quaffure.model.prepared_groom import PreparedGroom, prepare_groom
+from quaffure.model.quaffure_network import DisplacementNetwork, QuaffureNetwork
+from quaffure.model.torch_backend import DisplacementBackend, TorchBackend
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions, Tensor
+
+
+@runtime_checkable
+@runtime_checkable
+class DrapeBackend(Protocol):
+    """The five steps of a drape on one kind of device.
+
+    Attributes:
+        network_seconds: wall time of the network alone, of all drapes so far.
+    """
+
+    network_seconds: float
+
+    def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, Any]]: ...
+    def initial_shape(self, groom: PreparedGroom, posed: Any) -> Any: ...
+    def network(self, groom: PreparedGroom, posed: Any, shape: Any) -> Tensor: ...
+    def integrate(self, groom: PreparedGroom, posed: Any, shape: Any, changes: Tensor) -> Positions: ...
+    def project(self, groom: PreparedGroom, posed: Any, hair: Positions) -> Positions: ...
+
+
+def drape(backend: DrapeBackend, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[Positions]:
+    """Hair [m, world] of each groom on the body of its row: posed, initial shape, network, integrate, project.
+
+    Args:
+        grooms: one for each body.
+
+    Returns:
+        The rows in order, as many at a time as the backend drapes at once.
+    """
+    for groom, posed in backend.posed(grooms, bodies):
+        shape = backend.initial_shape(groom, posed)
+        changes = backend.network(groom, posed, shape)
+        hair = backend.integrate(groom, posed, shape, changes)
+        yield backend.project(groom, posed, hair)
 
 
 class NeuralDraper:
     """hair = posed + deformation, the deformation from a network.
 
-    Where strands slide along the skin before the network, `drape` pushes what the network leaves in the skin out of it
-    (`quaffure.model.projection`); `deform`, which trainings differentiate, and the paper's configuration do not.
+    Where contact is resolved before the network, `drape` projects hair out of the skin after it; `deform`, which
+    trainings differentiate, and the paper's configuration do not.
 
     Attributes:
-        network: either configuration. Its weights may change between drapes, but not in place behind the back of
-            autograd (`.data`), which nobody notices.
+        network: either configuration. Its weights and layers may change between drapes, but weights not in place
+            without autograd's knowledge (`.data`), which nobody notices.
         material: the one that the network was trained for.
         bf16: run the network's layers in bfloat16; all geometry stays in float32.
     """
 
     name = "neural"
 
-    def __init__(self, network: QuaffureNetwork, material: HairMaterial, bf16: bool = False) -> None:
+    def __init__(
+        self, network: QuaffureNetwork, material: HairMaterial, bf16: bool = False, backend: Backend | None = None
+    ) -> None:
+        """
+        Args:
+            backend: `TORCH` for derivatives in pose, shape and material on the CPU; by default the one of the weights.
+        """
         self.network, self.material, self.bf16 = network, material, bf16
-        self._parameters = tuple(network.parameters())  # asking for them takes longer than posing the body
-        self._fitted: WeakKeyDictionary[Groom, WeakKeyDictionary[BodyModel, PreparedGroom]] = WeakKeyDictionary()
-        self._compiled: tuple[object, CompiledDrape] | None = None
+        self._kind = backend or choose_backend(next(network.parameters()))
+        self._prepared: WeakKeyDictionary[Groom, WeakKeyDictionary[BodyModel, PreparedGroom]] = WeakKeyDictionary()
+        self._made: tuple[object, DrapeBackend] | None = None
 
     def drape(self, scene: Scene) -> Positions:
-        bodies, groom = scene.bodies, scene.groom
-        if not self.is_compiled(bodies.body):
-            with torch.no_grad():
-                return self._out_of_skin(scene, self.deform(scene))
-        draped = torch.empty(len(bodies.body_pose), *groom.rest_strands.shape)
-        self._drape_compiled([groom] * len(draped), bodies, list(draped))
-        return draped
+        """Draped vertices of every sample [m, world], without gradient."""
+        prepared = [self.prepared(scene.groom, scene.bodies.body)] * len(scene.bodies.body_pose)
+        with torch.no_grad():
+            hair = list(drape(self.backend(), prepared, scene.bodies))
+        return hair[0] if len(hair) == 1 else torch.cat(hair)
 
-    def drape_grooms(self, grooms: Sequence[Groom], bodies: BodyBatch) -> list[Tensor]:
-        """Each groom draped on the body of its row: [strand, vertex, 3] of each [m, world]."""
-        if self.is_compiled(bodies.body):
-            draped = [torch.empty(groom.rest_strands.shape) for groom in grooms]
-            self._drape_compiled(grooms, bodies, draped)
-            return draped
-        rows = zip(grooms, bodies.body_pose.split(1), bodies.body_shape.split(1))
-        return [self.drape(Scene(groom, BodyBatch(bodies.body, pose, shape)))[0] for groom, pose, shape in rows]
+    def drape_grooms(self, grooms: Sequence[Groom], bodies: BodyBatch) -> list[Positions]:
+        """Each groom draped on the body of its row [m, world], without gradient; the rows in order."""
+        prepared = [self.prepared(groom, bodies.body) for groom in grooms]
+        with torch.no_grad():
+            return list(drape(self.backend(), prepared, bodies))
 
     def deform(self, scene: Scene) -> Positions:
-        """Vertices [m] as the network has them, differentiable in its weights but for the encoder's."""
-        bodies, fitted = scene.bodies, self._fit(scene.groom, scene.bodies.body)
-        view = head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape)
-        if isinstance(self.network, DisplacementNetwork):
-            return self._displaced(scene, fitted, view, self.network)
-        with torch.no_grad():
-            start = self._start(scene, fitted, view)
-        with self._layers_in_bfloat16(view):
-            change = self.network(NetworkInputs(fitted.code, scene.groom.texels(), view.pose_code), start.told)
-        edges = (start.edges + start.compliance[..., None] * change) @ view.world_from_head[:, None].mT
-        return integrate_directions(scene.posed[:, :, 0], edges, fitted.rest_length)
+        """Vertices [m, world] without projection, differentiable in the network's weights.
 
-    def is_compiled(self, body: BodyModel) -> bool:
-        """Whether drapes on this body come from kernels: our configuration, in float32 on the CPU."""
-        return isinstance(self.network, DirectionNetwork) and self.network.config.views and _on_cpu(body)
+        By the backend `TORCH` differentiable in pose, shape and material too, not in the encoder's weights.
+        """
+        kind: type[TorchBackend] = CpuTrainingBackend if self._kind is Backend.CPU else TorchBackend
+        prepared = [self.prepared(scene.groom, scene.bodies.body)] * len(scene.bodies.body_pose)
+        return torch.cat(list(drape(self._torch_backend(kind, projects=False), prepared, scene.bodies)))
 
-    def compiled(self) -> CompiledDrape:
-        """The network as kernels; made anew when anything that decides a drape has changed."""
-        weights = [(p.data_ptr(), None if p.is_inference() else p._version) for p in self._parameters]
-        state = (weights, self.material, self.bf16)
-        if self._compiled is None or self._compiled[0] != state:
-            assert isinstance(self.network, DirectionNetwork)
-            network = InferenceNetwork(self.network, torch.bfloat16 if self.bf16 else torch.float32)
-            self._compiled = state, CompiledDrape(network, self.material)
-        return self._compiled[1]
-
-    def packed(self, groom: Groom, body: BodyModel) -> PackedGroom:
-        """What the kernels need of a groom on the CPU; kept as long as groom and body are.
+    def prepared(self, groom: Groom, body: BodyModel) -> PreparedGroom:
+        """A groom on a body; kept as long as both are.
 
         Raises:
             InputError: the groom is not laid out for the network, or a root is not on the scalp.
         """
-        fitted = self._fit(groom, body)
-        assert isinstance(fitted, PackedGroom)
-        return fitted
-
-    def _fit(self, groom: Groom, body: BodyModel) -> PreparedGroom:
-        on_bodies = self._fitted.setdefault(groom, WeakKeyDictionary())
+        on_bodies = self._prepared.setdefault(groom, WeakKeyDictionary())
         if body not in on_bodies:
-            with torch.no_grad():
-                fitted = prepare_groom(groom, body, self.network, self.material)
-            on_bodies[body] = pack_groom(groom, body, fitted) if _on_cpu(body) else fitted
+            prepared = prepare_groom(groom, body, self.network.encoder, self.network.config, self.material)
+            if prepared.margin.requires_grad or prepared.clearance.requires_grad:
+                return prepared  # of a material with gradient, which is spent by one backward pass
+            on_bodies[body] = prepared
         return on_bodies[body]
 
-    def _drape_compiled(self, grooms: Sequence[Groom], bodies: BodyBatch, draped: Sequence[Tensor]) -> None:
-        compiled, body = self.compiled(), bodies.body
-        for first in range(0, len(grooms), BATCH):
-            part = slice(first, first + BATCH)
-            packed = [self.packed(groom, body) for groom in grooms[part]]
-            compiled.drape(packed, body, bodies.body_pose[part], bodies.body_shape[part], draped[part])
+    def backend(self) -> DrapeBackend:
+        """The five steps with the weights of now; made anew when anything that decides a drape has changed."""
+        # Every layer and the version of every weight; `parameters()` takes longer than posing the body.
+        layers: list[nn.Module] = [self.network]
+        weights: list[object] = []
+        for layer in layers:
+            for part in layer._modules.values():
+                if part is not None:
+                    layers.append(part)  # and visited in its turn
+            for weight in layer._parameters.values():
+                if weight is not None:
+                    weights += (weight.data_ptr(), None if weight.is_inference() else weight._version)
+        state = (layers, weights, self.material, self.bf16)
+        if self._made is None or self._made[0] != state:
+            if self._kind is Backend.CPU and not isinstance(self.network, DisplacementNetwork):
+                made: DrapeBackend = CpuBackend(self.network, self.material, self.bf16)
+            else:
+                made = self._torch_backend(TorchBackend, projects=True)
+            self._made = state, made
+        return self._made[1]
 
-    def _displaced(
-        self, scene: Scene, fitted: PreparedGroom, view: HeadFrameBody, network: DisplacementNetwork
-    ) -> Positions:
-        with self._layers_in_bfloat16(view):
-            moved = network(NetworkInputs(fitted.code, scene.groom.texels(), view.pose_code))
-        moved = torch.cat([torch.zeros_like(moved[:, :, :1]), moved[:, :, 1:]], dim=2)  # roots do not move
-        return scene.posed + moved @ view.world_from_head[:, None].mT
-
-    def _out_of_skin(self, scene: Scene, deformed: Positions) -> Positions:
-        if isinstance(self.network, DisplacementNetwork) or not self.network.config.slides:
-            return deformed
-        bodies, fitted = scene.bodies, self._fit(scene.groom, scene.bodies.body)
-        return projected(deformed, fitted.rest_length, fitted.clearance, bodies)
-
-    def _layers_in_bfloat16(self, view: HeadFrameBody) -> torch.autocast:
-        return torch.autocast(view.head.device.type, torch.bfloat16, enabled=self.bf16)
-
-    def _start(self, scene: Scene, fitted: PreparedGroom, view: HeadFrameBody) -> InitialShape:
-        body = scene.bodies.body
-        if _on_cpu(body):
-            return initial_shape(self.packed(scene.groom, body).packets, view, self.material)
-        return initial_shape_reference(scene.groom, body, view, self.material, fitted.margin, fitted.leader)
-
-
-def _on_cpu(body: BodyModel) -> bool:
-    return body.rest_vertices.device.type == "cpu" and body.rest_vertices.dtype == torch.float32
+    def _torch_backend(self, kind: type[TorchBackend], projects: bool) -> TorchBackend:
+        if isinstance(self.network, DisplacementNetwork):
+            return DisplacementBackend(self.network, self.material, self.bf16)
+        return kind(self.network, self.material, self.bf16, projects)

@@ -1,7 +1,10 @@
-"""What a drape needs of a groom on a body, whatever the pose."""
+"""What a drape reads of a groom on a body, whatever the pose."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
+import numpy as np
 import torch
 
 from quaffure.body.body_model import BodyModel
@@ -10,104 +13,129 @@ from quaffure.config import TEXTURE_SIZE, HairMaterial
 from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.geometry.mls_surface import local_features
 from quaffure.hair.groom import Groom
-from quaffure.hair.strand_blocks import ClusteredBlocks, StrandBlocks, cluster_representatives, strand_blocks
+from quaffure.hair.strand_blocks import (
+    RestStrands,
+    StrandBlocks,
+    cluster_representatives,
+    rest_strands,
+    strand_blocks,
+)
 from quaffure.model.groom_code import groom_code
-from quaffure.model.inference_network import texel_rows
-from quaffure.model.projection import clearance_of
-from quaffure.model.quaffure_network import POSE_SIZE, SHAPE_SIZE, QuaffureNetwork
+from quaffure.model.groom_encoder import GroomEncoder
+from quaffure.model.inference_network import StrandTexels, texture_rows
+from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE, InitialShapeConfig, NetworkConfig
 from quaffure.types import Float, Int, RestLengths, Tensor
 
-THICKNESS, THICK_FROM = 0.03, 0.1
-"""How far above the lowest hair the uppermost starts, and after which length of strand all of it [m]."""
-ANY_DEPTH = -10.0
-"""A margin that no strand falls short of [m]."""
-TOLERATED, MOST_TOLERATED = 0.25, 0.004
-"""How far below its clearance at rest hair may start: a share of the depth at which Eq. 10 pushes an edge of length l
-as hard as the edge resists, k_Cosserat / (3 k_bc l^2), and at most so far [m]."""
-SEEN = 0.05
-"""From which amount of a view on it tells a distance."""
+NO_CONTACT = -10.0
+"""A margin that is kept everywhere [m]."""
+
+
+class KernelBlocks(NamedTuple):
+    """A groom as the compiled kernels read it; a row is a lane of a block.
+
+    Attributes:
+        strands: all strands.
+        representatives: those of the clusters alone.
+        representative: lane in `representatives` of the one of each strand.
+        rows: of the kernels' results, for each strand.
+        texels: of each row.
+    """
+
+    strands: StrandBlocks
+    representatives: StrandBlocks
+    representative: Int[np.ndarray, "block lane"]
+    rows: Int[np.ndarray, "block lane"]
+    texels: StrandTexels
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the kernels read [bytes]."""
+        arrays = (*self.strands, *self.representatives, self.representative, self.texels.rows)
+        return sum(array.nbytes for array in arrays)
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedGroom:
-    """A groom on a body, made once for all poses.
+    """A groom on a body, prepared once for all poses.
 
     Attributes:
         code: of the frozen encoder.
+        texels: flat index of each strand's texel.
+        strands: in the frames of their scalp triangles.
         rest_length: of every edge [m].
-        margin: see `initial_clearance`; for networks whose strands do not slide, below whatever is met [m].
-        leader: the strand that feels the skin for each, see `quaffure.hair.strand_blocks.cluster_representatives`.
-        clearance: distance at which hair is pushed out of the skin in the end [m], `quaffure.model.projection`.
+        margin: distance from the point-sampled body at which strands start, see `initial_clearance` [m].
+        clearance: distance up to which hair is projected out of the skin [m], see `quaffure.model.projection`.
+        order: of the strands in the kernels' blocks, clusters one after another.
+        representative: the strand whose contact force each strand takes.
     """
 
     code: Float[Tensor, "16"]
+    texels: Int[Tensor, " s"]
+    strands: RestStrands
     rest_length: RestLengths
     margin: Float[Tensor, "s n"]
-    leader: Int[Tensor, " s"]
     clearance: Float[Tensor, "s n"]
+    order: Int[Tensor, " s"]
+    representative: Int[Tensor, " s"]
+
+    @cached_property
+    def blocks(self) -> KernelBlocks:
+        """Laid out for the compiled kernels; float32, on the CPU."""
+        strands = strand_blocks(self.strands, self.margin, self.order)
+        chosen = self.order[self.representative[self.order] == self.order]
+        lane_of = torch.empty_like(self.order)
+        lane_of[chosen] = torch.arange(len(chosen))
+        of_rows = torch.from_numpy(strands.strand).flatten().long()
+        texels = StrandTexels(self.texels[of_rows], texture_rows(self.texels[of_rows], TEXTURE_SIZE))
+        representatives = strand_blocks(self.strands, self.margin, chosen)
+        # Lanes of the strands' own blocks, so that repeated strands at the end have a representative too.
+        lanes = lane_of[self.representative[of_rows]].int().view(-1, strands.strand.shape[1]).numpy()
+        rows = np.arange(strands.strand.size, dtype=np.int32).reshape(strands.strand.shape)
+        return KernelBlocks(strands, representatives, np.ascontiguousarray(lanes), rows, texels)
 
 
-@dataclass(frozen=True, eq=False)
-class PackedGroom(PreparedGroom):
-    """The same laid out for the kernels: a row is a strand in the order of the packets.
-
-    Attributes:
-        texels: of every row, see `quaffure.model.inference_network.texel_rows`.
-    """
-
-    packets: ClusteredBlocks
-    texels: Int[Tensor, " row"]
-
-    @property
-    def nbytes(self) -> int:
-        """Memory that the kernels read of it."""
-        strands = (self.packets, self.packets.leading)
-        arrays = [getattr(packets, field.name) for packets in strands for field in fields(StrandBlocks)]
-        own = (self.packets.leader, self.texels, self.rest_length, self.clearance)
-        return sum(array.nbytes for array in (*arrays, *own))
-
-
-def prepare_groom(groom: Groom, body: BodyModel, network: QuaffureNetwork, material: HairMaterial) -> PreparedGroom:
-    """Fit a groom that is registered to `body`.
-
-    Raises:
-        InputError: it is not laid out for the network (`quaffure.model.groom_code`).
-    """
-    rest = rest_state(groom.rest_strands.detach(), material)
-    margin = torch.full_like(rest.collision_margin, ANY_DEPTH)
-    if network.config.slides:
-        margin = initial_clearance(groom, rest, material, body)
-    code = groom_code(groom, body, network.encoder)
-    return PreparedGroom(code, rest.rest_length, margin, cluster_representatives(groom), clearance_of(rest))
-
-
-def pack_groom(groom: Groom, body: BodyModel, fitted: PreparedGroom) -> PackedGroom:
-    """Lay a fitted groom out for the kernels.
+def prepare_groom(
+    groom: Groom, body: BodyModel, encoder: GroomEncoder, config: NetworkConfig, material: HairMaterial
+) -> PreparedGroom:
+    """Prepare a groom that is registered to `body`.
 
     Raises:
-        InputError: a root that is not on the scalp.
+        InputError: it is not laid out for the network (`quaffure.model.groom_code`), or a root is not on the scalp.
     """
-    packets = strand_blocks(groom, body, fitted.margin)
-    strand = torch.from_numpy(packets.strand).flatten().long()
-    texels = texel_rows(groom.texels()[strand], TEXTURE_SIZE)
-    return PackedGroom(**vars(fitted), packets=packets, texels=texels)
+    shape, rest = config.initial_shape, rest_state(groom.rest_strands.detach(), material)
+    margin = torch.full_like(rest.collision_margin, NO_CONTACT)
+    if config.contact:
+        margin = initial_clearance(groom, rest, material, body, shape)
+    return PreparedGroom(
+        groom_code(groom, body, encoder),
+        groom.texels(),
+        rest_strands(groom, body),
+        rest.rest_length,
+        margin,
+        config.projection.clearance_share * rest.collision_margin,
+        *cluster_representatives(groom, shape.cluster_size, shape.cluster_radius),
+    )
 
 
-def initial_clearance(groom: Groom, rest: RestState, material: HairMaterial, body: BodyModel) -> Float[Tensor, "s n"]:
-    """Distance from the softened body that strands start with [m].
+def initial_clearance(
+    groom: Groom, rest: RestState, material: HairMaterial, body: BodyModel, config: InitialShapeConfig
+) -> Float[Tensor, "s n"]:
+    """Distance from the point-sampled body at which strands start [m].
 
-    Hair that roots higher lies on top: without it all hair would start in one layer, pressed to many times its density.
-    Nothing has to be further out than it is at rest, where hair may lie closer to the head than a softened body is
-    true, and stiff hair not even that: where the nape wrinkles, stubble, whose edges resist more than contact would
-    push them, is not bent for some tenths of a millimetre.
+    Hair with higher roots lies on top: without it all hair would start in one layer, pressed to many times its density.
+    No vertex starts further out than at rest, where hair may lie closer to the head than the point-sampled body is
+    exact, and stiff hair not even there: where the nape wrinkles, very short hair, whose edges resist more than contact
+    would push them, is not bent for some tenths of a millimetre.
     """
     height = groom.rest_strands[:, 0, 2].argsort().argsort() / len(groom)
     arc = torch.nn.functional.pad(rest.rest_length.cumsum(dim=1), (1, 0))
-    layered = rest.collision_margin + THICKNESS * height[:, None] * (arc / THICK_FROM).clamp(max=1)
+    ramp = (arc / config.layer_ramp).clamp(max=1)
+    layered = rest.collision_margin + config.layer_thickness * height[:, None] * ramp
     at_rest = body.pose(arc.new_zeros(1, POSE_SIZE), arc.new_zeros(1, SHAPE_SIZE))
-    surface = mls_body(body, at_rest)
-    views = local_features(groom.rest_strands.flatten(0, 1)[None], surface).unflatten(1, layered.shape)[0]
-    seen = views[..., 4]
-    clearance = torch.where(seen > SEEN, surface.radius * views[..., 0] / seen.clamp(min=SEEN), torch.inf)
+    surface = mls_body(body, at_rest, config.body)
+    features = local_features(groom.rest_strands.flatten(0, 1)[None], surface).unflatten(1, layered.shape)[0]
+    share = features[..., 4]
+    height = surface.radius * features[..., 0] / share.clamp(min=config.min_weight_share)
+    clearance = torch.where(share > config.min_weight_share, height, torch.inf)
     balanced = material.k_cosserat / (3 * material.k_body_collision * rest.rest_length.mean(1, keepdim=True).square())
-    return torch.minimum(layered, clearance - (TOLERATED * balanced).clamp(max=MOST_TOLERATED))
+    return torch.minimum(layered, clearance - (config.depth_share * balanced).clamp(max=config.max_depth))

@@ -7,14 +7,15 @@ from pathlib import Path
 
 import torch
 
+from quaffure.backend import Backend, choose_backend
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.model.checkpoint import load_network
-from quaffure.model.compiled_drape import BATCH
+from quaffure.model.cpu_backend import BATCH
 from quaffure.model.inference_network import fast_bfloat16
+from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE
 from quaffure.model.neural import NeuralDraper
-from quaffure.model.quaffure_network import POSE_SIZE, SHAPE_SIZE
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions, Tensor
 
@@ -47,15 +48,17 @@ class Quaffure:
         Raises:
             InputError: an array of another shape, or a groom that is not laid out for the network.
         """
-        body_pose, body_shape = self._check(groom, body_pose, body_shape)
-        bodies = BodyBatch(self.body, body_pose, body_shape)
-        return self.draper.drape(Scene(groom.to(body_pose.device), bodies))
+        body_pose = self._rows("body_pose", body_pose, POSE_SIZE)
+        body_shape = self._rows("body_shape", body_shape, SHAPE_SIZE)
+        if len(body_shape) != len(body_pose):
+            raise InputError("body_shape", f"[{len(body_pose)}, {SHAPE_SIZE}]", f"{list(body_shape.shape)}")
+        return self.draper.drape(Scene(self._checked(groom), BodyBatch(self.body, body_pose, body_shape)))
 
     def drape_many(self, grooms: Iterable[Groom], body_pose: Tensor, body_shape: Tensor) -> Iterator[Tensor]:
         """Many hairstyles, one after another, each as soon as its batch is done.
 
-        Memory does not grow with them where `grooms` makes them as they are asked for: what is prepared for a groom,
-        some 650 bytes a strand, is kept as long as somebody holds the groom.
+        Memory does not grow with them where `grooms` makes them one by one: what is prepared for a groom, some 650
+        bytes a strand, is kept as long as somebody holds the groom.
 
         Args:
             grooms: as for `drape`.
@@ -72,13 +75,12 @@ class Quaffure:
         return self._drape_many(grooms, poses, shapes)
 
     def _drape_many(self, grooms: Iterable[Groom], poses: Tensor, shapes: Tensor) -> Iterator[Tensor]:
-        device, first, waiting = poses.device, 0, iter(grooms)
-        while batch := list(islice(waiting, BATCH)):
-            for groom in batch:
-                _check_groom(groom)
+        first, waiting = 0, iter(grooms)
+        while batch := [self._checked(groom) for groom in islice(waiting, BATCH)]:
             rows = range(first, first + len(batch))
             bodies = BodyBatch(self.body, _taken("body_pose", poses, rows), _taken("body_shape", shapes, rows))
-            yield from self.draper.drape_grooms([groom.to(device) for groom in batch], bodies)
+            for hair in self.draper.drape_grooms(batch, bodies):
+                yield from hair
             first += len(batch)
         for name, values in (("body_pose", poses), ("body_shape", shapes)):
             if len(values) not in (1, first):
@@ -91,13 +93,14 @@ class Quaffure:
             raise InputError(name, "finite numbers", "NaN or infinity")
         return values.to(self.body.rest_vertices.device)
 
-    def _check(self, groom: Groom, body_pose: Tensor, body_shape: Tensor) -> tuple[Tensor, Tensor]:
-        body_pose = self._rows("body_pose", body_pose, POSE_SIZE)
-        body_shape = self._rows("body_shape", body_shape, SHAPE_SIZE)
-        if len(body_shape) != len(body_pose):
-            raise InputError("body_shape", f"[{len(body_pose)}, {SHAPE_SIZE}]", f"{list(body_shape.shape)}")
-        _check_groom(groom)
-        return body_pose, body_shape
+    def _checked(self, groom: Groom) -> Groom:
+        """The groom on the body's device."""
+        if not isinstance(groom, Groom):
+            raise InputError("groom", "a Groom (`quaffure.load_groom`)", f"{groom!r}")
+        expected, found = self.body.rest_vertices, groom.rest_strands
+        if found.dtype is not expected.dtype:
+            raise InputError(groom.name, f"vertices in {expected.dtype}", f"{found.dtype}")
+        return groom if found.device == expected.device else groom.to(expected.device)
 
 
 def _taken(name: str, values: Tensor, rows: range) -> Tensor:
@@ -106,13 +109,6 @@ def _taken(name: str, values: Tensor, rows: range) -> Tensor:
     if len(values) < rows.stop:
         raise InputError(name, f"a row for each groom, {rows.stop} or more, or a single one", f"{len(values)}")
     return values[rows.start : rows.stop]
-
-
-def _check_groom(groom: Groom) -> None:
-    if not isinstance(groom, Groom):
-        raise InputError("groom", "a Groom (`quaffure.load_groom`)", f"{groom!r}")
-    if groom.rest_strands.dtype != torch.float32:
-        raise InputError(groom.name, "vertices in torch.float32", f"{groom.rest_strands.dtype}")
 
 
 def load_model(
@@ -128,6 +124,7 @@ def load_model(
         InputError: `path` is no checkpoint of this package.
     """
     network, material, notes = load_network(path or WEIGHTS)
+    body = load_body().to(device)
     if bf16 is None:
-        bf16 = torch.device(device).type == "cpu" and fast_bfloat16()
-    return Quaffure(load_body().to(device), NeuralDraper(network.to(device), material, bf16), notes)
+        bf16 = choose_backend(body.rest_vertices) is Backend.CPU and fast_bfloat16()
+    return Quaffure(body, NeuralDraper(network.to(device), material, bf16), notes)

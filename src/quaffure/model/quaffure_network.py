@@ -2,11 +2,8 @@
 
 Two configurations share one interface. `DisplacementNetwork` is the paper's: the decoder's 72 channels are the
 displacements of 24 vertices. `DirectionNetwork` is ours: a small network common to all strands reads the decoder's
-texel and the strand's own initial shape, and answers a change of direction for each edge.
+texel and the strand's own initial shape, and predicts a change of direction for each edge.
 """
-
-from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from torch import nn
@@ -16,112 +13,90 @@ from quaffure.geometry.mls_surface import LOCAL_FEATURES
 from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.model.groom_encoder import CODE_SIZE, GroomEncoder
 from quaffure.model.groom_texture import TEXTURE_CHANNELS
-from quaffure.model.weights_file import MAX_WIDTH
-from quaffure.types import Float, Int, Tensor
+from quaffure.model.inference_network import ForwardNetwork, InferenceNetwork, NetworkInputs
+from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE, NetworkConfig
+from quaffure.types import Float, Tensor
 
-POSE_SIZE, SHAPE_SIZE = 81, 10
-MAX_LAYERS = 64
-
-
-@dataclass(frozen=True)
-class NetworkConfig:
-    """What a checkpoint needs to rebuild its network."""
-
-    output: Literal["directions", "displacement"] = "directions"
-    """`directions` (ours): changes of edge directions, integrated. `displacement` (the paper's): of vertices."""
-    pose_features: int = 0
-    """Length of the analytic pose features appended to the paper's R^107; 0 leaves them out."""
-    texel_channels: int = 48
-    """Channels of the decoder's texture that the strand layers read (`directions` only)."""
-    strand_width: int = 128
-    """Width of the layers common to all strands (`directions` only)."""
-    strand_layers: int = 2
-    """Hidden layers common to all strands, the first included (`directions` only)."""
-    views: bool = True
-    """The strand layers see the skin near the initial strand, or, with `--no-views`, do not (`directions` only)."""
-    slides: bool = True
-    """The initial strand slides along the softened body or, with `--no-slides`, only sags (`directions` only)."""
-
-    def __post_init__(self) -> None:
-        if self.output not in ("directions", "displacement"):
-            raise ValueError(f"expected output directions or displacement, found {self.output!r}")
-        widths = {"pose_features": (0, MAX_WIDTH), "texel_channels": (1, MAX_WIDTH), "strand_width": (1, MAX_WIDTH)}
-        for name, (least, most) in (widths | {"strand_layers": (1, MAX_LAYERS)}).items():
-            value = getattr(self, name)
-            if not (isinstance(value, int) and least <= value <= most):
-                raise ValueError(f"expected {name} from {least} to {most}, found {value!r}")
-
-
-@dataclass(frozen=True)
-class NetworkInputs:
-    """A batch of drapes of one groom.
-
-    Attributes:
-        groom_code: of the groom, from the frozen encoder.
-        texels: flat index of every strand's texel.
-        pose_code: beta, theta [rad] without heading, and the pose features (`quaffure.body.head_frame`).
-    """
-
-    groom_code: Float[Tensor, "16"]
-    texels: Int[Tensor, " s"]
-    pose_code: Float[Tensor, "b code"]
+FEATURE_SIZE = (3 + LOCAL_FEATURES) * EDGES_PER_STRAND
+"""Numbers of a strand before the network: positions of all vertices but the root, and their local features."""
 
 
 class DisplacementNetwork(nn.Module):
     """The paper's configuration: R^107 to a displacement [m] of every vertex, in the head's frame."""
 
-    _METRES = 0.05  # what an output of one means, so that the layers work on numbers of about one
+    _METRES = 0.05  # unit of the outputs, so that the layers work on numbers of about one
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
         self.encoder = GroomEncoder(TEXTURE_CHANNELS).requires_grad_(False)
-        inputs = CODE_SIZE + SHAPE_SIZE + POSE_SIZE + config.pose_features
-        self.decoder = DeformationDecoder(inputs, 3 * VERTICES_PER_STRAND)
+        self.decoder = DeformationDecoder(_code_size(config), 3 * VERTICES_PER_STRAND)
         _start_at_zero(self.decoder.to_texels[0])
 
     def forward(self, inputs: NetworkInputs) -> Float[Tensor, "b s n 3"]:
         texture = self.decoder(_code(self.config, inputs))
-        strands = texture.index_select(2, inputs.texels).mT.float()
+        strands = texture.index_select(2, inputs.texels).mT.to(inputs.pose_code)
         return self._METRES * strands.unflatten(-1, (VERTICES_PER_STRAND, 3))
 
 
 class DirectionNetwork(nn.Module):
-    """Ours: a change of every edge's direction, in the head's frame, dimensionless."""
+    """Ours: a change of every edge's direction, in the head's frame, dimensionless.
 
-    _METRES = 0.1
+    Another `forward` of a subclass, and other layers in place of these, are run as they are by every backend.
+    """
+
+    _METRES = 0.1  # unit of the positions
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
         self.encoder = GroomEncoder(TEXTURE_CHANNELS).requires_grad_(False)
-        inputs = CODE_SIZE + SHAPE_SIZE + POSE_SIZE + config.pose_features
-        self.decoder = DeformationDecoder(inputs, config.texel_channels)
+        self.decoder = DeformationDecoder(_code_size(config), config.texel_channels)
         width = config.strand_width
         self.from_texel = nn.Linear(config.texel_channels, width)
-        seen = LOCAL_FEATURES * EDGES_PER_STRAND if config.views else 0
-        self.from_strand = nn.Linear(3 * EDGES_PER_STRAND + seen, width, bias=False)
+        read = FEATURE_SIZE if config.skin_features else 3 * EDGES_PER_STRAND
+        self.from_strand = nn.Linear(read, width, bias=False)
         between = [layer for _ in range(config.strand_layers - 1) for layer in (nn.Linear(width, width), nn.SiLU())]
         self.strand = nn.Sequential(nn.SiLU(), *between, nn.Linear(width, 3 * EDGES_PER_STRAND))
         _start_at_zero(self.strand[-1])
 
-    def forward(self, inputs: NetworkInputs, told: Float[Tensor, "b s columns"]) -> Float[Tensor, "b s e 3"]:
+    def forward(self, inputs: NetworkInputs, features: Float[Tensor, "b s columns"]) -> Float[Tensor, "b s e 3"]:
         """Change of every edge.
 
         Args:
-            told: of every strand where it would be without the network: positions of all vertices but the root relative
-                to the head and in its frame [m], then what they see of the skin (`quaffure.geometry.mls_surface`).
+            features: of every strand before the network: positions of all vertices but the root relative to the head
+                and in its frame [m], then their local features (`quaffure.geometry.mls_surface`).
         """
         texture = self.decoder(_code(self.config, inputs))
         texels = texture.index_select(2, inputs.texels).mT
         weight = self.strand_weight()
-        own = torch.nn.functional.linear(told[..., : weight.shape[1]], weight)
-        return self.strand(self.from_texel(texels) + own).float().unflatten(-1, (EDGES_PER_STRAND, 3))
+        own = torch.nn.functional.linear(features[..., : weight.shape[1]], weight)
+        return self.strand(self.from_texel(texels) + own).to(features).unflatten(-1, (EDGES_PER_STRAND, 3))
 
     def strand_weight(self) -> Float[Tensor, "width columns"]:
         """`from_strand` for positions in metres."""
         weight = self.from_strand.weight
         return torch.cat([weight[:, : 3 * EDGES_PER_STRAND] / self._METRES, weight[:, 3 * EDGES_PER_STRAND :]], dim=1)
+
+    def for_inference(self, bf16: bool) -> InferenceNetwork | ForwardNetwork:
+        """This network for drapes without gradient on the CPU, with the weights of now.
+
+        Returns:
+            A faster layout of the same function where class and layers are exactly those of this file and the skin's
+            features are read; otherwise the network's own `forward`.
+        """
+        if type(self) is DirectionNetwork and self.config.skin_features and self._has_own_layers():
+            dtype = torch.bfloat16 if bf16 else torch.float32
+            return InferenceNetwork(self.decoder, self.from_texel, self.strand_weight(), self.strand, dtype)
+        return ForwardNetwork(self, FEATURE_SIZE, bf16)
+
+    def _has_own_layers(self) -> bool:
+        with torch.device("meta"):
+            expected = DirectionNetwork(self.config)
+        return "forward" not in vars(self) and all(
+            _layers(getattr(self, name)) == _layers(getattr(expected, name))
+            for name in ("decoder", "from_texel", "from_strand", "strand")
+        )
 
 
 QuaffureNetwork = DirectionNetwork | DisplacementNetwork
@@ -131,10 +106,23 @@ def build_network(config: NetworkConfig) -> QuaffureNetwork:
     return DirectionNetwork(config) if config.output == "directions" else DisplacementNetwork(config)
 
 
+def _code_size(config: NetworkConfig) -> int:
+    """Length of the paper's R^107 and the pose features."""
+    return CODE_SIZE + SHAPE_SIZE + POSE_SIZE + config.pose_features
+
+
 def _code(config: NetworkConfig, inputs: NetworkInputs) -> Float[Tensor, "b inputs"]:
     """The paper's R^107, groom code, beta and theta, followed by the pose features where they are used."""
-    pose_code = inputs.pose_code[:, : SHAPE_SIZE + POSE_SIZE + config.pose_features]
+    pose_code = inputs.pose_code[:, : _code_size(config) - CODE_SIZE]
     return torch.cat([inputs.groom_code.expand(len(pose_code), -1), pose_code], dim=1)
+
+
+def _layers(module: nn.Module) -> list[tuple[str, type, str, bool]]:
+    """Name, class and settings of each layer, and whether something is hooked into it."""
+    return [
+        (name, type(layer), layer.extra_repr(), bool(layer._forward_hooks or layer._forward_pre_hooks))
+        for name, layer in module.named_modules()
+    ]
 
 
 def _start_at_zero(layer: nn.Module) -> None:

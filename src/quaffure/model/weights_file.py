@@ -21,7 +21,7 @@ def save_weights(path: Path, network: nn.Module, notes: dict[str, str]) -> None:
 
 
 def read_weights(path: Path, expected: str) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """What `save_weights` wrote, in single precision: weights by name, and the texts.
+    """Read a file of `save_weights`, in single precision: weights by name, and the texts.
 
     Args:
         expected: what the file should be, for the error.

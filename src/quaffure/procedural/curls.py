@@ -5,10 +5,11 @@ import math
 import torch
 from torch.nn.functional import normalize
 
+from quaffure.hair.clearance import arc_lengths
 from quaffure.procedural.hair_style import HairStyle
 from quaffure.types import Float, Int, Tensor
 
-# Below this length a strand has little room to wander: its frizz is in proportion [m].
+# Below this length the frizz of a strand is in proportion to its length [m].
 FRIZZ_LENGTH = 0.1
 
 
@@ -17,32 +18,27 @@ def curl_arc_factor(controls: HairStyle) -> float:
     return math.hypot(1.0, 2 * math.pi * controls.curl_radius / controls.curl_length)
 
 
-def clump_of(roots: Float[Tensor, "s 3"], spacing: float) -> Int[Tensor, " s"]:
-    """For each root the root that leads its clump: leaders keep `spacing` [m], each root follows the nearest."""
+def clump_centres(roots: Float[Tensor, "s 3"], spacing: float) -> Int[Tensor, " s"]:
+    """For each root the nearest root in a subset with distances above `spacing` [m] (farthest point sampling)."""
     distance = torch.full((len(roots),), float("inf"))
-    leaders = []
+    centres = []
     while distance.max() > spacing:
-        leaders.append(int(distance.argmax()))
-        distance = torch.minimum(distance, (roots - roots[leaders[-1]]).norm(dim=-1))
-    chosen = torch.tensor(leaders)
+        centres.append(int(distance.argmax()))
+        distance = torch.minimum(distance, (roots - roots[centres[-1]]).norm(dim=-1))
+    chosen = torch.tensor(centres)
     return chosen[torch.cdist(roots, roots[chosen]).argmin(1)]
 
 
-def arc_lengths(strands: Float[Tensor, "s n 3"]) -> Float[Tensor, "s n"]:
-    """Length of each strand from its root to each vertex [m]."""
-    return torch.nn.functional.pad(strands.diff(dim=1).norm(dim=-1).cumsum(1), (1, 0))
-
-
 def clumped(controls: HairStyle, axes: Float[Tensor, "s n 3"], tied: Float[Tensor, " s"]) -> Float[Tensor, "s n 3"]:
-    """Axes drawn towards the leader of their clump, the more the closer to the tip; none before `tied` [m]."""
-    leader = clump_of(axes[:, 0], controls.clump_spacing)
-    reach = arc_lengths(axes)
-    free = (reach[:, -1:] - tied[:, None]).clamp(min=1e-6)
-    share = ((reach - tied[:, None]) / free).clamp(0, 1) ** controls.clump_profile
-    # Leaders across a parting or round an ear go another way: only neighbours that stay near are followed.
-    gap = axes[leader] - axes
-    # Hair shorter than the clumps are wide cannot reach their middle.
-    share = share * (reach[:, -1:] / controls.clump_spacing).clamp(max=1).square()
+    """Axes attracted to the centre of their clump, most at the tip, not at all before the length `tied` [m]."""
+    centre = clump_centres(axes[:, 0], controls.clump_spacing)
+    length = arc_lengths(axes)
+    free = (length[:, -1:] - tied[:, None]).clamp(min=1e-6)
+    share = ((length - tied[:, None]) / free).clamp(0, 1) ** controls.clump_profile
+    # A centre on the other side of a parting or an ear diverges: only one that stays near attracts.
+    gap = axes[centre] - axes
+    # Hair shorter than the width of a clump cannot reach its centre.
+    share = share * (length[:, -1:] / controls.clump_spacing).clamp(max=1).square()
     near = torch.exp(-((gap.norm(dim=-1).amax(1) / (2.5 * controls.clump_spacing)) ** 2))
     return axes + controls.clumping * (share * near[:, None])[..., None] * gap
 
@@ -54,27 +50,27 @@ def curled(
     tied: Float[Tensor, " s"],
     generator: torch.Generator,
 ) -> Float[Tensor, "s n 3"]:
-    """Strands that wind round their axes as helices opening from `tied` [m] on, and wander a little."""
+    """Helices about the axes, of increasing radius from the length `tied` [m] on, with frizz."""
     strands, count, _ = axes.shape
-    reach = (arc_lengths(axes) - tied[:, None]).clamp(min=0)
-    leader = clump_of(axes[:, 0], controls.clump_spacing)
-    of_clump = torch.rand(strands, 3, generator=generator)[leader]
+    length = (arc_lengths(axes) - tied[:, None]).clamp(min=0)
+    centre = clump_centres(axes[:, 0], controls.clump_spacing)
+    of_clump = torch.rand(strands, 3, generator=generator)[centre]
     of_strand = torch.rand(strands, 3, generator=generator)
     varied = 1 + controls.curl_variation * (of_clump[:, 1:] + of_strand[:, 1:] - 1)
     phase = 2 * math.pi * (of_clump[:, 0] + controls.curl_phase_variation * (of_strand[:, 0] - 0.5))
-    angle = phase[:, None] + 2 * math.pi * reach / (controls.curl_length * varied[:, 1:])
-    opening = 1 - torch.exp(-((reach / controls.curl_start) ** 2))
+    angle = phase[:, None] + 2 * math.pi * length / (controls.curl_length * varied[:, 1:])
+    opening = 1 - torch.exp(-((length / controls.curl_start) ** 2))
     first, second = parallel_frames(axes, normals)
-    wind = torch.cos(angle)[..., None] * first + torch.sin(angle)[..., None] * second
-    result = axes + (controls.curl_radius * varied[:, :1] * opening)[..., None] * wind
-    frizz = controls.frizz * (reach[:, -1:] / FRIZZ_LENGTH).clamp(max=1) * reach / reach[:, -1:].clamp(min=1e-6)
-    return result + frizz[..., None] * _wander(strands, count, generator)
+    radial = torch.cos(angle)[..., None] * first + torch.sin(angle)[..., None] * second
+    result = axes + (controls.curl_radius * varied[:, :1] * opening)[..., None] * radial
+    frizz = controls.frizz * (length[:, -1:] / FRIZZ_LENGTH).clamp(max=1) * length / length[:, -1:].clamp(min=1e-6)
+    return result + frizz[..., None] * _random_waves(strands, count, generator)
 
 
 def parallel_frames(
     axes: Float[Tensor, "s n 3"], normals: Float[Tensor, "s 3"]
 ) -> tuple[Float[Tensor, "s n 3"], Float[Tensor, "s n 3"]]:
-    """Two unit vectors across each vertex's tangent, carried along without twist from the root's normal."""
+    """Two unit vectors perpendicular to each vertex's tangent, parallel-transported from the root's normal."""
     tangents = normalize(
         torch.cat([axes[:, 1:2] - axes[:, :1], axes[:, 2:] - axes[:, :-2], axes[:, -1:] - axes[:, -2:-1]], 1), dim=-1
     )
@@ -86,12 +82,11 @@ def parallel_frames(
     return first, torch.linalg.cross(tangents, first)
 
 
-def _wander(strands: int, count: int, generator: torch.Generator) -> Float[Tensor, "s n 3"]:
+def _random_waves(strands: int, count: int, generator: torch.Generator) -> Float[Tensor, "s n 3"]:
     """Two slow random waves, zero at the root."""
     share = torch.linspace(0, 1, count)
     result = torch.zeros(strands, count, 3)
-    for turns in (0.7, 1.6):
+    for periods in (0.7, 1.6):
         phase = 2 * math.pi * torch.rand(strands, 1, 3, generator=generator)
-        wave = torch.sin(2 * math.pi * turns * share[:, None] + phase) - torch.sin(phase)
-        result += 0.5 * wave
+        result += 0.5 * (torch.sin(2 * math.pi * periods * share[:, None] + phase) - torch.sin(phase))
     return result

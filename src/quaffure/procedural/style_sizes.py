@@ -1,4 +1,4 @@
-"""How many strands the bundled styles have and how long they are, without growing them."""
+"""Number and length of the strands of the bundled styles, without generating them."""
 
 import json
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from importlib.resources import files
 
 @dataclass(frozen=True)
 class StyleSize:
-    """A bundled style as it grows with seed 0.
+    """Size of a bundled style with seed 0.
 
     Attributes:
         strands: guides.

@@ -1,4 +1,4 @@
-"""Hair gathered into ties: along the scalp to a band, through it, and on as a tail, a puff or a bun."""
+"""Tied hair: along the scalp to a band, through it, and beyond it as a tail, a puff or a bun."""
 
 import math
 from dataclasses import dataclass
@@ -10,143 +10,142 @@ from quaffure.body.body_model import BodyModel
 from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import CLEARANCE, CLEARANCE_RAMP, distances_and_normals
 from quaffure.hair.scalp_roots import ScalpRoots, roots_at
-from quaffure.procedural.growth import Course, grow, round_ears, smoothed
 from quaffure.procedural.hair_style import HairStyle, Tie
+from quaffure.procedural.strand_tracing import TraceInputs, out_of_ears, smoothed, trace_strands
 from quaffure.types import Float, Int, Tensor
 
-# Hair lies on the hair that it passes: the layer reaches its thickness over this way along the scalp [m].
-LAYER_WAY = 0.15
-# Hair that roots beside the ear passes clear of it after this way [m].
-LIFT_WAY = 0.04
-# What is gathered from above a height is more on the temples, less on the back of the head, by this slope.
-GATHER_SLOPE = 0.5
-# A tail widens where it falls, by this share of the fan in which it leaves the band.
+# Hair lies on the hair below it: the layer reaches its thickness over this length along the scalp [m].
+LAYER_LENGTH = 0.15
+# Hair with its root next to the ear is clear of it after this length [m].
+LIFT_LENGTH = 0.04
+# Slope of the lower limit of tied hair: lower at the temples, higher on the back of the head.
+LIMIT_SLOPE = 0.5
+# A hanging tail widens by this share of the fan in which it leaves the band.
 TAIL_FAN = 0.1
-# A band further aside than this holds a pigtail, which falls before the shoulder [m].
+# A band further from the mid-plane than this holds a pigtail, which falls before the shoulder [m].
 PIGTAIL = 0.03
 # A bun is a ball of hair: strands lie between this share of its radius and all of it.
 BUN_CORE = 0.6
-# Its middle lies this share of its radius beyond the band.
+# Distance of its centre from the band, relative to its radius.
 BUN_RISE = 0.55
-# A strand winds from the bun's pole to this angle from it [radians], after it has risen through its core.
+# Polar angle at which a strand in the bun ends [rad], and share of its length that rises through the core.
 BUN_RIM, BUN_CORE_SHARE = 1.9, 0.15
 
 
 @dataclass(frozen=True)
-class Bundle:
-    """Strands on their way through one band.
+class StrandBundle:
+    """Strands that pass through one band.
 
     Attributes:
-        roots: where they grow.
+        roots: of the strands.
         axis: unit direction in which the tail leaves the band.
-        middle: of the band [m].
-        spoke: unit direction across the axis from the middle to each strand.
-        share: distance of each strand from the middle, relative to the band's radius.
-        ring: where each strand passes the band [m].
+        centre: of the band [m].
+        radial: unit direction across the axis from the centre to each strand.
+        share: distance of each strand from the centre, relative to the band's radius.
+        crossings: points in which the strands cross the band [m].
     """
 
     roots: ScalpRoots
     axis: Float[Tensor, "3"]
-    middle: Float[Tensor, "3"]
-    spoke: Float[Tensor, "s 3"]
+    centre: Float[Tensor, "3"]
+    radial: Float[Tensor, "s 3"]
     share: Float[Tensor, " s"]
-    ring: Float[Tensor, "s 3"]
+    crossings: Float[Tensor, "s 3"]
 
 
-def gathered_by(controls: HairStyle, roots: ScalpRoots) -> Int[Tensor, " s"]:
-    """The tie that each strand goes to, -1 for free hair."""
+def tie_of_strand(controls: HairStyle, roots: ScalpRoots) -> Int[Tensor, " s"]:
+    """Index of the tie of each strand, -1 for free hair."""
     chosen = torch.full((len(roots),), -1)
     x, y, z = roots.from_head.unbind(1)
-    height = z - GATHER_SLOPE * y
+    height = z - LIMIT_SLOPE * y
     for index, tie in enumerate(controls.ties):
         own = (x * tie.side >= 0) & (height >= (-math.inf if tie.gathers_above is None else tie.gathers_above))
         chosen = torch.where((chosen < 0) & own, index, chosen)
     return chosen
 
 
-def bundle_of(tie: Tie, roots: ScalpRoots, body: BodyModel, generator: torch.Generator) -> Bundle:
-    """Strands enter the band from the side that they come from, so that they do not cross in it."""
+def strand_bundle(tie: Tie, roots: ScalpRoots, body: BodyModel, generator: torch.Generator) -> StrandBundle:
+    """Strands cross the band on the side of their roots, so that they do not intersect in it."""
     below = roots_at(body, torch.tensor([tie.place]))
     axis = normalize(below.normals[0] + tie.upwards * torch.tensor([0.0, 0.0, 1.0]), dim=-1)
-    middle = below.points[0] + tie.stand_off * below.normals[0]
-    away = roots.points - middle
-    spoke = normalize(away - (away @ axis)[:, None] * axis, dim=-1)
+    centre = below.points[0] + tie.stand_off * below.normals[0]
+    offset = roots.points - centre
+    radial = normalize(offset - (offset @ axis)[:, None] * axis, dim=-1)
     share = torch.rand(len(roots), generator=generator).sqrt()
-    return Bundle(roots, axis, middle, spoke, share, middle + tie.radius * share[:, None] * spoke)
+    return StrandBundle(roots, axis, centre, radial, share, centre + tie.radius * share[:, None] * radial)
 
 
-def gather(
-    controls: HairStyle, tie: Tie, bundle: Bundle, steps: int, surface: Surface, generator: torch.Generator
+def trace_tied(
+    controls: HairStyle, tie: Tie, bundle: StrandBundle, steps: int, surface: Surface, generator: torch.Generator
 ) -> tuple[Float[Tensor, "s n 3"], int]:
-    """Axes of `steps` steps, and which of their vertices lies in the band."""
+    """Axes of `steps` steps, and the index of their vertex in the band."""
     to_band = steps // 2
-    drawn = _drawn(controls, bundle, to_band, surface, generator)
+    first = _to_band(controls, bundle, to_band, surface, generator)
     if tie.bun_radius is None:
-        tail = _fallen(controls, tie, bundle, steps - to_band, surface, generator)
+        rest = _tail(controls, tie, bundle, steps - to_band, surface, generator)
     else:
-        tail = _wound(tie, bundle, steps - to_band, generator)
-    return torch.cat([drawn, tail[:, 1:]], dim=1), to_band
+        rest = _bun(tie, bundle, tie.bun_radius, steps - to_band, generator)
+    return torch.cat([first, rest[:, 1:]], dim=1), to_band
 
 
-def _drawn(
-    controls: HairStyle, bundle: Bundle, steps: int, surface: Surface, generator: torch.Generator
+def _to_band(
+    controls: HairStyle, bundle: StrandBundle, steps: int, surface: Surface, generator: torch.Generator
 ) -> Float[Tensor, "s n 3"]:
-    """From the roots to the band: straight ahead, but over the head; nearly a geodesic."""
+    """From the roots to the band: straight, but outside of the head; nearly a geodesic."""
     point = bundle.roots.points
-    travelled = torch.zeros(len(point))
+    length = torch.zeros(len(point))
     thickness = controls.layer_thickness * (0.3 + 0.7 * torch.rand(len(point), generator=generator))
     points = [point]
     for index in range(steps):
-        wanted = point + (bundle.ring - point) / (steps - index)
-        distance, normal = distances_and_normals(wanted, surface)
-        clearance = CLEARANCE + thickness * (travelled / LAYER_WAY).clamp(max=1)
-        lowest = torch.minimum(clearance, CLEARANCE_RAMP * (travelled + CLEARANCE))
-        wanted = wanted + (lowest - distance).clamp(min=0)[:, None] * normal
-        wanted = round_ears(wanted, bundle.roots.head, (travelled / LIFT_WAY).clamp(max=1), held=True)
-        travelled = travelled + (wanted - point).norm(dim=-1)
-        point = wanted
+        moved = point + (bundle.crossings - point) / (steps - index)
+        distance, normal = distances_and_normals(moved, surface)
+        clearance = CLEARANCE + thickness * (length / LAYER_LENGTH).clamp(max=1)
+        lowest = torch.minimum(clearance, CLEARANCE_RAMP * (length + CLEARANCE))
+        moved = moved + (lowest - distance).clamp(min=0)[:, None] * normal
+        moved = out_of_ears(moved, bundle.roots.head, (length / LIFT_LENGTH).clamp(max=1), held=True)
+        length = length + (moved - point).norm(dim=-1)
+        point = moved
         points.append(point)
-    points[-1] = bundle.ring
+    points[-1] = bundle.crossings
     return smoothed(torch.stack(points, dim=1))
 
 
-def _fallen(
-    controls: HairStyle, tie: Tie, bundle: Bundle, steps: int, surface: Surface, generator: torch.Generator
+def _tail(
+    controls: HairStyle, tie: Tie, bundle: StrandBundle, steps: int, surface: Surface, generator: torch.Generator
 ) -> Float[Tensor, "s n 3"]:
     """Beyond the band as free hair, fanned out."""
     strands = len(bundle.share)
     angle = math.radians(tie.spread_deg) * bundle.share[:, None]
     noise = 2 * torch.rand(strands, generator=generator) - 1
-    pigtail = bool(bundle.middle[0].abs() > PIGTAIL)
+    pigtail = bool(bundle.centre[0].abs() > PIGTAIL)
     down = torch.tensor([0.0, 0.0, -1.0])
-    course = Course(
-        start=bundle.ring,
-        heading=torch.cos(angle) * bundle.axis + torch.sin(angle) * bundle.spoke,
-        falling=normalize(down + TAIL_FAN * torch.sin(angle) * bundle.spoke, dim=-1),
+    inputs = TraceInputs(
+        start=bundle.crossings,
+        root_direction=torch.cos(angle) * bundle.axis + torch.sin(angle) * bundle.radial,
+        hanging_direction=normalize(down + TAIL_FAN * torch.sin(angle) * bundle.radial, dim=-1),
         step=tie.tail_length * (1 + controls.length_variation * noise) / steps,
         clearance=CLEARANCE + controls.layer_thickness * torch.rand(strands, generator=generator),
-        aside=torch.where(bundle.ring[:, 0] >= 0, 1.0, -1.0),
-        line=torch.full((strands,), math.inf if pigtail else -math.inf),
-        opening=torch.full((strands,), controls.face_opening),
+        face_side=torch.where(bundle.crossings[:, 0] >= 0, 1.0, -1.0),
+        shoulder_line=torch.full((strands,), math.inf if pigtail else -math.inf),
+        face_opening=torch.full((strands,), controls.face_opening),
     )
-    return grow(course, controls, steps, bundle.roots.head, surface)
+    return trace_strands(inputs, controls, steps, bundle.roots.head, surface)
 
 
-def _wound(tie: Tie, bundle: Bundle, steps: int, generator: torch.Generator) -> Float[Tensor, "s n 3"]:
-    """Beyond the band up through the middle of a ball and round it, down to its rim."""
-    assert tie.bun_radius is not None
+def _bun(
+    tie: Tie, bundle: StrandBundle, radius: float, steps: int, generator: torch.Generator
+) -> Float[Tensor, "s n 3"]:
+    """Beyond the band up through the core of a ball and down around it as a spiral to its rim."""
     core = BUN_CORE + (1 - BUN_CORE) * torch.rand(len(bundle.share), generator=generator).sqrt()
-    radius = tie.bun_radius * core[:, None, None]
-    centre = bundle.middle + BUN_RISE * tie.bun_radius * bundle.axis
+    centre = bundle.centre + BUN_RISE * radius * bundle.axis
     share = torch.linspace(0, 1, steps + 1)
     wound = ((share - BUN_CORE_SHARE) / (1 - BUN_CORE_SHARE)).clamp(min=0)
     end = 1 + 0.2 * (torch.rand(len(bundle.share), 1, generator=generator) - 0.5)
-    pole = BUN_RIM * (wound * end)[..., None]
-    turn = 2 * math.pi * tie.turns * (wound * end)[..., None]
-    across = torch.linalg.cross(bundle.axis.expand_as(bundle.spoke), bundle.spoke)
-    around = torch.cos(turn) * bundle.spoke[:, None] + torch.sin(turn) * across[:, None]
-    ball = centre + radius * (torch.cos(pole) * bundle.axis + torch.sin(pole) * around)
+    polar = BUN_RIM * (wound * end)[..., None]
+    azimuth = 2 * math.pi * tie.turns * (wound * end)[..., None]
+    across = torch.linalg.cross(bundle.axis.expand_as(bundle.radial), bundle.radial)
+    around = torch.cos(azimuth) * bundle.radial[:, None] + torch.sin(azimuth) * across[:, None]
+    ball = centre + radius * core[:, None, None] * (torch.cos(polar) * bundle.axis + torch.sin(polar) * around)
     rise = (share / BUN_CORE_SHARE).clamp(max=1)[:, None]
-    return smoothed(
-        torch.cat([bundle.ring[:, None], (bundle.ring[:, None] + rise * (ball - bundle.ring[:, None]))[:, 1:]], 1)
-    )
+    start = bundle.crossings[:, None]
+    return smoothed(torch.cat([start, (start + rise * (ball - start))[:, 1:]], 1))

@@ -1,4 +1,4 @@
-"""The cut: how long every strand is, and where the scissors end it."""
+"""Trimming: the length of every strand, and the surfaces at which strands are cut."""
 
 import math
 
@@ -6,13 +6,13 @@ import torch
 
 from quaffure.hair.scalp_roots import ScalpRoots
 from quaffure.procedural.hair_style import HairStyle
-from quaffure.types import Bool, Float, Tensor
+from quaffure.types import Bool, Float, Int, Tensor
 
-# The shortest hair there is: its edges are little longer than hair is thick [m].
+# The shortest hair: its edges are little longer than hair is thick [m].
 SHORTEST = 0.004
-# A fringe and the hair beside it blend over this distance [m].
+# Width of the transition between a fringe and the hair next to it [m].
 FRINGE_FADE = 0.008
-# The left ear as scissors go round it: an ellipsoid, its centre seen from the Head joint, and half axes [m].
+# The region of the left ear without hair: an ellipsoid, its centre relative to the Head joint, and half axes [m].
 EAR_CENTRE, EAR_AXES = (0.085, 0.002, 0.010), (0.022, 0.026, 0.044)
 
 
@@ -29,8 +29,8 @@ def strand_lengths(controls: HairStyle, roots: ScalpRoots, generator: torch.Gene
     layer = controls.layering * torch.rand(len(roots), generator=generator) * root_heights(roots)
     lengths = controls.length * factor * (1 + noise) * (1 - layer)
     if controls.clipping is not None:
-        stubble = controls.clipping.length * (1 + 0.15 * noise.sign())
-        lengths = lengths + clipped_share(controls, roots) * (stubble - lengths)
+        very_short = controls.clipping.length * (1 + 0.15 * noise.sign())
+        lengths = lengths + clipped_share(controls, roots) * (very_short - lengths)
     return lengths
 
 
@@ -41,7 +41,7 @@ def root_heights(roots: ScalpRoots) -> Float[Tensor, " s"]:
 
 
 def clipped_share(controls: HairStyle, roots: ScalpRoots) -> Float[Tensor, " s"]:
-    """How far each root lies in the clipped part: 1 in it, 0 out of it, between the two in its fade."""
+    """Share of clipping at each root: 1 in the clipped part, 0 outside, between the two in its fade."""
     clipping, clipped = controls.clipping, torch.zeros(len(roots))
     if clipping is None:
         return clipped
@@ -54,18 +54,18 @@ def clipped_share(controls: HairStyle, roots: ScalpRoots) -> Float[Tensor, " s"]
 
 
 def in_fringe(controls: HairStyle, roots: ScalpRoots, generator: torch.Generator) -> Bool[Tensor, " s"]:
-    """Which strands are combed to the front; at the fringe's borders some are and some are not."""
+    """Whether each strand belongs to the fringe, at random near the fringe's borders."""
     fringe = controls.fringe
     if fringe is None:
         return torch.zeros(len(roots), dtype=torch.bool)
     x, y, _ = roots.from_head.unbind(1)
-    # A fringe is a triangle: its widest part is the hairline, its tip lies towards the crown.
+    # The roots of a fringe cover a triangle: its base is the hairline, its apex points to the crown.
     behind = (y - y.min()) / fringe.depth
     noise = FRINGE_FADE * (torch.rand(len(roots), generator=generator) - 0.5)
     return (behind < 1) & ((x + noise).abs() < fringe.half_width * (1 - behind.clamp(min=0)).sqrt())
 
 
-def cut_levels(
+def trim_heights(
     controls: HairStyle, roots: ScalpRoots, fringe: Bool[Tensor, " s"], generator: torch.Generator
 ) -> Float[Tensor, " s"]:
     """World height below which each strand is cut [m]; -inf where it is not."""
@@ -77,24 +77,24 @@ def cut_levels(
     return level + rough + roots.head[2]
 
 
-def cut_below(axes: Float[Tensor, "s n 3"], level: Float[Tensor, " s"]) -> Float[Tensor, "s n 3"]:
-    """Strands cut where they first pass below `level` [m, world]."""
-    return cut_where(axes, level[:, None] - axes[..., 2])
+def trim_below(axes: Float[Tensor, "s n 3"], level: Float[Tensor, " s"]) -> Float[Tensor, "s n 3"]:
+    """Strands cut at their first vertex below `level` [m, world], interpolated."""
+    return trim_where(axes, level[:, None] - axes[..., 2])
 
 
-def cut_above(axes: Float[Tensor, "s n 3"], height: float) -> Float[Tensor, "s n 3"]:
-    """Strands cut where they first pass above `height` [m, world]."""
-    return cut_where(axes, axes[..., 2] - height)
+def trim_above(axes: Float[Tensor, "s n 3"], height: float) -> Float[Tensor, "s n 3"]:
+    """Strands cut at their first vertex above `height` [m, world], interpolated."""
+    return trim_where(axes, axes[..., 2] - height)
 
 
-def cut_off_ears(axes: Float[Tensor, "s n 3"], head: Float[Tensor, "3"]) -> Float[Tensor, "s n 3"]:
-    """Strands cut where they would first cover an ear."""
+def trim_around_ears(axes: Float[Tensor, "s n 3"], head: Float[Tensor, "3"]) -> Float[Tensor, "s n 3"]:
+    """Strands cut where they first enter the region of an ear."""
     local = torch.cat([axes[..., :1].abs(), axes[..., 1:]], dim=-1) - head - torch.tensor(EAR_CENTRE)
-    return cut_where(axes, 1 - (local / torch.tensor(EAR_AXES)).square().sum(-1))
+    return trim_where(axes, 1 - (local / torch.tensor(EAR_AXES)).square().sum(-1))
 
 
-def cut_where(axes: Float[Tensor, "s n 3"], depth: Float[Tensor, "s n"]) -> Float[Tensor, "s n 3"]:
-    """Strands cut where their depth in something first exceeds zero, and brought back to as many vertices."""
+def trim_where(axes: Float[Tensor, "s n 3"], depth: Float[Tensor, "s n"]) -> Float[Tensor, "s n 3"]:
+    """Strands cut where `depth` first exceeds zero, resampled to the same number of vertices."""
     count = axes.shape[1]
     within = depth > 0
     cut = within.any(1)
@@ -102,8 +102,15 @@ def cut_where(axes: Float[Tensor, "s n 3"], depth: Float[Tensor, "s n"]) -> Floa
     before, after = (depth.gather(1, (first - back)[:, None])[:, 0] for back in (1, 0))
     last = first - torch.where(cut, after / (after - before).clamp(min=1e-6), 0.0).clamp(0, 1)
     shortest = (count - 1) * (SHORTEST / axes.diff(dim=1).norm(dim=-1).sum(1)).clamp(max=1)
-    place = torch.linspace(0, 1, count) * last.maximum(shortest)[:, None]
-    left = place.long().clamp(max=count - 2)
-    weight = (place - left)[..., None]
+    position = torch.linspace(0, 1, count) * last.maximum(shortest)[:, None]
+    left = position.long().clamp(max=count - 2)
+    return interpolate_vertices(axes, left, position - left)
+
+
+def interpolate_vertices(
+    strands: Float[Tensor, "s n 3"], left: Int[Tensor, "s m"], weight: Float[Tensor, "s m"]
+) -> Float[Tensor, "s m 3"]:
+    """Points between the vertices `left` (weight 0) and their successors (weight 1)."""
     index = left[..., None].expand(-1, -1, 3)
-    return (1 - weight) * axes.gather(1, index) + weight * axes.gather(1, index + 1)
+    weight = weight[..., None]
+    return (1 - weight) * strands.gather(1, index) + weight * strands.gather(1, index + 1)

@@ -1,57 +1,53 @@
-"""What descents by the gradient share: the variables that they move, the loss, and how they end.
+"""Gradient-based minimizers: the variables that they move, the loss, and the draper that they share.
 
-The loss is `HairEnergy` in units of `HairEnergy.per_vertex_unit`. Where the elastic model has unknowns, the
-quaternions of the full Cosserat rod, their turns against the edges (`ElasticState.following`) are variables too.
+The loss is `HairEnergy` in units of `HairEnergy.per_vertex_unit`. Variables of energy terms, as the frame rotations of
+the full Cosserat rod, are minimized over together with those of the hair.
 """
 
 import time
-from typing import Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import torch
 
+from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
 from quaffure.energies.closed_form import equilibrium_vectors
-from quaffure.energies.elastic_model import ModifiedCosserat
+from quaffure.energies.energy_term import Terms
 from quaffure.energies.force_limit import clip_gradients
+from quaffure.energies.gravity import Gravity
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies.stretch_shear import StretchShear
 from quaffure.geometry.polyline import integrate_directions
-from quaffure.scene import Scene
+from quaffure.scene import HairScene
 from quaffure.solvers.stopping import stopping_report
 from quaffure.types import EdgeVectors, Positions, Tensor
-
-
-@runtime_checkable
-class HairVariables(Protocol):
-    """What moves the vertices.
-
-    Attributes:
-        values: leaf of the optimizer.
-    """
-
-    @property
-    def values(self) -> Tensor: ...
-
-    def positions(self) -> Positions:
-        """Vertices [m], differentiable in `values`; roots are where the scalp has them."""
-        ...
 
 
 class Directions:
     """Directions of the edges, of any length but zero; edges keep their rest lengths.
 
-    They start as the closed-form sag, the minimum where nothing touches; with other elastic models, as posed.
+    They start as the closed-form gravity equilibrium without contact; without Eqs. 6 and 9, as posed.
+
+    Attributes:
+        values: leaf of the optimizer.
     """
 
-    def __init__(self, energy: HairEnergy, scene: Scene) -> None:
+    def __init__(self, energy: HairEnergy, scene: HairScene) -> None:
         self._roots, self._rest_length = scene.posed[:, :, 0], energy.rest.rest_length
         start = scene.director.clone()
-        if isinstance(energy.elastic, ModifiedCosserat):
+        if {StretchShear, Gravity} <= {type(term) for term in energy.terms}:
             start = equilibrium_vectors(start, self._rest_length, energy.rest.mass_beyond, energy.material.k_cosserat)
         self.values = torch.nn.functional.normalize(start, dim=-1).requires_grad_()
 
     @torch.no_grad()
-    def turn_to(self, vectors: EdgeVectors) -> None:
-        """Point along vectors of any length but zero, from here on."""
+    def set_directions(self, vectors: EdgeVectors) -> None:
+        """Normalize and set the current values.
+
+        Args:
+            vectors: of any length but zero.
+        """
         self.values.copy_(torch.nn.functional.normalize(vectors, dim=-1))
 
     def positions(self) -> Positions:
@@ -59,9 +55,13 @@ class Directions:
 
 
 class Offsets:
-    """Offsets [m] of all vertices but the roots from the posed groom."""
+    """Offsets [m] of all vertices but the roots from the posed groom.
 
-    def __init__(self, energy: HairEnergy, scene: Scene) -> None:
+    Attributes:
+        values: leaf of the optimizer.
+    """
+
+    def __init__(self, energy: HairEnergy, scene: HairScene) -> None:
         self._posed = scene.posed
         self.values = torch.zeros_like(scene.posed[:, :, 1:]).requires_grad_()
 
@@ -69,43 +69,79 @@ class Offsets:
         return torch.cat([self._posed[:, :, :1], self._posed[:, :, 1:] + self.values], dim=2)
 
 
+HairVariables = Directions | Offsets
+"""What determines the vertices; roots stay on the scalp."""
+
+
 class Descent:
     """The loss of a scene as a function of its variables.
 
     Attributes:
         variables: the hair's.
-        turns: the elastic model's; the last axis may be empty.
+        term_variables: those of energy terms, by the terms' names.
         evaluations: of the loss and its gradient so far.
+        clips: limit the force on each vertex (`quaffure.energies.force_limit`).
     """
 
-    def __init__(self, energy: HairEnergy, scene: Scene, variables: HairVariables, limited: bool = False) -> None:
-        self.energy, self.scene, self.variables, self._limited = energy, scene, variables, limited
-        self.turns = energy.no_turns(scene.director).clone().requires_grad_()
+    def __init__(self, energy: HairEnergy, scene: HairScene, variables: HairVariables, clips: bool = False) -> None:
+        self.energy, self.scene, self.variables, self.clips = energy, scene, variables, clips
+        initial = energy.initial_variables(scene)
+        self.term_variables = {name: value.clone().requires_grad_() for name, value in initial.items()}
         self.evaluations = 0
         self._began = time.perf_counter()
 
     @property
     def leaves(self) -> list[Tensor]:
-        return [self.variables.values, *([self.turns] if self.turns.numel() else [])]
+        return [self.variables.values, *self.term_variables.values()]
 
     def loss(self) -> Tensor:
         """Sum over the samples of the energy per vertex [m g L], its gradient left at the leaves."""
         for leaf in self.leaves:
             leaf.grad = None
         positions = self.variables.positions()
-        if self._limited:
+        if self.clips:
             positions = clip_gradients(positions, self.energy.rest, self.energy.per_vertex_unit)
-        director = self.scene.director
-        unknowns = self.energy.following(positions, director, self.turns)
-        energy = self.energy.total(positions, director, self.scene.surface, unknowns)
+        energy = self.energy.total(positions, self.scene, self.term_variables)
         loss = energy.sum() / self.energy.per_vertex_unit
         loss.backward()
         self.evaluations += 1
         return loss
 
     def finish(self) -> tuple[Positions, StoppingReport]:
-        """Vertices [m] where the variables are now, and the report."""
+        """Vertices [m] of the current variables, and the report."""
         positions = self.variables.positions().detach()
-        unknowns = self.energy.following(positions, self.scene.director, self.turns)
         seconds = time.perf_counter() - self._began
-        return positions, stopping_report(self.energy, self.scene, positions, self.evaluations, seconds, unknowns)
+        report = stopping_report(self.energy, self.scene, positions, self.evaluations, seconds, self.term_variables)
+        return positions, report
+
+
+class DescentDraper(ABC):
+    """Minimizes `HairEnergy`, of any terms, by its gradient.
+
+    Attributes:
+        terms: of the energy.
+        variables: what determines the vertices.
+        clips: limit the force on each vertex (`quaffure.energies.force_limit`).
+    """
+
+    variables: Callable[[HairEnergy, HairScene], HairVariables] = Directions
+    clips = False
+
+    def __init__(self, material: HairMaterial | None = None, terms: Terms | None = None) -> None:
+        self.material = material or HairMaterial()
+        self.terms = hair_terms() if terms is None else terms
+
+    def drape(self, scene: HairScene) -> Positions:
+        """Draped vertices of every sample [m, world]."""
+        return self.solve(scene)[0]
+
+    def solve(self, scene: HairScene) -> tuple[Positions, StoppingReport]:
+        """Draped vertices [m] and where the solver stopped."""
+        energy = HairEnergy(scene.groom, self.material, self.terms)
+        descent = Descent(energy, scene, self.variables(energy, scene), self.clips)
+        self.minimize(descent)
+        return descent.finish()
+
+    @abstractmethod
+    def minimize(self, descent: Descent) -> None:
+        """Lower the loss of `descent` by changing its variables."""

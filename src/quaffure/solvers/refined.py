@@ -1,4 +1,4 @@
-"""A network's drape as the start of a few steps of Adam: how much of what it misses is a matter of polish."""
+"""A few steps of Adam from a network's drape: how much of its error local optimization removes."""
 
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.model.neural import NeuralDraper
@@ -9,7 +9,7 @@ from quaffure.types import Positions
 
 
 class RefinedDraper:
-    """Minimizes `HairEnergy` over directions from where a network leads.
+    """Minimizes `HairEnergy` over directions, from a network's drape.
 
     Attributes:
         start: the network.
@@ -26,7 +26,6 @@ class RefinedDraper:
     def drape(self, scene: Scene) -> Positions:
         energy = HairEnergy(scene.groom, self.material)
         directions = Directions(energy, scene)
-        directions.turn_to(self.start.drape(scene).diff(dim=2))
-        descent = Descent(energy, scene, directions, limited=True)
-        descend_directions(descent, directions, self.steps, self.learning_rate)
+        directions.set_directions(self.start.drape(scene).diff(dim=2))
+        descend_directions(Descent(energy, scene, directions, clips=True), self.steps, self.learning_rate)
         return directions.positions().detach()

@@ -39,17 +39,22 @@ from numba import get_num_threads
 
 from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
+from quaffure.energies.contact_force import contact_force
+from quaffure.energies.edge_force import stretch_force, stretch_shear_force
+from quaffure.energies.energy_term import Terms
 from quaffure.energies.fused_density import active_particles, density_gradient, sort_particles
 from quaffure.energies.gravity import GRAVITY
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.rest_state import RestState
-from quaffure.geometry.occupancy_grid import REACH
 from quaffure.geometry.surface import Surface
-from quaffure.scene import Scene
+from quaffure.scene import HairScene
 from quaffure.solvers.stopping import stopping_report
+from quaffure.solvers.supported_terms import refuse_other_terms
 from quaffure.solvers.xpbd_kernels import (
     FAR_AWAY,
     LANES,
+    PlaneSearch,
+    StrandBlocks,
     excess_and_mobility,
     find_planes,
     sweep_strands,
@@ -109,21 +114,22 @@ class XpbdDraper:
 
     name = "xpbd"
 
-    def __init__(self, material: HairMaterial | None = None, setting: XpbdSetting | None = None) -> None:
+    def __init__(
+        self, material: HairMaterial | None = None, setting: XpbdSetting | None = None, terms: Terms | None = None
+    ) -> None:
+        """
+        Raises:
+            InputError: terms other than Eqs. 6, 7, 9, 10 and 11, which it cannot project.
+        """
+        refuse_other_terms(self.name, terms)
         self.material = material or HairMaterial()
         self.setting = setting or XpbdSetting()
 
-    def drape(self, scene: Scene) -> Positions:
+    def drape(self, scene: HairScene) -> Positions:
         return self.solve(scene)[0]
 
-    def solve(self, scene: Scene) -> tuple[Positions, StoppingReport]:
-        """Draped vertices [m] and where the solver stopped; its iterations are the sweeps of one sample.
-
-        Raises:
-            ValueError: the collision margin is larger than the distance that clear cells keep from the body.
-        """
-        if self.material.collision_margin > REACH:
-            raise ValueError(f"expected a collision margin up to {REACH} m, found {self.material.collision_margin}")
+    def solve(self, scene: HairScene) -> tuple[Positions, StoppingReport]:
+        """Draped vertices [m] and where the solver stopped; its iterations are the sweeps of one sample."""
         begin = time.perf_counter()
         energy = HairEnergy(scene.groom, self.material)
         draped = torch.empty_like(scene.posed)
@@ -143,7 +149,7 @@ class HairInMotion:
     Multipliers carry the factor dt^2 / m_ref, m_ref the mean mass, which makes metres of them.
     """
 
-    def __init__(self, scene: Scene, sample: int, rest: RestState, material: HairMaterial) -> None:
+    def __init__(self, scene: HairScene, sample: int, rest: RestState, material: HairMaterial) -> None:
         self.material = material
         self.edges = EdgeConstants(scene.director[sample].numpy(), rest, material)
         posed = scene.posed[sample].detach().numpy()
@@ -155,7 +161,7 @@ class HairInMotion:
         self.contact = np.zeros_like(self.x)
         self.pushed = np.zeros_like(self.x)
         self.body = BodyContacts(scene.surface, sample, rest, posed, self.x.shape)
-        self.crowd = DensityParticles(rest, material)
+        self.density = DensityParticles(rest, material)
 
     def world(self) -> FloatOf[np.ndarray, "s n 3"]:
         """Vertices [m, world]."""
@@ -164,21 +170,24 @@ class HairInMotion:
     def step(self, time_step: float, setting: XpbdSetting) -> None:
         """One time step of dt [s] from rest."""
         self._begin(time_step)
-        stiffness = 3 * self.material.k_body_collision * time_step**2 / self.edges.mass_unit
+        # 3 k_bc: the force of Eq. 10 at a shortfall of one metre.
+        force, _ = contact_force(0.0, 1.0, self.material.k_body_collision)
+        stiffness = -force * time_step**2 / self.edges.mass_unit
         constants, pull = self.edges.at(time_step)
         for done in range(0, setting.iterations, setting.refresh):
             world = self.world()
             self.body.refresh(world, self.roots)
             if self.material.k_self_collision > 0:
-                shift = self.crowd.push(world, time_step, setting.density_relaxation) - self.pushed
+                shift = self.density.push(world, time_step, setting.density_relaxation) - self.pushed
                 longest = np.linalg.norm(shift, axis=2, keepdims=True)
                 shift *= np.minimum(1.0, MOST_SHIFT * self.material.smoothing_length / np.maximum(longest, 1e-30))
                 self.x += shift
                 self.pushed += shift
-            sweep_strands(
-                self.x, self.tension, self.contact, self.body.plane, self.edges.inverse_mass, constants, pull,
-                stiffness, setting.relaxation, MOST_PUSH, min(setting.refresh, setting.iterations - done),
-            )  # fmt: skip
+            blocks = StrandBlocks(
+                self.x, self.tension, self.contact, self.body.plane, self.edges.inverse_mass, constants, pull
+            )
+            sweeps = min(setting.refresh, setting.iterations - done)
+            sweep_strands(blocks, stiffness, setting.relaxation, MOST_PUSH, sweeps)
 
     def _begin(self, time_step: float) -> None:
         """x~ plus the displacements by all forces known. They moved x, gravity included, by x_n - x_(n-1) in the last
@@ -211,10 +220,15 @@ class EdgeConstants:
     def at(self, time_step: float) -> tuple[FloatOf[np.ndarray, "k e 3 8"], FloatOf[np.ndarray, "k e 3 8"]]:
         """`edge` and `pull` of `sweep_strands` for a time step [s]."""
         scaled = self.coupling * time_step**2 / self.mass_unit
-        length = self.rest_length
-        softness = 1 / (1 + scaled * (self.k_cosserat / length**2 + self.k_stretch))
-        edge = np.stack([self.coupling, scaled * self.k_stretch * length, softness], axis=-1)
-        return packed(edge), packed((scaled * self.k_cosserat / length)[..., None] * self.director)
+        length, inverse = self.rest_length, 1 / self.rest_length
+        # The forces of Eqs. 6 and 7 are linear in the edge and its length: -k_c / l d3 and -k_s l where these are zero.
+        shear_stiffness, _ = stretch_shear_force(1.0, 0.0, inverse, self.k_cosserat)
+        shear_at_zero, _ = stretch_shear_force(0.0, self.director, inverse[..., None], self.k_cosserat)
+        stretch_stiffness, _ = stretch_force(1.0, 0.0, self.k_stretch)
+        stretch_at_zero, _ = stretch_force(0.0, length, self.k_stretch)
+        softness = 1 / (1 + scaled * (shear_stiffness + stretch_stiffness))
+        edge = np.stack([self.coupling, -scaled * stretch_at_zero, softness], axis=-1)
+        return packed(edge), packed(-scaled[..., None] * shear_at_zero)
 
 
 class BodyContacts:
@@ -229,19 +243,14 @@ class BodyContacts:
         packed_shape: tuple[int, ...],
     ) -> None:
         self.margin = rest.collision_margin.numpy()
-        tree = surface.topology.tree
-        self.mesh = (
-            surface.corners[sample], surface.normals[sample], surface.bounds[sample], tree.first, tree.second,
-            surface.map.origin[sample], surface.map.clear[sample],
-        )  # fmt: skip
-        self.searched = posed.copy()
-        self.free = np.zeros(self.margin.shape, np.float32)
-        self.places = np.zeros(self.margin.shape, np.int32)
+        self.surface = surface.sample_arrays(sample)
+        shape = self.margin.shape
+        self.last = PlaneSearch(posed.copy(), np.zeros(shape, np.float32), np.zeros(shape, np.int32))
         self.plane = np.zeros((*packed_shape[:2], 4, LANES))
         self.plane[:, :, 3] = FAR_AWAY
 
     def refresh(self, world: FloatOf[np.ndarray, "s n 3"], roots: FloatOf[np.ndarray, "s 3"]) -> None:
-        find_planes(world, roots, self.margin, *self.mesh, self.searched, self.free, self.places, self.plane)
+        find_planes(world, roots, self.margin, self.surface, self.last, self.plane)
 
 
 class DensityParticles:
@@ -271,8 +280,8 @@ class DensityParticles:
         pressure = self._projected(self.pressure[order], excess, mobility.astype(np.float64), relaxation)
         self.pressure[order] = pressure
         gradient = np.empty_like(flat)
-        pressing = active_particles(particles, pressure)
-        density_gradient(particles, pressing, shape, pressure, order, h, get_num_threads(), gradient)
+        active = active_particles(particles, pressure)
+        density_gradient(particles, active, shape, pressure, order, h, get_num_threads(), gradient)
         moved = -gradient * (self.inverse_mass * np.float32(time_step**2))[:, None]
         return packed(moved.reshape(self.strands, self.vertices, 3))
 

@@ -1,4 +1,4 @@
-"""How both networks are trained: Adam with clipped gradients, and an average of the weights on the way."""
+"""How all networks are trained: Adam with clipped gradients, and an average of the weights on the way."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -24,17 +24,17 @@ class AveragedAdam(Generic[Network]):
         skipped: how many updates were left out so far, because a gradient was not finite.
     """
 
-    def __init__(self, network: Network, learning_rate: float, memory: float) -> None:
+    def __init__(self, network: Network, learning_rate: float, ema_decay: float) -> None:
         """
         Args:
             learning_rate: at the start.
-            memory: share of the average that is kept in a step; less of it at first, when it would still hold the
+            ema_decay: share of the average that is kept in a step; less of it at first, when it would still hold the
                 weights that the network began with.
         """
         self.network, self.learning_rate = network, learning_rate
         trained = [parameter for parameter in network.parameters() if parameter.requires_grad]
         self.adam = torch.optim.Adam(trained, lr=learning_rate, betas=(0.9, 0.99))
-        self._average = AveragedModel(network, avg_fn=_moving_average(memory))
+        self._average = AveragedModel(network, avg_fn=_moving_average(ema_decay))
         self.skipped = 0
         self._skipped_in_a_row = 0
 
@@ -53,7 +53,7 @@ class AveragedAdam(Generic[Network]):
         self.averaged.load_state_dict(weights)
 
     def update(self, share: float) -> float:
-        """One step along the gradients that are there, by a share of the learning rate; the gradients' norm.
+        """One step along the accumulated gradients, by a share of the learning rate; the gradients' norm.
 
         Where a gradient is not finite, all weights stay as they were: one bad batch must not end a run, which would
         meet it again whenever it is resumed.
@@ -91,7 +91,7 @@ class AveragedAdam(Generic[Network]):
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Carry on from what `state` gave.
+        """Continue from what `state` gave.
 
         Raises:
             KeyError, RuntimeError, ValueError: it is of another network.
@@ -108,8 +108,8 @@ def warm_cosine(step: int, warmup: int, steps: int) -> float:
     return min(1.0, (step + 1) / max(1, warmup)) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / steps)))
 
 
-def _moving_average(memory: float) -> Callable[[Tensor, Tensor, Tensor | int], Tensor]:
+def _moving_average(ema_decay: float) -> Callable[[Tensor, Tensor, Tensor | int], Tensor]:
     def average(kept: Tensor, new: Tensor, count: Tensor | int) -> Tensor:
-        return kept.lerp(new, max(1 - memory, 9 / (10 + float(count))))
+        return kept.lerp(new, max(1 - ema_decay, 9 / (10 + float(count))))
 
     return average

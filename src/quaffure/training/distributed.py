@@ -20,8 +20,8 @@ Device = Literal["auto", "cpu", "cuda"]
 T = TypeVar("T")
 
 # The others wait while the first process validates.
-_PATIENCE = timedelta(hours=1)
-_OF_A_LAUNCHER = ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
+_TIMEOUT = timedelta(hours=1)
+_LAUNCHER_VARIABLES = ("RANK", "LOCAL_RANK", "MASTER_ADDR", "MASTER_PORT")
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Worker:
             gradient.copy_(mean.view_as(gradient))
 
     def broadcast_from_first(self, make: Callable[[], T]) -> T:
-        """What the first worker makes, for all of them: no other one needs to see its disk."""
+        """A value that the first worker makes, sent to all of them: no other one needs access to its disk."""
         if self.world_size == 1:
             return make()
         made = [make() if self.is_first else None]
@@ -70,7 +70,7 @@ SINGLE_PROCESS = Worker()
 
 @contextmanager
 def joined_workers(device: Device = "auto") -> Iterator[Worker]:
-    """This process's place among those that a launcher started; `SINGLE_PROCESS` on a device where none did.
+    """This process among those that a launcher started; `SINGLE_PROCESS` on a device where none did.
 
     Args:
         device: `auto` is CUDA where there is a device, each process of a machine on one of its own.
@@ -84,12 +84,12 @@ def joined_workers(device: Device = "auto") -> Iterator[Worker]:
     if world_size == 1:
         yield Worker(device=torch.device(kind))
         return
-    missing = [name for name in _OF_A_LAUNCHER if name not in os.environ]
+    missing = [name for name in _LAUNCHER_VARIABLES if name not in os.environ]
     if missing:
-        raise InputError("environment", "all variables that torchrun sets beside WORLD_SIZE", f"no {missing}")
+        raise InputError("environment", "all variables that torchrun sets with WORLD_SIZE", f"no {missing}")
     _whole_number("MASTER_PORT", range(1, 2**16))
-    worker = Worker(_whole_number("RANK", range(world_size)), world_size, _own_device(kind))
-    distributed.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=_PATIENCE)
+    worker = Worker(_whole_number("RANK", range(world_size)), world_size, _local_device(kind))
+    distributed.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=_TIMEOUT)
     try:
         yield worker
     finally:
@@ -111,7 +111,7 @@ def _kind(device: Device) -> str:
     return "cuda" if device != "cpu" and found else "cpu"
 
 
-def _own_device(kind: str) -> torch.device:
+def _local_device(kind: str) -> torch.device:
     if kind == "cpu":
         # A launcher shares out the cores by OMP_NUM_THREADS, which torch reads and numba does not.
         numba.set_num_threads(min(numba.get_num_threads(), torch.get_num_threads()))

@@ -1,4 +1,4 @@
-"""Batches for the groom autoencoder: what the encoder sees of a groom, and what the decoder should answer."""
+"""Batches for the groom autoencoder: grooms to encode, and strands that the decoder should give."""
 
 import math
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class GroomBatch:
         textures: input of the encoder.
         features: of the strands to be decoded, of all grooms one after another (see `groom_texture`).
         samples: the groom that each of these strands belongs to.
-        texels: the texel that each grows in.
+        texels: the texel of each one's root.
     """
 
     textures: Float[Tensor, "b channels 64 64"]
@@ -29,13 +29,13 @@ class GroomBatch:
     texels: Int[Tensor, " s"]
 
 
-def batch_of(shown: list[GroomSample], asked: list[GroomSample]) -> GroomBatch:
+def batch_of(inputs: list[GroomSample], targets: list[GroomSample]) -> GroomBatch:
     """A batch of grooms to be encoded, each with a groom of the same style to be decoded."""
-    features, samples, texels = _joined(shown)
-    flat = torch.zeros(len(shown) * TEXTURE_SIZE**2, TEXTURE_CHANNELS)
+    features, samples, texels = _joined(inputs)
+    flat = torch.zeros(len(inputs) * TEXTURE_SIZE**2, TEXTURE_CHANNELS)
     flat.index_copy_(0, samples * TEXTURE_SIZE**2 + texels, features)
-    textures = flat.view(len(shown), TEXTURE_SIZE, TEXTURE_SIZE, TEXTURE_CHANNELS).permute(0, 3, 1, 2)
-    return GroomBatch(textures, *_joined(asked))
+    textures = flat.view(len(inputs), TEXTURE_SIZE, TEXTURE_SIZE, TEXTURE_CHANNELS).permute(0, 3, 1, 2)
+    return GroomBatch(textures, *_joined(targets))
 
 
 def _joined(grooms: list[GroomSample]) -> tuple[Float[Tensor, "s channels"], Int[Tensor, " s"], Int[Tensor, " s"]]:
@@ -69,13 +69,13 @@ def part_of(groom: GroomSample, share: float, generator: torch.Generator) -> Gro
 
 def patch_of(groom: GroomSample, low: Float[Tensor, "2"], high: Float[Tensor, "2"]) -> GroomSample:
     """The strands of a rectangle of the scalp's chart, whose corners are given from 0 to 1."""
-    place = (torch.stack([groom.texels % TEXTURE_SIZE, groom.texels // TEXTURE_SIZE], dim=1) + 0.5) / TEXTURE_SIZE
-    kept = torch.nonzero(((place > low) & (place < high)).all(1))[:, 0]
+    position = (torch.stack([groom.texels % TEXTURE_SIZE, groom.texels // TEXTURE_SIZE], dim=1) + 0.5) / TEXTURE_SIZE
+    kept = torch.nonzero(((position > low) & (position < high)).all(1))[:, 0]
     return GroomSample(groom.style, groom.features[kept], groom.texels[kept])
 
 
 def mean_strands(grooms: list[GroomSample]) -> Float[Tensor, "texels decoded"]:
-    """What a decoder should answer on average, in every texel; where nothing ever grows, what the next texel holds."""
+    """Mean target of a decoder in every texel; where no groom has a strand, that of the nearest texel with one."""
     sums, counts = torch.zeros(TEXTURE_SIZE**2, DECODED_CHANNELS), torch.zeros(TEXTURE_SIZE**2)
     for groom in grooms:
         sums.index_add_(0, groom.texels, decoded_channels(groom.features.float()))

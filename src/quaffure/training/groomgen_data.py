@@ -1,4 +1,4 @@
-"""What GroomGen is supervised by: one groom draped by a solver at random rotations of the neck, a file a pose.
+"""Supervision of GroomGen: one groom draped by a solver at random rotations of the neck, a file a pose.
 
     groom.npz        the groom, as `quaffure.io.groom_file` writes it
     manifest.json    what all its drapes have in common
@@ -7,7 +7,6 @@
 A pose is drawn by its number and the seed alone, so a folder can be filled by several processes, and further later on.
 """
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Iterable
@@ -22,12 +21,13 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.neck import head_turn, turned_head
 from quaffure.body.pose_features import world_from_head
 from quaffure.config import HairMaterial
+from quaffure.digest import array_digest
 from quaffure.draper import Draper
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import made_folder, replacing
 from quaffure.io.groom_file import read_groom, write_groom
-from quaffure.io.npz_strands import read_npz
+from quaffure.npz import Spec, read_arrays
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training.run_folder import body_digest, code_version
 from quaffure.types import BodyPose, Float, Tensor
@@ -35,7 +35,7 @@ from quaffure.types import BodyPose, Float, Tensor
 LARGEST_TURN = math.radians(30)
 """Of the head about each axis (Sec. 4.2) [rad]."""
 SAME_GROOM = 1e-4
-"""Grooms are grown anew by every process; their vertices may differ by this much [m]."""
+"""Every process makes the groom again; its vertices may differ by this much [m]."""
 
 
 @dataclass(frozen=True)
@@ -95,20 +95,20 @@ class DrapeFolder:
         """Drape one pose and keep it.
 
         Raises:
-            InputError: the draper answers with NaN or infinity.
+            InputError: the draper returns NaN or infinity.
         """
         body_pose = turned_head(self.body, drawn_turn(self.manifest.seed, pose)[None])
         strands = draper.drape(Scene(self.groom, BodyBatch(self.body, body_pose, torch.zeros(1, 10))))[0].detach()
         if not bool(torch.isfinite(strands).all()):
             raise InputError(draper.name, f"finite vertices in pose {pose}", "NaN or infinity")
-        with replacing(self.pose_file(pose)) as beside, beside.open("wb") as file:
-            np.savez(file, strands=strands.numpy(), body_pose=body_pose[0].numpy())
+        with replacing(self.pose_file(pose)) as temporary:
+            np.savez(temporary, strands=strands.numpy(), body_pose=body_pose[0].numpy())
 
     def read(self, on_pose: Callable[[int], None] = lambda pose: None) -> "DrapedPoses":
         """All drapes that are there, in the order of their numbers.
 
         Args:
-            on_pose: told how many were read, after each of them.
+            on_pose: called with the number of poses read so far.
 
         Raises:
             InputError: there is none, or a file is damaged.
@@ -125,13 +125,11 @@ class DrapeFolder:
         return DrapedPoses(torch.stack(turns), torch.stack(displacements))
 
     def _read_pose(self, path: Path) -> tuple[Float[Tensor, "3"], Float[Tensor, "s n 3"]]:
-        arrays = read_npz(path, ("strands", "body_pose"))
-        shapes = {"strands": tuple(self.groom.rest_strands.shape), "body_pose": (81,)}
-        for name, shape in shapes.items():
-            array = arrays.get(name, np.empty(0))
-            if array.shape != shape or array.dtype != np.float32 or not np.isfinite(array).all():
-                expected = f"finite {name} {shape} (delete the file to have it draped anew)"
-                raise InputError(path, expected, f"{array.dtype} {array.shape}")
+        spec: Spec = {
+            "strands": (tuple(self.groom.rest_strands.shape), (np.float32,)),
+            "body_pose": ((81,), (np.float32,)),
+        }
+        arrays, _ = read_arrays(path, spec, "a draped pose (delete the file to have it draped again)")
         body_pose: BodyPose = torch.from_numpy(arrays["body_pose"])[None]
         scene = Scene(self.groom, BodyBatch(self.body, body_pose, torch.zeros(1, 10)))
         rotations = scene.bodies.posed.joint_rotations
@@ -141,7 +139,7 @@ class DrapeFolder:
 
 @dataclass(frozen=True)
 class DrapedPoses:
-    """What is learnt: from a turn of the head to displacements.
+    """The supervision: from a turn of the head to displacements.
 
     Attributes:
         turn: rotation vector of the head relative to the trunk [rad].
@@ -166,18 +164,18 @@ def started_folder(path: Path, groom: Groom, body: BodyModel, solver: str, drape
         InputError: it holds other drapes, or cannot be made.
     """
     made_folder(path, "a folder for drapes")
-    asked = Manifest(
+    wanted = Manifest(
         groom.name, groom_digest(groom), body_digest(body), solver, asdict(draper.material), seed, code_version()
     )
     if not (path / "manifest.json").is_file():
         write_groom(path / "groom.npz", groom)
-        with replacing(path / "manifest.json") as beside:
-            beside.write_text(json.dumps(asdict(asked), indent=1) + "\n", encoding="utf-8")
+        with replacing(path / "manifest.json") as temporary:
+            temporary.write_text(json.dumps(asdict(wanted), indent=1) + "\n", encoding="utf-8")
     folder = DrapeFolder(path, body)
     for name in ("groom", "solver", "material", "seed"):
-        held, wanted = getattr(folder.manifest, name), getattr(asked, name)
-        if held != wanted:
-            raise InputError(path, f"drapes of {name} {wanted}", f"of {name} {held}")
+        found, expected = getattr(folder.manifest, name), getattr(wanted, name)
+        if found != expected:
+            raise InputError(path, f"drapes of {name} {expected}", f"of {name} {found}")
     if not _same_groom(folder.groom, groom):
         raise InputError(path, f"drapes of this groom {groom.name}", "of another of that name")
     return folder
@@ -191,13 +189,10 @@ def drawn_turn(seed: int, pose: int) -> Float[Tensor, "3"]:
 
 def groom_digest(groom: Groom) -> str:
     """Tells one groom from another, bit for bit."""
-    held = hashlib.sha256()
-    for array in (groom.rest_strands, groom.root_faces, groom.root_barycentric, groom.root_uv):
-        held.update(array.cpu().numpy().tobytes())
-    return held.hexdigest()[:16]
+    return array_digest(groom.rest_strands, groom.root_faces, groom.root_barycentric, groom.root_uv)[:16]
 
 
-def hair_of(manifest: Manifest) -> HairMaterial:
+def material_of_manifest(manifest: Manifest) -> HairMaterial:
     """The material that was simulated."""
     return HairMaterial(**manifest.material)
 
@@ -213,7 +208,7 @@ def _read_manifest(path: Path) -> Manifest:
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         manifest = Manifest(**content)
-        hair_of(manifest)
+        material_of_manifest(manifest)
     except FileNotFoundError as error:
         raise InputError(path, expected, "no such file") from error
     except (OSError, ValueError, TypeError) as error:

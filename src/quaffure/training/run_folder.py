@@ -1,7 +1,6 @@
-"""The folder of a training run: what it was asked for, its logs, and the checkpoint that it carries on from."""
+"""The folder of a training run: its settings, its logs, and the checkpoint to resume from."""
 
 import csv
-import hashlib
 import json
 import subprocess
 from collections.abc import Iterator, Mapping
@@ -14,6 +13,7 @@ import torch
 
 import quaffure
 from quaffure.body.body_model import BodyModel
+from quaffure.digest import array_digest
 from quaffure.errors import InputError
 from quaffure.io.atomic import made_folder, replacing
 
@@ -42,20 +42,23 @@ class RunFolder:
         self.version = code_version()
 
     def describe(self, description: Mapping[str, object]) -> None:
-        """Write `config.json`: the version of the code, and what the run was asked for."""
+        """Write `config.json`: the version of the code, and the settings of the run."""
         with replacing(self.path / "config.json") as path:
             path.write_text(json.dumps({"version": self.version, **description}, indent=1) + "\n")
 
     def save(self, state: Mapping[str, Any]) -> None:
-        """Replace the checkpoint. `state` holds tensors, numbers and texts, and under `identity` what `load` asks for.
+        """Replace the checkpoint. `state` holds tensors, numbers and texts, `identity` among them.
 
         Nothing is unpickled but these when it is read back.
         """
         with replacing(self.path / CHECKPOINT) as path:
             torch.save(dict(state), path)
 
-    def load(self, identity: str) -> dict[str, Any] | None:
+    def load(self, identity: Mapping[str, str]) -> dict[str, Any] | None:
         """The state that `save` kept, on the CPU; None where there is none.
+
+        Args:
+            identity: entries of the state, and what they have to be.
 
         Raises:
             InputError: it is of another run, or damaged.
@@ -68,9 +71,11 @@ class RunFolder:
             return None
         with self.reading():
             state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-            found = state["identity"]
-        if found != identity:
-            raise InputError(self.path, f"a run of {identity}", f"{found}")
+            _ = state["identity"]
+        for name, expected in identity.items():
+            # Checkpoints made before an entry was kept lack it.
+            if state.get(name, expected) != expected:
+                raise InputError(self.path, f"a run of {expected}", f"{state[name]}")
         return state
 
     @contextmanager
@@ -112,8 +117,8 @@ class RunFolder:
 
 
 def body_digest(body: BodyModel) -> str:
-    """Tells one body from another, in any process: its file is the same everywhere."""
-    return hashlib.sha256(body.rest_vertices.cpu().numpy().tobytes()).hexdigest()[:8]
+    """Digest of a body's rest shape, the same in every process."""
+    return array_digest(body.rest_vertices)[:8]
 
 
 def code_version() -> str:
@@ -140,7 +145,7 @@ def _read_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
 
 
 def _write_table(path: Path, columns: list[str], rows: list[dict[str, str]]) -> None:
-    with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns, restval="")
         writer.writeheader()
         writer.writerows(rows)

@@ -1,4 +1,4 @@
-"""What a training run of the deformation decoder is asked for."""
+"""Settings of a training run of the deformation decoder."""
 
 import math
 from collections.abc import Mapping
@@ -7,10 +7,12 @@ from typing import Literal
 
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.config import HairMaterial
-from quaffure.energies.elastic_model import elastic_model
+from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
-from quaffure.geometry.occupancy_grid import REACH
-from quaffure.model.quaffure_network import NetworkConfig
+from quaffure.model.network_config import NetworkConfig
+
+LARGEST_COLLISION_MARGIN = 0.05
+"""Hair farther from the body than this is not in contact with it [m]."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class TrainConfig:
     """Runs of consecutive frames in a step, each on a body of its own; a step's grooms are draped on all of them.
     Of each process where there are several."""
     grooms_per_step: int = 4
-    """Grooms in a step, drawn anew each time; all of them where there are no more."""
+    """Grooms in a step, drawn at random each time; all of them where there are no more."""
     frames: int = 2
     """Consecutive frames in a run (N_pose_reg of Eq. 14)."""
     learning_rate: float = 1e-3
@@ -51,13 +53,15 @@ class TrainConfig:
     """Seconds between two checkpoints that the run can be resumed from."""
 
     def __post_init__(self) -> None:
-        elastic_model(self.elastic)
+        hair_terms(self.elastic)
         counts = ("steps", "runs", "frames", "grooms_per_step", "self_collision_every", "log_every", "validate_every")
         refuse_impossible({name: getattr(self, name) for name in counts}, self.learning_rate, self.seed)
         if not 0 < self.body_contact_weight < math.inf:
             raise InputError("--body-contact-weight", "a number above 0", f"{self.body_contact_weight}")
-        if not 0 < self.material.collision_margin <= REACH:
-            raise InputError("--collision-margin", f"up to {REACH} m", f"{self.material.collision_margin}")
+        if not 0 < self.material.collision_margin <= LARGEST_COLLISION_MARGIN:
+            raise InputError(
+                "--collision-margin", f"up to {LARGEST_COLLISION_MARGIN} m", f"{self.material.collision_margin}"
+            )
 
     @property
     def loss_material(self) -> HairMaterial:
@@ -66,7 +70,7 @@ class TrainConfig:
 
 
 def refuse_impossible(counts: Mapping[str, int], learning_rate: float, seed: int) -> None:
-    """Check what every training is asked for.
+    """Check the settings that all trainings have.
 
     Args:
         counts: by the name of the setting.

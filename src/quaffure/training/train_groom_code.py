@@ -1,11 +1,8 @@
-"""Training of the groom autoencoder, Sec. 3.2: strands left out of what is shown, all of them asked for."""
+"""Training of the groom autoencoder, Sec. 3.2: grooms encoded from a part of their strands, and decoded."""
 
 import hashlib
 import math
-import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import torch
 
@@ -15,9 +12,8 @@ from quaffure.model.groom_autoencoder import GroomAutoencoder, Widths, relative_
 from quaffure.model.groom_code import save_autoencoder, save_encoder
 from quaffure.model.groom_texture import SHAPE_CHANNELS, GroomSample
 from quaffure.model.weights_file import MAX_WIDTH
-from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
 from quaffure.training.groom_batches import GroomBatch, batch_of, mean_strands, mirrored, part_of, patch_of, scaled
-from quaffure.training.run_folder import RunFolder
+from quaffure.training.loop import Recipe, Training
 from quaffure.training.train_config import refuse_impossible
 from quaffure.types import Float, Tensor
 
@@ -35,7 +31,7 @@ class GroomCodeConfig:
     warmup: int = 50
     """Steps over which the learning rate rises from zero."""
     library_seeds: int = 6
-    """Growings of every named style that is not held out."""
+    """Seeds of every named style that is not held out."""
     family: int = 1500
     """Draws from the continuous family."""
     library_share: float = 0.4
@@ -45,7 +41,7 @@ class GroomCodeConfig:
     code_noise: float = 0.03
     """Added to the codes, so that grooms nearby in code are alike [-]."""
     code_penalty: float = 1e-3
-    """Weight of the mean square of the codes, which keeps them from growing away from that noise."""
+    """Weight of the mean square of the codes, which keeps them from outgrowing that noise."""
     bf16: bool = False
     """Run the network's layers in bfloat16."""
     seed: int = 0
@@ -63,42 +59,45 @@ class GroomCodeConfig:
             raise InputError("--library-share", "0 to 1", f"{self.library_share}")
 
 
-# What the encoder sees of a groom, at least [share of its strands].
-LEAST_SHOWN = 0.3
-# Of the strands of a groom that its code is asked for in one step; all of them teach little more and cost twice.
-ASKED = 0.5
-# How often only a patch of the scalp is shown and asked for: real grooms may be a crest, or one part of a hairdo.
+# Least part of a groom that is encoded [share of its strands].
+LEAST_ENCODED = 0.3
+# Share of a groom's strands that are decoded in one step; all of them improve little and cost twice.
+DECODED = 0.5
+# Share of pairs of which only a patch of the scalp is used: real grooms may be a crest, or one part of a hairdo.
 PATCHES = 0.15
 LEAST_PATCH = 50
 # Grooms are made longer or shorter by up to this factor [natural logarithm].
 LENGTHENING = 0.2
-MEMORY = 0.99
-"""Of the exponential average of the weights, which is what is kept."""
+EMA_DECAY = 0.99
+"""Of the weights' exponential average, which is what is kept."""
 
 
-class GroomCodeTraining:
-    """State of a run: network, optimizer, random numbers and step, which `save` and `resume` keep."""
+class GroomCodeRecipe(Recipe):
+    """The groom autoencoder's training for the shared loop (`quaffure.training.loop`)."""
+
+    ema_decay = EMA_DECAY
+    config: GroomCodeConfig
+    network: GroomAutoencoder
+    generator: torch.Generator
 
     def __init__(
         self,
         config: GroomCodeConfig,
         library: list[GroomSample],
         family: list[GroomSample],
-        folder: Path,
         begun: GroomAutoencoder | None = None,
     ) -> None:
         """
         Args:
-            library: grooms; two of one style are growings of it, of which one is encoded and the other asked for.
-            family: grooms of one growing each; may be empty.
-            folder: for checkpoints and weights; made where it does not exist.
+            library: grooms; two of one style differ by their seed: one is encoded, the other is the target.
+            family: grooms of one seed each; may be empty.
             begun: an autoencoder that is finished but for its decoder, which is trained on: codes stay what they are.
 
         Raises:
             InputError: `begun` is not of the configuration's widths.
         """
         torch.manual_seed(config.seed)
-        self.config, self.library, self.family, self.folder = config, library, family, RunFolder(folder)
+        self.config, self.library, self.family = config, library, family
         self.styles: dict[str, list[GroomSample]] = {}
         for groom in library:
             self.styles.setdefault(groom.style, []).append(groom)
@@ -111,12 +110,11 @@ class GroomCodeTraining:
             self.network.load_state_dict(begun.state_dict())
             self.network.encoder.requires_grad_(False)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.optimizer = AveragedAdam(self.network, config.learning_rate, MEMORY)
+        self.samples_per_step = config.batch
         self.generator = torch.Generator().manual_seed(config.seed)
-        self.step = 0
 
-    def train_step(self) -> float:
-        """One step of Adam; the loss [strand lengths]."""
+    def backward(self, step: int) -> dict[str, float]:
+        """The loss [strand lengths]."""
         config = self.config
         batch = self._draw()
         with torch.autocast("cpu", torch.bfloat16, enabled=config.bf16):
@@ -125,29 +123,27 @@ class GroomCodeTraining:
             decoded = self.network.decoder(code + config.code_noise * noise, batch.samples, batch.texels)
         loss = _loss(decoded, batch)
         (loss + config.code_penalty * code.float().square().mean()).backward()
-        self.optimizer.update(warm_cosine(self.step, config.warmup, config.steps))
-        self.step += 1
-        return loss.item()
+        return {"loss": loss.item()}
 
     def _draw(self) -> GroomBatch:
-        """Pairs of grooms of one style, mirrored and lengthened alike; some strands of the first are shown."""
-        shown, asked = [], []
+        """Pairs of grooms of one style, mirrored and lengthened alike; the first of a pair loses strands."""
+        inputs, targets = [], []
         for pair in (self._pair() for _ in range(self.config.batch)):
             flip, stretch, share = torch.rand(3, generator=self.generator).tolist()
             factor = math.exp(LENGTHENING * (2 * stretch - 1))
-            # What an encoder does not learn any more only blurs what its decoder is asked for.
-            least = 1.0 if self.keeps_encoder else LEAST_SHOWN
-            parts = zip(pair, (least + (1 - least) * share, ASKED))
+            # A fixed encoder gains nothing from missing strands, and its decoder's targets would be blurred.
+            least = 1.0 if self.keeps_encoder else LEAST_ENCODED
+            parts = zip(pair, (least + (1 - least) * share, DECODED))
             first, second = (scaled(part_of(groom, kept, self.generator), factor) for groom, kept in parts)
-            shown.append(mirrored(first) if flip < 0.5 else first)
-            asked.append(mirrored(second) if flip < 0.5 else second)
-        return batch_of(shown, asked)
+            inputs.append(mirrored(first) if flip < 0.5 else first)
+            targets.append(mirrored(second) if flip < 0.5 else second)
+        return batch_of(inputs, targets)
 
     def _pair(self) -> tuple[GroomSample, GroomSample]:
         of_library = float(torch.rand((), generator=self.generator)) < self.config.library_share
         if of_library or not self.family:
-            growings = list(self.styles.values())[self._index(len(self.styles))]
-            first, second = (growings[self._index(len(growings))] for _ in range(2))
+            of_style = list(self.styles.values())[self._index(len(self.styles))]
+            first, second = (of_style[self._index(len(of_style))] for _ in range(2))
         else:
             first = second = self.family[self._index(len(self.family))]
         if float(torch.rand((), generator=self.generator)) < PATCHES:
@@ -162,72 +158,41 @@ class GroomCodeTraining:
     def _index(self, count: int) -> int:
         return int(torch.randint(count, (), generator=self.generator))
 
-    def finish(self) -> GroomAutoencoder:
-        """The averaged network, its codes standardised over the grooms; written to the folder."""
-        network = self.optimizer.averaged.eval()
-        if not self.keeps_encoder:
-            with torch.no_grad():
-                codes = [network.encoder(batch_of([groom], [groom]).textures) for groom in self.library + self.family]
-            network.standardise(torch.cat(codes))
-        notes = {"step": str(self.step), "grooms": f"{', '.join(self.styles)}; {len(self.family)} of the family"}
-        with replacing(self.folder.path / "groom_autoencoder.safetensors") as path:
-            save_autoencoder(path, network, notes)
-        with replacing(self.folder.path / "groom_code.safetensors") as path:
-            save_encoder(path, network, notes)
-        return network
+    def description(self) -> dict[str, object]:
+        return {"config": asdict(self.config)}
 
-    def save(self) -> None:
-        """Write everything that `resume` needs."""
-        state = {"generator": self.generator.get_state(), "step": self.step, "identity": self._identity()}
-        self.folder.save(self.optimizer.state() | state)
-
-    def resume(self) -> bool:
-        """Carry on from the folder's checkpoint; False where there is none.
-
-        Raises:
-            InputError: it is of another run, or damaged.
-        """
-        state = self.folder.load(self._identity())
-        if state is None:
-            return False
-        with self.folder.reading():
-            self.optimizer.restore(state)
-            self.generator.set_state(state["generator"])
-            self.step = int(state["step"])
-        return True
-
-    def _identity(self) -> str:
-        """What may not change in a run: grooms, network, seed."""
+    def identity(self) -> dict[str, str]:
+        """Grooms, network and seed."""
         held = hashlib.sha256()
         for groom in self.library + self.family:
             held.update(groom.style.encode() + groom.texels.numpy().tobytes() + groom.features[:, 3].numpy().tobytes())
         count = len(self.library) + len(self.family)
         what = "decoder alone" if self.keeps_encoder else "decoder"
-        return f"{count} grooms {held.hexdigest()[:8]}, {what} {self.config.widths}, seed {self.config.seed}"
+        identity = f"{count} grooms {held.hexdigest()[:8]}, {what} {self.config.widths}, seed {self.config.seed}"
+        return {"identity": identity}
 
 
-def train(training: GroomCodeTraining, report: Callable[[int, float], None]) -> GroomAutoencoder:
-    """Carry a run on to its end, saving on the way; the finished network.
-
-    Args:
-        report: called after every step with the step and its loss [strand lengths].
-    """
-    training.folder.describe({"config": asdict(training.config)})
-    saved = time.perf_counter()
-    while training.step < training.config.steps:
-        loss = training.train_step()
-        report(training.step, loss)
-        if time.perf_counter() - saved > training.config.save_every_seconds:
-            training.save()
-            saved = time.perf_counter()
-    training.save()
-    return training.finish()
+def finish(training: Training[GroomCodeRecipe]) -> GroomAutoencoder:
+    """The averaged network, its codes standardised over the grooms; written to the run's folder."""
+    recipe, folder = training.recipe, training.folder.path
+    network: GroomAutoencoder = training.optimizer.averaged.eval()
+    if not recipe.keeps_encoder:
+        with torch.no_grad():
+            codes = [network.encoder(batch_of([groom], [groom]).textures) for groom in recipe.library + recipe.family]
+        network.standardise(torch.cat(codes))
+    styles = ", ".join(recipe.styles)
+    notes = {"step": str(training.step), "grooms": f"{styles}; {len(recipe.family)} of the family"}
+    with replacing(folder / "groom_autoencoder.safetensors") as path:
+        save_autoencoder(path, network, notes)
+    with replacing(folder / "groom_code.safetensors") as path:
+        save_encoder(path, network, notes)
+    return network
 
 
 def _loss(decoded: Float[Tensor, "s decoded"], batch: GroomBatch) -> Tensor:
-    """Mean distance in strand lengths: half of it every strand alike, half every strand by its length.
+    """Mean distance in strand lengths: half of it with equal weights, half weighted by length.
 
-    Every strand alike is fair to a groom of short hair, but in a groom of long and clipped hair it is the stubble's.
+    Equal weights are fair to a groom of short hair, but in a groom of long and clipped hair it favours the clipped.
     """
     lengths = batch.features[:, SHAPE_CHANNELS].exp()
     counts = batch.samples.bincount().clamp(min=1)

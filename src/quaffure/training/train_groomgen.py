@@ -1,9 +1,6 @@
 """Training of the supervised baseline: mean squared distance to what a solver draped, nothing of physics."""
 
-import hashlib
 import math
-import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -11,18 +8,17 @@ import torch
 
 from quaffure.baselines.groomgen import head_strands, texel_cells
 from quaffure.baselines.groomgen_network import DISPLACEMENT_UNIT, GroomGenLayers, GroomGenNetwork, save_groomgen
+from quaffure.digest import array_digest
 from quaffure.errors import InputError
-from quaffure.io.atomic import replacing
-from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
-from quaffure.training.groomgen_data import DrapedPoses, DrapeFolder, hair_of
-from quaffure.training.run_folder import RunFolder
+from quaffure.training.groomgen_data import DrapedPoses, DrapeFolder, material_of_manifest
+from quaffure.training.loop import Recipe
 from quaffure.training.train_config import refuse_impossible
 from quaffure.types import Float, Int, Positions, Tensor
 
 VALIDATED = 0.1
 """Share of the poses that are not trained on."""
-MEMORY = 0.99
-"""Of the exponential average of the weights, which is what is validated and kept."""
+EMA_DECAY = 0.99
+"""Of the weights' exponential average, which is what is validated and kept."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +48,21 @@ class GroomGenConfig:
         refuse_impossible(counts, self.learning_rate, self.seed)
 
 
-class GroomGenTraining:
-    """State of a run: network, optimizer, random numbers, step and the best figure, which `save` and `resume` keep."""
+class GroomGenRecipe(Recipe):
+    """The baseline's training for the shared loop (`quaffure.training.loop`).
 
-    def __init__(self, config: GroomGenConfig, drapes: DrapeFolder, data: DrapedPoses, folder: Path) -> None:
+    Attributes:
+        validated, trained: numbers of the poses that are left for validation, and of all others.
+    """
+
+    ema_decay, score = EMA_DECAY, "distance_mm"
+    config: GroomGenConfig
+    network: GroomGenNetwork
+
+    def __init__(self, config: GroomGenConfig, drapes: DrapeFolder, data: DrapedPoses) -> None:
         """
         Args:
             data: the drapes of that folder, read.
-            folder: for checkpoints, logs and weights; made where it does not exist.
 
         Raises:
             InputError: fewer than two poses, or two strands in a texel.
@@ -70,7 +73,7 @@ class GroomGenTraining:
         if groom.texels().unique().numel() != len(groom):
             raise InputError(drapes.path, "one strand a texel (`select_guides`)", "several in one")
         torch.manual_seed(config.seed)
-        self.config, self.drapes, self.data, self.folder = config, drapes, data, RunFolder(folder)
+        self.config, self.drapes, self.data = config, drapes, data
         self.network = GroomGenNetwork(config.network, head_strands(groom, drapes.body), texel_cells(groom))
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.generator = torch.Generator().manual_seed(config.seed)
@@ -78,28 +81,27 @@ class GroomGenTraining:
         kept = max(1, round(VALIDATED * len(data)))
         self.validated, self.trained = order[:kept], order[kept:]
         self.network.mean_displacement = _mean(data, self.trained)
-        self.optimizer = AveragedAdam(self.network, config.learning_rate, MEMORY)
-        self.step, self.best = 0, math.inf
+        self.samples_per_step, self.validate_every = config.batch, config.validate_every
+        self._train_rms_mm = math.nan
 
-    def train_step(self) -> float:
-        """One step of Adam; the root mean square distance of the batch's vertices [mm]."""
-        config = self.config
-        drawn = torch.randint(len(self.trained), (config.batch,), generator=self.generator)
+    def backward(self, step: int) -> dict[str, float]:
+        """The root mean square distance of the batch's vertices from the solver's [mm]."""
+        drawn = torch.randint(len(self.trained), (self.config.batch,), generator=self.generator)
         loss = self._off(self.network, self.trained[drawn]).square().sum(-1).mean() / DISPLACEMENT_UNIT**2
         loss.backward()
-        self.optimizer.update(warm_cosine(self.step, config.warmup, config.steps))
-        self.step += 1
-        return 1000 * DISPLACEMENT_UNIT * loss.item() ** 0.5
+        self._train_rms_mm = 1000 * DISPLACEMENT_UNIT * loss.item() ** 0.5
+        return {"train_rms_mm": self._train_rms_mm}
 
     @torch.no_grad()
-    def validate(self) -> dict[str, float]:
-        """Distances of the averaged network's vertices from the solver's [mm], over the poses that are not trained on;
-        roots, which never move, are left out.
+    def validate(self, averaged: GroomGenNetwork) -> dict[str, float]:
+        """Distances of the network's vertices from the solver's [mm], over the poses that are not trained on; roots,
+        which never move, are left out. `train_rms_mm` is that of the last step.
         """
-        network = self.optimizer.averaged.eval()
+        network = averaged.eval()
         off = torch.cat([self._off(network, poses) for poses in self.validated.split(self.config.batch)])[:, :, 1:]
         posed = self.data.displacement[self.validated, :, 1:].float()
         return {
+            "train_rms_mm": self._train_rms_mm,
             "distance_mm": 1000 * float(off.norm(dim=-1).mean()),
             "rms_mm": 1000 * float(off.square().sum(-1).mean().sqrt()),
             "posed_distance_mm": 1000 * float(posed.norm(dim=-1).mean()),
@@ -111,72 +113,28 @@ class GroomGenTraining:
             moved = network(self.data.turn[poses])
         return moved - self.data.displacement[poses].float()
 
-    def keep_if_best(self, distance: float) -> None:
-        """Write the averaged weights where no validation was better."""
-        if not distance < self.best:
-            return
-        self.best = distance
+    def save_best(
+        self, path: Path, averaged: GroomGenNetwork, metrics: dict[str, float], notes: dict[str, str]
+    ) -> None:
         manifest = self.drapes.manifest
-        notes = {
+        more = {
             "groom": manifest.groom,
-            "step": str(self.step),
             "poses": f"{len(self.trained)}, and {len(self.validated)} for validation",
             "solver": manifest.solver,
-            "validation_distance_mm": f"{distance:.4g}",
-            "version": self.folder.version,
+            "validation_distance_mm": f"{metrics['distance_mm']:.4g}",
         }
-        with replacing(self.folder.path / "best.safetensors") as path:
-            save_groomgen(path, self.optimizer.averaged, hair_of(manifest), notes)
+        save_groomgen(path, averaged, material_of_manifest(manifest), notes | more)
 
-    def save(self) -> None:
-        """Write everything that `resume` needs."""
-        state = {"generator": self.generator.get_state(), "step": self.step, "best": self.best}
-        self.folder.save(self.optimizer.state() | state | {"identity": self._identity()})
+    def description(self) -> dict[str, object]:
+        return {"config": asdict(self.config), "drapes": asdict(self.drapes.manifest), "poses": len(self.data)}
 
-    def resume(self) -> bool:
-        """Carry on from the folder's checkpoint; False where there is none. Later rows of the logs are dropped.
-
-        Raises:
-            InputError: it is of another run, or damaged.
-        """
-        state = self.folder.load(self._identity())
-        if state is not None:
-            with self.folder.reading():
-                self.optimizer.restore(state)
-                self.generator.set_state(state["generator"])
-                self.step, self.best = int(state["step"]), float(state["best"])
-        self.folder.rewind_logs(self.step)
-        return state is not None
-
-    def _identity(self) -> str:
-        """What may not change in a run: drapes, network, seed."""
+    def identity(self) -> dict[str, str]:
+        """Drapes, network and seed."""
         manifest = self.drapes.manifest
-        drapes = f"{len(self.data)} drapes {_digest(self.data.turn)} of {manifest.groom} {manifest.groom_digest}"
-        return f"{drapes} by {manifest.solver}, {self.config.network}, seed {self.config.seed}"
-
-
-def train(training: GroomGenTraining, report: Callable[[int, dict[str, float]], None]) -> None:
-    """Carry a run on to its end, validating and saving on the way.
-
-    Args:
-        report: called after every step with the step and its figures: `train_rms_mm`, and those of `validate` when it
-            was validated.
-    """
-    config, folder = training.config, training.folder
-    folder.describe({"config": asdict(config), "drapes": asdict(training.drapes.manifest), "poses": len(training.data)})
-    saved = time.perf_counter()
-    while training.step < config.steps:
-        figures = {"train_rms_mm": training.train_step()}
-        validated = training.step % config.validate_every == 0 or training.step == config.steps
-        if validated:
-            figures |= training.validate()
-            folder.log("validation", {"step": training.step, **figures})
-            training.keep_if_best(figures["distance_mm"])
-        report(training.step, figures)
-        # Also after a validation: what it found best must not be forgotten by a run that is resumed.
-        if validated or time.perf_counter() - saved > config.save_every_seconds:
-            training.save()
-            saved = time.perf_counter()
+        drapes = (
+            f"{len(self.data)} drapes {array_digest(self.data.turn)[:8]} of {manifest.groom} {manifest.groom_digest}"
+        )
+        return {"identity": f"{drapes} by {manifest.solver}, {self.config.network}, seed {self.config.seed}"}
 
 
 def _mean(data: DrapedPoses, poses: Int[Tensor, " b"]) -> Float[Tensor, "s n 3"]:
@@ -185,7 +143,3 @@ def _mean(data: DrapedPoses, poses: Int[Tensor, " b"]) -> Float[Tensor, "s n 3"]
     for pose in poses:
         total += data.displacement[pose]
     return total / len(poses)
-
-
-def _digest(turn: Float[Tensor, "p 3"]) -> str:
-    return hashlib.sha256(turn.numpy().tobytes()).hexdigest()[:8]

@@ -1,4 +1,4 @@
-"""Figures of a draper on bodies that no step trains on."""
+"""Metrics of a draper on bodies that no step trains on."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -7,14 +7,15 @@ import torch
 
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.draper import Draper
-from quaffure.energies.elastic import length_errors, orientation_errors
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.stretch import length_errors
+from quaffure.energies.stretch_shear import orientation_errors
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.scene import Scene
 from quaffure.training.pose_sampler import PoseSampler
-from quaffure.types import BodyPose, BodyShape, Energy, Float, Positions, Tensor
+from quaffure.types import BodyPose, BodyShape, Float, Positions, Tensor
 
-# Exact distances cost twice what all energies do; as many strands, spread over the groom, tell the share to a
+# Exact distances cost twice what all energies do; as many strands, spread over the groom, give the share to a
 # twentieth of itself.
 MEASURED_STRANDS = 500
 _POSES, _SEED = 16, 20_000
@@ -29,7 +30,7 @@ class Validation:
 
 
 def prior_validation() -> Validation:
-    """Poses and shapes drawn once, by a generator of their own, from the shipped prior alone: frames of clips are poses
+    """Poses and shapes drawn once, by a generator of their own, from the shipped prior only: frames of clips are poses
     that the network may have been trained on.
     """
     generator = torch.Generator().manual_seed(_SEED)
@@ -43,14 +44,14 @@ STIFF_SHARE = 0.1
 def loss_unit(energy: HairEnergy) -> float:
     """The unit of a groom's loss [J]: m g L plus a part of k_Cosserat, a vertex.
 
-    For long hair the first is all; in stubble a bend costs a thousand times what its weight does, and short grooms
-    would drown the others. With the whole of k_Cosserat the bends of short hair counted for so little that the
-    network paid with them for everything else.
+    For long hair the first is all; in very short hair a bend costs a thousand times what its weight does, and short
+    grooms would outweigh the others. With the whole of k_Cosserat the bends of short hair counted for so little that
+    the network traded them for everything else.
     """
     return energy.per_vertex_unit + STIFF_SHARE * energy.rest.mass.numel() * energy.material.k_cosserat
 
 
-def validation_figures(draper: Draper, scenes: Iterable[tuple[Scene, HairEnergy]]) -> dict[str, float]:
+def validation_metrics(draper: Draper, scenes: Iterable[tuple[Scene, HairEnergy]]) -> dict[str, float]:
     """Means over grooms and poses.
 
     Args:
@@ -60,23 +61,18 @@ def validation_figures(draper: Draper, scenes: Iterable[tuple[Scene, HairEnergy]
         Every energy term in `loss_unit`, their sum `energy`, `body_intersection_percent` (of `MEASURED_STRANDS` strands
         of a groom), `orientation_error_deg` and `length_error_percent`.
     """
-    rows = [_of_groom(draper.drape(scene), scene, energy) for scene, energy in scenes]
+    rows = [_groom_metrics(draper.drape(scene), scene, energy) for scene, energy in scenes]
     return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
 
 
-def carried_terms(energy: HairEnergy, draped: Positions, scene: Scene) -> dict[str, Energy]:
-    """Every term [J] of drapes whose frames, where the elastic model has some, follow their edges."""
-    return energy.terms(draped, scene.director, scene.surface, energy.carried(draped, scene.director))
-
-
-def _of_groom(draped: Positions, scene: Scene, energy: HairEnergy) -> dict[str, float]:
-    terms = carried_terms(energy, draped, scene)
-    figures = {name: float(term.mean()) / loss_unit(energy) for name, term in terms.items()}
-    figures["energy"] = sum(figures.values())
-    figures["body_intersection_percent"] = float(_inside(draped, scene).mean()) * 100
-    figures["orientation_error_deg"] = float(orientation_errors(draped, scene.director).mean())
-    figures["length_error_percent"] = float(length_errors(draped, energy.rest.rest_length).mean()) * 100
-    return figures
+def _groom_metrics(draped: Positions, scene: Scene, energy: HairEnergy) -> dict[str, float]:
+    terms = energy.by_term(draped, scene)
+    metrics = {name: float(term.mean()) / loss_unit(energy) for name, term in terms.items()}
+    metrics["energy"] = sum(metrics.values())
+    metrics["body_intersection_percent"] = float(_inside(draped, scene).mean()) * 100
+    metrics["orientation_error_deg"] = float(orientation_errors(draped, scene.director).mean())
+    metrics["length_error_percent"] = float(length_errors(draped, energy.rest.rest_length).mean()) * 100
+    return metrics
 
 
 def _inside(draped: Positions, scene: Scene) -> Float[Tensor, "b p"]:

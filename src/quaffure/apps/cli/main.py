@@ -1,4 +1,4 @@
-"""The command line: subcommands, one line for a user's mistake, exit code 2."""
+"""The command line: subcommands; one line and exit code 2 for bad input."""
 
 import io
 import re
@@ -11,17 +11,16 @@ from typing import Annotated, NoReturn
 import tyro
 
 from quaffure.apps.cli.benchmark import BenchmarkCommand
+from quaffure.apps.cli.console import console
 from quaffure.apps.cli.drape import DrapeCommand
 from quaffure.apps.cli.evaluate import EvaluateCommand
-from quaffure.apps.cli.groom import GroomCommand
-from quaffure.apps.cli.groomgen_data import GroomgenDataCommand
-from quaffure.apps.cli.grooms import GroomsCommand
+from quaffure.apps.cli.groom import GroomCommand, GroomsCommand
+from quaffure.apps.cli.groomgen import GroomgenDataCommand, TrainGroomgenCommand
 from quaffure.apps.cli.info import InfoCommand
 from quaffure.apps.cli.render import RenderCommand
 from quaffure.apps.cli.score import ScoreCommand
 from quaffure.apps.cli.train import TrainCommand
 from quaffure.apps.cli.train_code import TrainCodeCommand
-from quaffure.apps.cli.train_groomgen import TrainGroomgenCommand
 from quaffure.apps.cli.view import ViewCommand
 from quaffure.errors import InputError
 
@@ -45,8 +44,9 @@ Command = (
 def main(arguments: list[str] | None = None) -> None:
     """Run `quaffure`. Exits with 2 and one line on the error stream for bad input."""
     if threading.current_thread() is threading.main_thread():
-        # By default nothing would be tidied up: files that are being written would stay behind.
+        # By default the process would end without removing the temporary files that it is writing.
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    console.quiet = False  # after a command with --json in the same process
     try:
         _parsed(arguments).run()
     except InputError as error:
@@ -56,10 +56,10 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _parsed(arguments: list[str] | None) -> Command:
-    """The subcommand with its options; tyro's boxed complaint about them is told in one line instead."""
-    complaint = io.StringIO()
+    """The subcommand with its options; a boxed error message of tyro is printed in one line instead."""
+    message = io.StringIO()
     try:
-        with redirect_stderr(complaint):
+        with redirect_stderr(message):
             return tyro.cli(
                 Command,
                 prog="quaffure",
@@ -70,15 +70,15 @@ def _parsed(arguments: list[str] | None) -> Command:
     except SystemExit as stop:
         if not stop.code:  # --help
             raise
-        _refuse(_without_box(complaint.getvalue()))
+        _refuse(_without_box(message.getvalue()))
 
 
-def _without_box(complaint: str) -> str:
-    """What stands between a box's title and its first rule."""
-    lines = re.findall(r"^│(.*)│$", complaint, re.MULTILINE) or [complaint]
-    # Dataclasses that refuse their values carry a name of tyro's own.
-    said = "\n".join(lines).partition("──")[0].replace("__tyro-dummy-inner__.", "")
-    return f"{said.strip().rstrip('.')} (see quaffure --help)"
+def _without_box(message: str) -> str:
+    """The text between the title of a box and its first rule."""
+    lines = re.findall(r"^│(.*)│$", message, re.MULTILINE) or [message]
+    # tyro adds a name of its own to errors of dataclasses that refuse their values.
+    text = "\n".join(lines).partition("──")[0].replace("__tyro-dummy-inner__.", "")
+    return f"{text.strip().rstrip('.')} (see quaffure --help)"
 
 
 def _refuse(reason: str) -> NoReturn:

@@ -1,4 +1,4 @@
-"""`quaffure render`: pictures, video and USD of a drape that was kept."""
+"""`quaffure render`: pictures, video and USD of a drape file."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from quaffure.apps.cli.console import console
-from quaffure.apps.cli.outputs import writer_for
+from quaffure.apps.cli.outputs import check_outputs, write_output
 from quaffure.body.body_model import load_body
 from quaffure.errors import InputError
 from quaffure.hair.guide_interpolation import groom_of_drape, interpolation_of
@@ -27,9 +27,7 @@ class RenderCommand:
     strands are drawn."""
 
     def run(self) -> None:
-        if not self.out:
-            raise InputError("--out", "at least one file to write", "none")
-        writers = [writer_for(path) for path in self.out]
+        check_outputs(self.out)
         for path in self.out:
             if path.suffix.lower() == ".npz":
                 raise InputError(path, "a picture, a video or USD", "a drape file")
@@ -38,6 +36,6 @@ class RenderCommand:
         if self.strands is not None:
             body = load_body()
             interpolation = interpolation_of(groom_of_drape(sequence, body), body, self.strands)
-        for path, write in zip(self.out, writers):
+        for path in self.out:
             console.print(f"writing {path}")
-            write(path, sequence, interpolation)
+            write_output(path, sequence, interpolation)

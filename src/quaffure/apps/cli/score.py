@@ -1,6 +1,6 @@
-"""`quaffure score`: drapes of a method from elsewhere, by the figures that `quaffure evaluate` gives its own rows."""
+"""`quaffure score`: drapes of another method, by the metrics of `quaffure evaluate`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from typing import Annotated
@@ -8,14 +8,13 @@ from typing import Annotated
 import tyro
 
 from quaffure.apps.cli.console import console, print_json
-from quaffure.apps.cli.evaluate import CACHE, GROOM_FOLDER, MOTION_FOLDER, print_summary, weights_by_name
+from quaffure.apps.cli.evaluate import EvaluationOptions, print_summary
 from quaffure.benchmark.comparison import DrapeFrame, compare
-from quaffure.benchmark.drape_cache import DrapeCache, TimedDrape
-from quaffure.benchmark.draping import CaseDraper
-from quaffure.benchmark.evaluation_set import DataFolders, EvaluationCase, load_cases, load_evaluation_set
+from quaffure.benchmark.drape_cache import TimedDrape
+from quaffure.benchmark.evaluation_set import EvaluationCase, load_cases, load_evaluation_set
 from quaffure.benchmark.methods import ROWS, methods
 from quaffure.benchmark.results import Results, results_of
-from quaffure.benchmark.submissions import answered_frames, read_answer
+from quaffure.benchmark.submissions import read_submission, submitted_frames
 from quaffure.body.body_model import load_body
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
@@ -24,68 +23,58 @@ from quaffure.hair.drape_sequence import DrapeSequence
 
 @dataclass(frozen=True)
 class ScoreCommand:
-    """Score drape files that answer the cases of `quaffure evaluate --write-cases`, beside the rows already draped."""
+    """Measure drape files for the cases of `quaffure evaluate --write-cases`, next to the rows already draped."""
 
-    answers: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE...")]
+    files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE...")]
     """Drape files (.npz), one a case."""
     name: str = "answer"
-    """What to call the method."""
-    weights: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME=FILE")] = ()
-    """Further rows, as `quaffure evaluate` was given them."""
-    cache: Path = CACHE
-    """Folder that keeps the drapes of `quaffure evaluate`."""
-    motion_folder: Path = MOTION_FOLDER
-    """Where the motion files of the set lie."""
-    groom_folder: Path = GROOM_FOLDER
-    """The same for its groom files."""
+    """Name of the method."""
     json: bool = False
     """Print the results as JSON instead of tables."""
+    options: EvaluationOptions = field(default_factory=EvaluationOptions)
 
     def run(self) -> None:
-        if not self.answers:
+        console.quiet = self.json
+        if not self.files:
             raise InputError("score", "at least one drape file", "none")
-        weights = weights_by_name(self.weights)
+        weights = self.options.weights_by_row()
         rows = methods((*ROWS, *weights), weights)
         if self.name in [row.name for row in rows]:
             raise InputError("--name", "a name that no other row has", f"'{self.name}'")
         material = rows[0].draper.material
-        answers = self._read(material)
-        of, body = load_evaluation_set(), load_body()
-        draper = CaseDraper(body, DrapeCache(self.cache))
+        drapes = self._read(material)
+        evaluation_set, body = load_evaluation_set(), load_body()
+        draper = self.options.case_draper(body)
 
         @cache
         def frames(case: EvaluationCase) -> list[TimedDrape]:
-            return answered_frames(*answers[case.name], case, body)
+            return submitted_frames(*drapes[case.name], case, body)
 
         by_name: dict[str, DrapeFrame] = {self.name: lambda case, frame: frames(case)[frame]}
         by_name |= {row.name: partial(draper.known, row) for row in rows}
-        cases = load_cases([entry for entry in of.cases if entry.name in answers], of, self._folders, body)
+        entries = [entry for entry in evaluation_set.cases if entry.name in drapes]
+        cases = load_cases(entries, evaluation_set, self.options.folders, body)
         compared = compare(cases, by_name, [row.name for row in rows if row.is_solver], body, material)
-        about = {"evaluation_set": of.version, "drapes_fetched": draper.fetched}
-        self._tell(results_of(compared, rows, material, about))
-
-    @property
-    def _folders(self) -> DataFolders:
-        return DataFolders(self.motion_folder, self.groom_folder)
+        about = {"evaluation_set": evaluation_set.version, "drapes_fetched": draper.fetched}
+        self._print(results_of(compared, rows, material, about))
 
     def _read(self, material: HairMaterial) -> dict[str, tuple[Path, DrapeSequence]]:
         """File and drape by the name of the case."""
-        of = load_evaluation_set()
-        answers: dict[str, tuple[Path, DrapeSequence]] = {}
-        for path in self.answers:
-            entry, sequence = read_answer(path, of, material)
-            missing = self._folders.missing(entry, of)
+        evaluation_set = load_evaluation_set()
+        drapes: dict[str, tuple[Path, DrapeSequence]] = {}
+        for path in self.files:
+            entry, sequence = read_submission(path, evaluation_set, material)
+            missing = self.options.folders.missing(entry, evaluation_set)
             if missing is not None:
                 raise InputError(path, f"{missing}, which its case needs", "no such file")
-            if entry.name in answers:
-                raise InputError(path, f"one answer to {entry.name}", f"another in {answers[entry.name][0]}")
-            answers[entry.name] = path, sequence
-        return answers
+            if entry.name in drapes:
+                raise InputError(path, f"one drape of {entry.name}", f"another in {drapes[entry.name][0]}")
+            drapes[entry.name] = path, sequence
+        return drapes
 
-    def _tell(self, results: Results) -> None:
+    def _print(self, results: Results) -> None:
         if self.json:
             print_json(results)
-            return
         print_summary(results)
         without = [case["case"] for case in results["cases"] if not case["reference"]]
         if without:

@@ -1,15 +1,11 @@
-"""`quaffure train`: a network for grooms of one's own, from physics alone."""
+"""`quaffure train`: train a network on given grooms, by physics alone."""
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from datetime import timedelta
 from pathlib import Path
 
 import tyro
-from rich.progress import Progress, TimeRemainingColumn
 
-from quaffure.apps.cli.console import console, progress_columns
+from quaffure.apps.cli.console import console, training_bar
 from quaffure.apps.cli.inputs import motion_of
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.body.body_model import BodyModel, load_body
@@ -22,11 +18,12 @@ from quaffure.io.load_groom import load_groom
 from quaffure.model.checkpoint import load_network
 from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.model.quaffure_network import QuaffureNetwork
-from quaffure.training.distributed import Device, Worker, joined_workers
-from quaffure.training.groom_samples import family_growings
+from quaffure.training.distributed import Device, joined_workers
+from quaffure.training.groom_samples import family_grooms
+from quaffure.training.loop import Training, train
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.train_config import TrainConfig
-from quaffure.training.train_decoder import DecoderTraining, train
+from quaffure.training.train_decoder import DecoderRecipe
 from quaffure.training.validation import prior_validation
 
 SHIPPED = "shipped"
@@ -34,72 +31,72 @@ SHIPPED = "shipped"
 
 @dataclass(frozen=True)
 class TrainCommand:
-    """Train a network on grooms over sampled poses and shapes; carries on where an earlier run in the folder stopped.
+    """Train a network on grooms over sampled poses and shapes; continues where an earlier run in the folder stopped.
 
-    Poses come from the shipped prior, and from motion files where some are given. The folder then holds
+    Poses come from the shipped prior, and from motion files if some are given. The folder then holds
     `best.safetensors`, the weights to drape with (`quaffure drape --weights`), `config.json`, the tables
-    `training.csv` and `validation.csv`, and the checkpoint to carry on from. Several processes share a run when a
+    `training.csv` and `validation.csv`, and the checkpoint to continue from. Several processes share a run when a
     launcher starts them: `torchrun --nproc-per-node 2 --no-python quaffure train ...`.
     """
 
     out: Path
-    """Folder of the run; made where it does not exist."""
+    """Folder of the run; made if it does not exist."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A bundled groom or a file; may be given several times. Grooms that are held out for evaluation are refused."""
     family: int = 0
-    """Draws of the continuous family of hairstyles to train on besides, or instead."""
+    """Samples of the continuous family of hairstyles to train on, in addition or instead."""
     motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
-    """Motion files to train on besides the pose prior; may be given several times. Evaluation clips are refused."""
+    """Motion files to train on with the pose prior; may be given several times. Evaluation clips are refused."""
     body: Path | None = None
     """A body file (.npz, as `scripts/bake_body.py` writes it) instead of the shipped body."""
     weights: str | None = None
-    """Weights to start from: a file, or `shipped`. The network's options are then those of the weights."""
+    """Weights to start from: a file, or `shipped`. The options of the network are then those of the weights."""
     device: Device = "auto"
-    """`auto` is CUDA where there is a device, else the CPU."""
+    """`auto` is CUDA if there is a device, else the CPU."""
     config: TrainConfig = field(default_factory=TrainConfig)
 
     def run(self) -> None:
         self._check()
         with joined_workers(self.device) as worker:
-            begun = self._weights()
-            config = self.config if begun is None else replace(self.config, network=begun.config)
+            started = self._weights()
+            config = self.config if started is None else replace(self.config, network=started.config)
             body = self._body()
-            training = DecoderTraining(config, body, self._grooms(body), self._sampler(body), self.out, worker)
+            recipe = DecoderRecipe(config, body, self._grooms(body), self._sampler(body), prior_validation(), worker)
+            training = Training(recipe, self.out)
             if training.resume():
-                _say(worker, f"carrying on from step {training.step} of {config.steps}")
+                if worker.is_first:
+                    console.print(f"resuming from step {training.step} of {config.steps}")
                 if training.step >= config.steps:
                     return
-            elif begun is not None:
-                training.start_from(begun)
-            with Progress(
-                *progress_columns(TimeRemainingColumn()), console=console, disable=not worker.is_first
-            ) as progress:
-                train(training, prior_validation(), _report(training, progress))
+            elif started is not None:
+                training.start_from(started)
+            with training_bar(config.steps, training.step, _bar_text, _validation_text, worker.is_first) as report:
+                train(training, report)
 
     def _check(self) -> None:
-        """What a mistake can be told from before anything is loaded."""
-        if self.config.network.pose_features not in (0, FEATURE_COUNT):
-            expected = f"0 or {FEATURE_COUNT}"
-            raise InputError("--pose-features", expected, f"{self.config.network.pose_features}")
+        """Refuse options that are wrong whatever the files hold."""
+        pose_features = self.config.network.pose_features
+        if pose_features not in (0, FEATURE_COUNT):
+            raise InputError("--pose-features", f"0 or {FEATURE_COUNT}", f"{pose_features}")
         if self.family < 0:
             raise InputError("--family", "0 or more", f"{self.family}")
         if not self.groom and not self.family:
-            raise InputError("--groom", "at least one groom, or draws of the --family", "none")
+            raise InputError("--groom", "at least one groom, or samples of the --family", "none")
         refuse_evaluation_data(self.groom, self.motion)
 
     def _body(self) -> BodyModel:
         body, shipped = load_body(self.body), load_body()
         if body.joint_names != shipped.joint_names:
-            # The pose prior, the clips and the pose features go by them.
+            # The pose prior, the clips and the pose features are indexed by joint.
             raise InputError(f"{self.body}", f"the joints {list(shipped.joint_names)}", f"{list(body.joint_names)}")
         return body
 
     def _grooms(self, body: BodyModel) -> tuple[Groom, ...]:
         own = [load_groom(name, body) for name in self.groom]
-        # A groom file keeps the groom's name whatever the file is called.
+        # The name of a groom is in its file, whatever the name of the file.
         refuse_evaluation_data(groom.name for groom in own)
         surface = rest_surface(body)
-        return (*own, *(growing.grown(body, surface) for growing in family_growings(range(self.family))))
+        return (*own, *(drawn.groom(body, surface) for drawn in family_grooms(range(self.family))))
 
     def _sampler(self, body: BodyModel) -> PoseSampler:
         clips = tuple(motion_of(str(path), body) for path in self.motion)
@@ -117,25 +114,12 @@ class TrainCommand:
         return network
 
 
-def _say(worker: Worker, text: str) -> None:
-    if worker.is_first:
-        console.print(text)
+def _bar_text(values: dict[str, float]) -> str:
+    return f"loss {values['loss']:.3f}, {values['samples_per_second']:.0f} samples/s"
 
 
-def _report(training: DecoderTraining, progress: Progress) -> Callable[[int, dict[str, float]], None]:
-    """Moves the bar on at every step; a line with the time left at every validation, for logs without a terminal."""
-    first, last, start = training.step, training.config.steps, time.monotonic()
-    task = progress.add_task("training", total=last, completed=first)
-
-    def report(step: int, figures: dict[str, float]) -> None:
-        rate = figures["samples_per_second"]
-        progress.update(task, completed=step, description=f"loss {figures['loss']:.3f}, {rate:.0f} samples/s")
-        if "energy" in figures:
-            left = timedelta(seconds=round((time.monotonic() - start) / (step - first) * (last - step)))
-            inside, turned = figures["body_intersection_percent"], figures["orientation_error_deg"]
-            progress.console.print(
-                f"step {step} of {last}: energy {figures['energy']:.4f}, {inside:.2f} % inside the body, "
-                f"{turned:.1f} deg from the posed groom; {left} left"
-            )
-
-    return report
+def _validation_text(values: dict[str, float]) -> str:
+    if "energy" not in values:
+        return ""
+    inside, rotated = values["body_intersection_percent"], values["orientation_error_deg"]
+    return f"energy {values['energy']:.4f}, {inside:.2f} % inside the body, {rotated:.1f} deg from the posed groom"

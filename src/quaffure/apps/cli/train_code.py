@@ -1,9 +1,6 @@
-"""`quaffure train-code`: the groom autoencoder, from growing its grooms to the figures of its codes."""
+"""`quaffure train-code`: make grooms, train the groom autoencoder on them, and measure its codes."""
 
-import json
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import mean
@@ -11,13 +8,12 @@ from typing import Any
 
 import tyro
 from rich.console import Console
-from rich.progress import Progress, TaskID, TimeRemainingColumn
 
-from quaffure.apps.cli.console import print_json, print_rows, progress_columns
+from quaffure.apps.cli.console import print_json, print_rows, progress_bar, write_json
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
-from quaffure.benchmark.groom_code_figures import (
-    code_figures,
-    half_way_figures,
+from quaffure.benchmark.groom_code_metrics import (
+    code_metrics,
+    interpolation_metrics,
     reconstruction,
     scatter_of_styles,
     summary,
@@ -26,145 +22,142 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
-from quaffure.io.atomic import made_folder, replacing
+from quaffure.io.atomic import made_folder
 from quaffure.io.load_groom import load_groom
 from quaffure.model.groom_autoencoder import GroomAutoencoder
 from quaffure.model.groom_code import load_groom_autoencoder
 from quaffure.model.groom_texture import GroomSample, sample_of
 from quaffure.procedural.hair_style import HELD_OUT, STYLES
-from quaffure.training.groom_samples import Growing, family_growings, grow_samples, library_growings
+from quaffure.training.groom_samples import ProceduralGroom, cached_samples, family_grooms, library_grooms
+from quaffure.training.loop import Training, train
 from quaffure.training.run_folder import RUN
-from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeTraining, train
+from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeRecipe, finish
 
+# The standard output is for the results, which other programs may read.
+messages = Console(stderr=True)
 TRAINED = [name for name in STYLES if name not in HELD_OUT]
 # Seeds that no training uses.
-ANEW = range(1000, 1003)
-UNSEEN_DRAWS = range(1_000_000, 1_000_060)
-# Draws of the training that are measured beside the unseen ones.
-SEEN_DRAWS = 60
+NEW_SEEDS = range(1000, 1003)
+UNSEEN_SAMPLES = range(1_000_000, 1_000_060)
+# Samples of the training to measure, for comparison with the unseen ones.
+SEEN_SAMPLES = 60
 
 
 @dataclass(frozen=True)
-class Garden:
-    """Where grooms are grown: the body, its surface at rest, and the folder that keeps them."""
+class SampleCache:
+    """Makes grooms on a body, and keeps them in a folder.
+
+    Attributes:
+        surface: of the body at rest.
+    """
 
     body: BodyModel
     surface: Surface
     folder: Path
 
-    def grow(self, growings: list[Growing], what: str) -> list[GroomSample]:
-        with _progress(what, len(growings), 0) as (progress, task):
-            return grow_samples(
-                growings, self.body, self.surface, self.folder, lambda done: progress.update(task, completed=done)
-            )
+    def samples(self, grooms: list[ProceduralGroom], description: str) -> list[GroomSample]:
+        with progress_bar(description, len(grooms), to=messages) as update:
+            return cached_samples(grooms, self.body, self.surface, self.folder, lambda done: update(completed=done))
 
 
 @dataclass(frozen=True)
 class TrainCodeCommand:
-    """Train the groom autoencoder whose encoder gives every groom its code; carries on where an earlier run stopped.
+    """Train the groom autoencoder whose encoder computes the codes of grooms; continues where an earlier run stopped.
 
     The folder then holds `groom_code.safetensors`, the encoder, `groom_autoencoder.safetensors`, encoder and decoder,
     and `figures.json`.
     """
 
     out: Path
-    """Folder of the run; made where it does not exist. The grooms are kept in it: 370 kB each."""
+    """Folder of the run; made if it does not exist. It keeps the grooms: 370 kB each."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """A groom to train on besides the bundled styles and the continuous family; may be given several times. Grooms that
-    are held out for evaluation are refused."""
+    """A groom to train on in addition to the bundled styles and the continuous family; may be given several times.
+    Grooms that are held out for evaluation are refused."""
     unseen: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """A groom to be measured on and not trained on, besides the held-out styles; may be given several times."""
+    """A groom to measure and not to train on, in addition to the held-out styles; may be given several times."""
     keep_encoder: Path | None = None
-    """The `groom_autoencoder.safetensors` of an earlier run: its encoder stays as it is, and with it all codes; only
-    its decoder is trained on."""
+    """The `groom_autoencoder.safetensors` of an earlier run: its encoder, and so all codes, stay as they are; only
+    its decoder is trained further."""
     json: bool = False
-    """Print the figures as JSON instead of tables."""
+    """Print the metrics as JSON instead of tables."""
     config: GroomCodeConfig = field(default_factory=GroomCodeConfig)
 
     def run(self) -> None:
         refuse_evaluation_data(self.groom)
-        begun = load_groom_autoencoder(self.keep_encoder) if self.keep_encoder is not None else None
+        started = load_groom_autoencoder(self.keep_encoder) if self.keep_encoder is not None else None
         body = load_body()
-        garden = Garden(body, rest_surface(body), made_folder(self.out / "grooms", RUN))
+        cache = SampleCache(body, rest_surface(body), made_folder(self.out / "grooms", RUN))
         own, unseen = self._own(body), _samples([load_groom(name, body) for name in self.unseen], body)
-        library = garden.grow(library_growings(TRAINED, range(self.config.library_seeds)), "growing the library")
-        family = garden.grow(family_growings(range(self.config.family)), "growing the family")
-        network = self._train(GroomCodeTraining(self.config, library + own, family, self.out, begun))
+        library = cache.samples(library_grooms(TRAINED, range(self.config.library_seeds)), "making the library")
+        family = cache.samples(family_grooms(range(self.config.family)), "making the family")
+        network = self._train(Training(GroomCodeRecipe(self.config, library + own, family, started), self.out))
         first = [groom for index, groom in enumerate(library) if index % self.config.library_seeds == 0]
-        figures = _figures(network, garden, {"library": first, "family": family[:SEEN_DRAWS], "own": own}, unseen)
-        with replacing(self.out / "figures.json") as path:
-            path.write_text(json.dumps(figures, indent=1))
-        print_json(figures) if self.json else _print(figures)
+        metrics = _metrics(network, cache, {"library": first, "family": family[:SEEN_SAMPLES], "own": own}, unseen)
+        write_json(self.out / "figures.json", metrics)
+        print_json(metrics) if self.json else _print(metrics)
 
     def _own(self, body: BodyModel) -> list[GroomSample]:
         grooms = [load_groom(name, body) for name in self.groom]
-        # A groom file keeps the groom's name whatever the file is called.
+        # The name of a groom is in its file, whatever the name of the file.
         refuse_evaluation_data(groom.name for groom in grooms)
-        # One that is called like a bundled style is no growing of it.
+        # A groom with the name of a bundled style is not a sample of that style.
         return _samples([replace(groom, name=f"own:{groom.name}") for groom in grooms], body)
 
-    def _train(self, training: GroomCodeTraining) -> GroomAutoencoder:
+    def _train(self, training: Training[GroomCodeRecipe]) -> GroomAutoencoder:
         if training.resume():
-            Console(stderr=True).print(f"carrying on from step {training.step}")
+            messages.print(f"resuming from step {training.step}")
         smooth = 0.0
-        with _progress("training", training.config.steps, training.step) as (progress, task):
+        with progress_bar("training", training.recipe.config.steps, training.step, to=messages) as update:
 
-            def report(step: int, loss: float) -> None:
+            def report(step: int, metrics: dict[str, float]) -> None:
                 nonlocal smooth
+                loss = metrics["loss"]
                 if math.isfinite(loss):
                     smooth = loss if smooth == 0.0 else 0.98 * smooth + 0.02 * loss
-                progress.update(task, completed=step, description=f"loss {smooth:.4f} strand lengths")
+                update(completed=step, description=f"loss {smooth:.4f} strand lengths")
 
-            network = train(training, report)
+            train(training, report)
         if training.optimizer.skipped:
-            Console(stderr=True).print(f"{training.optimizer.skipped} updates skipped: gradients that were not finite")
-        return network
+            messages.print(f"{training.optimizer.skipped} updates skipped: gradients that were not finite")
+        return finish(training)
 
 
 def _samples(grooms: list[Groom], body: BodyModel) -> list[GroomSample]:
     return [sample_of(groom, body, groom.name) for groom in grooms]
 
 
-def _figures(
-    network: GroomAutoencoder, garden: Garden, seen: dict[str, list[GroomSample]], unseen: list[GroomSample]
+def _metrics(
+    network: GroomAutoencoder, cache: SampleCache, seen: dict[str, list[GroomSample]], unseen: list[GroomSample]
 ) -> dict[str, Any]:
-    # Each style once, and again by seeds that no training uses.
-    known = garden.grow(library_growings(STYLES, [0]), "growing every style")
-    anew = garden.grow(library_growings(STYLES, ANEW), "growing every style anew")
+    # Each style once, and again with seeds that no training uses.
+    known = cache.samples(library_grooms(STYLES, [0]), "making every style")
+    new = cache.samples(library_grooms(STYLES, NEW_SEEDS), "making every style with new seeds")
     groups = {
         "library, as trained": seen["library"],
-        "library, grown anew": [groom for groom in anew if groom.style in TRAINED],
+        "library, grown anew": [groom for groom in new if groom.style in TRAINED],
         "own grooms, as trained": seen["own"],
         "family, as trained": seen["family"],
-        "family, unseen": garden.grow(family_growings(UNSEEN_DRAWS), "growing unseen draws"),
-        "held-out styles": [groom for groom in known + anew if groom.style in HELD_OUT],
+        "family, unseen": cache.samples(family_grooms(UNSEEN_SAMPLES), "making unseen samples"),
+        "held-out styles": [groom for groom in known + new if groom.style in HELD_OUT],
         "other grooms, unseen": unseen,
     }
     rows = {name: [reconstruction(network, groom) for groom in grooms] for name, grooms in groups.items() if grooms}
     return {
         "reconstruction": {name: summary(of_group) for name, of_group in rows.items()},
         "grooms": {name: [asdict(row) for row in of_group] for name, of_group in rows.items()},
-        "codes": code_figures(network.encoder, known, anew),
-        "scatter": scatter_of_styles(known + anew),
-        "half_way": half_way_figures(network, seen["library"]),
+        "codes": code_metrics(network.encoder, known, new),
+        "scatter": scatter_of_styles(known + new),
+        "half_way": interpolation_metrics(network, seen["library"]),
     }
 
 
-def _print(figures: dict[str, Any]) -> None:
-    rows = [{"set": name} | row for name, row in figures["reconstruction"].items()]
+def _print(metrics: dict[str, Any]) -> None:
+    rows = [{"set": name} | row for name, row in metrics["reconstruction"].items()]
     print_rows(rows, "encoded and decoded, means over grooms")
-    groups = {"trained": TRAINED, "held out": HELD_OUT}
-    of_group = {
-        name: [figures["scatter"][style] for style in STYLES if style in group] for name, group in groups.items()
-    }
-    rows = [{"styles": name, "length_percent": mean(values)} for name, values in of_group.items()]
-    print_rows(rows, "what chance makes of a style: its growings from each other")
-    print_rows([{"styles": name} | row for name, row in figures["codes"].items()], "codes of styles")
-    print_rows([{"half-way": name} | row for name, row in figures["half_way"].items()], "between two codes")
-
-
-@contextmanager
-def _progress(what: str, total: int, done: int) -> Iterator[tuple[Progress, TaskID]]:
-    # The standard output is for the figures, which other programs may read.
-    with Progress(*progress_columns(TimeRemainingColumn()), console=Console(stderr=True)) as progress:
-        yield progress, progress.add_task(what, total=total, completed=done)
+    rows = [
+        {"styles": name, "length_percent": mean(metrics["scatter"][style] for style in STYLES if style in group)}
+        for name, group in (("trained", TRAINED), ("held out", HELD_OUT))
+    ]
+    print_rows(rows, "distance between samples of one style")
+    print_rows([{"styles": name} | row for name, row in metrics["codes"].items()], "codes of styles")
+    print_rows([{"half-way": name} | row for name, row in metrics["half_way"].items()], "between two codes")

@@ -8,7 +8,7 @@ import tyro
 
 from quaffure.apps.cli.console import console
 from quaffure.apps.cli.inputs import motion_of
-from quaffure.apps.cli.outputs import WRITERS
+from quaffure.apps.cli.outputs import write_output
 from quaffure.body.clips import CLIP_NAMES
 from quaffure.errors import InputError
 from quaffure.io.load_groom import load_groom
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ViewCommand:
-    """Look at drapes live in a browser: groom, clip, pose, body shape and draper at the touch of a slider."""
+    """Show drapes live in a browser, with controls for groom, clip, pose, body shape and draper."""
 
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")] = "long_straight"
     """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
@@ -30,15 +30,15 @@ class ViewCommand:
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones."""
     port: int = 8080
-    """Where the page is served; 0 for any free port."""
+    """The port of the page; 0 for any free one."""
     host: str = "127.0.0.1"
-    """The address to listen at. 0.0.0.0 opens the page to the network: whoever sees it can move it and save files."""
+    """The address to listen at. 0.0.0.0 opens the page to the network: all who open it can change it and save files."""
     folder: Path = Path(".")
-    """Where the page's save button writes."""
+    """Folder that the page's save button writes to."""
 
     def run(self) -> None:
         page = self.open()
-        console.print(f"quaffure: look at {page.url}; Ctrl+C ends it")
+        console.print(f"quaffure: open {page.url} in a browser; Ctrl+C ends it")
         try:
             page.wait()
         finally:
@@ -48,7 +48,7 @@ class ViewCommand:
         """The page, served.
 
         Raises:
-            InputError: a groom, a motion, weights, a folder or an address that is no good.
+            InputError: a groom, a motion, weights, a folder or an address that cannot be used.
         """
         from quaffure.apps.viewer.catalogue import REST, Catalogue
         from quaffure.apps.viewer.page import Address, Page
@@ -64,4 +64,4 @@ class ViewCommand:
             self.groom if groom is None else catalogue.groom_names[0],
             self.motion if motion is None else catalogue.motion_names[0],
         )
-        return Page(catalogue, start, Address(self.host, self.port), self.folder, WRITERS[".png"])
+        return Page(catalogue, start, Address(self.host, self.port), self.folder, write_output)

@@ -1,4 +1,4 @@
-"""Where a picture is taken from: a pinhole camera on a circle around the head."""
+"""A pinhole camera on a circle around the head."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-# A long lens: close cameras make noses and foreheads grow.
+# A long lens: close cameras make noses and foreheads look larger.
 FIELD_OF_VIEW = np.radians(22.0)
 
 
@@ -15,7 +15,7 @@ class Camera:
     """A pinhole camera looking at a point; up is world z.
 
     Attributes:
-        eye: where the camera stands [m].
+        eye: position of the camera [m].
         target: the point in the middle of the picture [m].
         field_of_view: of the shorter side of the picture [rad].
     """
@@ -32,7 +32,7 @@ class Camera:
 
         Args:
             azimuth_deg: 0 in front of the face (-y); 90 at the body's left hand (+x); 180 behind.
-            rise_deg: how far the camera stands above the horizon of `centre`.
+            rise_deg: elevation of the camera above the horizon of `centre`.
         """
         azimuth, rise = np.radians(azimuth_deg), np.radians(rise_deg)
         distance = 0.5 * extent / np.tan(0.5 * FIELD_OF_VIEW) + 0.25 * extent
@@ -43,7 +43,7 @@ class Camera:
 
     @staticmethod
     def front(centre: Sequence[float] | np.ndarray, extent: float, facing_deg: float = 0.0) -> "Camera":
-        """Facing the face of a body turned by `facing_deg` about the vertical; from -y when that is 0."""
+        """In front of a body rotated by `facing_deg` about the vertical; at -y for 0."""
         return Camera.around(centre, extent, facing_deg)
 
     @staticmethod
@@ -53,7 +53,7 @@ class Camera:
 
     @staticmethod
     def side(centre: Sequence[float] | np.ndarray, extent: float, facing_deg: float = 0.0) -> "Camera":
-        """From the body's left, +x; the face looks to the left of the picture."""
+        """From the body's left, +x; the face points to the left of the picture."""
         return Camera.around(centre, extent, facing_deg + 90.0)
 
     @staticmethod
@@ -63,7 +63,7 @@ class Camera:
 
     @property
     def camera_from_world(self) -> Float[np.ndarray, "4 4"]:
-        """Rigid frame change; the camera looks along its -z, y up, x to the right."""
+        """Rigid transform; the camera looks along its -z, y up, x to the right."""
         return look_at(np.array(self.eye), np.array(self.target))
 
     def clip_from_world(self, width: int, height: int, radius: float) -> Float[np.ndarray, "4 4"]:
@@ -80,7 +80,7 @@ class Camera:
 
 
 def look_at(eye: np.ndarray, target: np.ndarray) -> Float[np.ndarray, "4 4"]:
-    """Frame change into an observer at `eye` who looks along -z at `target`, world z upwards."""
+    """Transform to the frame of an observer at `eye` who looks along -z at `target`, world z upwards."""
     backwards = (eye - target) / np.linalg.norm(eye - target)
     right = np.cross([0.0, 0.0, 1.0], backwards)
     right /= np.linalg.norm(right)

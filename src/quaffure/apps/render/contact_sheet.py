@@ -1,4 +1,4 @@
-"""Many hairstyles on one picture: each from three sides, at one scale, with its name."""
+"""One picture of many hairstyles: each from three sides, at one scale, with its name."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -7,22 +7,22 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from quaffure.apps.output_path import check_output
 from quaffure.apps.render.camera import Camera
+from quaffure.apps.render.pictures import save_png
 from quaffure.apps.render.scene import StrandRenderer
 from quaffure.body.body_model import BodyModel
-from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import interpolation_of
-from quaffure.io.atomic import replacing
 
 VIEWS = (Camera.three_quarter, Camera.side, Camera.back)
 COLUMNS = 4
 TILE_WIDTH, TILE_HEIGHT = 194, 262  # pixels
 GAP, CAPTION, CAPTION_SIZE = 18, 40, 20  # pixels
 SUPERSAMPLING = 3
-# Of a tile, in the scene [m]; its upper edge lies this far over the Head joint, or a little over higher hair.
-TILE_EXTENT, TILE_TOP, HEAD_ROOM = 0.36, 0.19, 0.015
-# Guides alone look sparse; the hair between them is drawn as well.
+# Width of a tile in the scene, height of its upper edge above the Head joint, and its margin above higher hair [m].
+TILE_EXTENT, TILE_TOP, TOP_MARGIN = 0.36, 0.19, 0.015
+# Guides alone look sparse: strands between them are drawn as well.
 DRAWN_STRANDS = 12_000
 PAPER, INK, FAINT_INK = (246, 246, 247), (38, 38, 42), (128, 128, 136)
 NATURAL_COLOURS = (
@@ -49,34 +49,29 @@ def write_contact_sheet(
     """Write one picture (.png) of grooms at rest, in rows of four; each front three-quarter, side and back.
 
     Args:
-        body: that the grooms are registered to, drawn at rest.
-        notes: more to say beside a groom's name.
+        body: body that the grooms are registered to, drawn at rest.
+        notes: text after a groom's name, by name.
         on_groom: called with the number of grooms drawn so far.
 
     Raises:
         InputError: not a .png, not writable, or no OpenGL on this machine.
     """
-    if path.suffix.lower() != ".png":
-        raise InputError(path, "a picture's name ending in .png", f"{path.suffix or 'no suffix'}")
+    check_output(path, ".png")
     rows = -(-len(grooms) // COLUMNS)
     cell_width, cell_height = len(VIEWS) * TILE_WIDTH, TILE_HEIGHT + CAPTION
     size = (COLUMNS * (cell_width + GAP) + GAP, rows * (cell_height + GAP) + GAP)
     sheet = Image.new("RGB", size, PAPER)
     pen = ImageDraw.Draw(sheet)
-    # Before the renderer: a folder that is missing should cost no drawing.
-    with (
-        replacing(path) as temporary,
-        StrandRenderer(TILE_WIDTH, TILE_HEIGHT, supersampling=SUPERSAMPLING) as renderer,
-    ):
+    with StrandRenderer(TILE_WIDTH, TILE_HEIGHT, supersampling=SUPERSAMPLING) as renderer:
         for index, groom in enumerate(grooms):
             left = GAP + (index % COLUMNS) * (cell_width + GAP)
             top = GAP + (index // COLUMNS) * (cell_height + GAP)
             colour = NATURAL_COLOURS[index % len(NATURAL_COLOURS)]
             sheet.paste(Image.fromarray(_views(groom, body, renderer, colour)), (left, top))
-            _caption(pen, groom.name, (notes or {}).get(groom.name, ""), (left, top + TILE_HEIGHT))
+            _write_caption(pen, groom.name, (notes or {}).get(groom.name, ""), (left, top + TILE_HEIGHT))
             if on_groom is not None:
                 on_groom(index + 1)
-        sheet.save(temporary, format="PNG", compress_level=9)
+    save_png(path, sheet)
 
 
 def _views(
@@ -85,16 +80,16 @@ def _views(
     vertices, faces = body.rest_vertices.numpy(), body.faces.numpy()
     strands = interpolation_of(groom, body, DRAWN_STRANDS).strands(groom.rest_strands.numpy(), vertices)
     head = body.rest_joints[body.joint_names.index("Head")].numpy()
-    top = max(head[2] + TILE_TOP, float(groom.rest_strands[..., 2].max()) + HEAD_ROOM)
+    top = max(head[2] + TILE_TOP, float(groom.rest_strands[..., 2].max()) + TOP_MARGIN)
     centre = np.array([head[0], head[1], top - 0.5 * TILE_EXTENT * TILE_HEIGHT / TILE_WIDTH])
     return np.hstack(
         [renderer.render(strands, vertices, faces, view(centre, TILE_EXTENT), hair_colour) for view in VIEWS]
     )
 
 
-def _caption(pen: ImageDraw.ImageDraw, name: str, note: str, place: tuple[int, int]) -> None:
+def _write_caption(pen: ImageDraw.ImageDraw, name: str, note: str, corner: tuple[int, int]) -> None:
     text = name.replace("_", " ")
     font, small = ImageFont.load_default(CAPTION_SIZE), ImageFont.load_default(0.75 * CAPTION_SIZE)
-    left, base = place[0] + 4, place[1] + CAPTION - 12
+    left, base = corner[0] + 4, corner[1] + CAPTION - 12
     pen.text((left, base), text, fill=INK, font=font, anchor="ls")
     pen.text((left + pen.textlength(text, font) + 12, base), note, fill=FAINT_INK, font=small, anchor="ls")

@@ -1,35 +1,25 @@
-"""What a picture of a drape shows: its strands or those between them, all of the hair over all frames, and the head."""
+"""Frame of a picture of a drape: a box around hair and head, and the direction that the body faces."""
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.hair.guide_interpolation import GuideInterpolation
 
-# Around the middle of the roots, this ball holds face and chin of any adult head.
+# A ball of this radius around the mean root contains the face and the chin of any adult head.
 HEAD_RADIUS = 0.24  # m
 MARGIN = 1.12
 
 
-def drawn_strands(
-    seq: DrapeSequence, frame: int, interpolation: GuideInterpolation | None
-) -> Float32[np.ndarray, "m n 3"]:
-    """What is drawn of a frame [m]: the strands between its guides, or without interpolation the guides."""
-    if interpolation is None:
-        return seq.strands[frame]
-    return interpolation.strands(seq.strands[frame], seq.body_vertices[frame])
-
-
 def facing_deg(seq: DrapeSequence, frame: int) -> float:
-    """How far the hips are turned from -y about the vertical [deg], as a camera's azimuth counts."""
+    """Rotation of the hips from -y about the vertical [deg], in the sense of a camera's azimuth."""
     hips = Rotation.from_rotvec(seq.body_pose[frame, :3])
     x, y, _ = hips.apply([0.0, -1.0, 0.0])
     return float(np.degrees(np.arctan2(x, -y)))
 
 
 def frame_hair(seq: DrapeSequence) -> tuple[Float[np.ndarray, "3"], float]:
-    """Centre and extent [m] of a cube that holds hair and head in every frame, for a camera that stands still."""
+    """Centre and extent [m] of a cube that contains hair and head in every frame, for a camera that does not move."""
     boxes = [hair_box(strands, body) for strands, body in zip(seq.strands, seq.body_vertices)]
     lowest = np.min([low for low, _ in boxes], axis=0)
     highest = np.max([high for _, high in boxes], axis=0)
@@ -39,7 +29,7 @@ def frame_hair(seq: DrapeSequence) -> tuple[Float[np.ndarray, "3"], float]:
 def hair_box(
     strands: Float[np.ndarray, "s n 3"], body: Float[np.ndarray, "v 3"]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Lowest and highest corner [m] of a box that holds the hair, and of the body what is near the roots: the head."""
+    """Lowest and highest corner [m] of a box around the hair and the body near the roots: the head."""
     near = body[np.linalg.norm(body - strands[:, 0].mean(axis=0), axis=1) < HEAD_RADIUS]
     points = np.concatenate([strands.reshape(-1, 3), near])
     return points.min(axis=0), points.max(axis=0)

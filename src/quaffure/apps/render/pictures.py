@@ -1,49 +1,114 @@
-"""A drape as one still picture."""
+"""Still pictures: frames of a drape, and a groom before and after registration."""
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int, UInt8
 from PIL import Image
 
+from quaffure.apps.output_path import check_output
 from quaffure.apps.render.camera import Camera
-from quaffure.apps.render.framing import drawn_strands, facing_deg, frame_hair
-from quaffure.apps.render.scene import CHESTNUT, StrandRenderer
-from quaffure.errors import InputError
+from quaffure.apps.render.framing import MARGIN, facing_deg, frame_hair, hair_box
+from quaffure.apps.render.scene import StrandRenderer
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.io.atomic import replacing
 
 VIEWS = (Camera.front, Camera.three_quarter, Camera.side, Camera.back)
+VIEWS_BEFORE_AFTER = (Camera.front, Camera.side, Camera.back)
 TILE = 512
 MOST_FRAMES = 4
 
 
+class Subject(NamedTuple):
+    """Strands to draw, alone or on a mesh.
+
+    Attributes:
+        strands: [m].
+        vertices, faces: of a head or a body [m]; without them the strands alone are drawn.
+    """
+
+    strands: Float[np.ndarray, "s n 3"]
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "k 3"]
+
+    @classmethod
+    def without_mesh(cls, strands: Float[np.ndarray, "s n 3"]) -> "Subject":
+        """The strands alone, with a face of no area in their middle."""
+        return cls(strands, np.repeat(strands.mean(axis=(0, 1))[None], 3, axis=0), np.array([[0, 1, 2]]))
+
+
 def write_picture(
-    path: Path,
-    seq: DrapeSequence,
-    hair_colour: tuple[float, float, float] = CHESTNUT,
-    tile: int = TILE,
-    interpolation: GuideInterpolation | None = None,
+    path: Path, seq: DrapeSequence, interpolation: GuideInterpolation | None = None, tile: int = TILE
 ) -> None:
     """Write a contact sheet (.png): up to four evenly spaced frames, one row each, from front to back of the head.
 
     Args:
-        hair_colour: albedo in linear RGB.
-        tile: width and height of one view [pixels].
         interpolation: of strands between the drape's guides; without it the guides themselves are drawn.
+        tile: width and height of one view [pixels].
 
     Raises:
         InputError: not a .png, not writable, or no OpenGL on this machine.
     """
-    if path.suffix.lower() != ".png":
-        raise InputError(path, "a picture's name ending in .png", f"{path.suffix or 'no suffix'}")
+    check_output(path, ".png")
     centre, extent = frame_hair(seq)
     frames = np.unique(np.linspace(0, len(seq) - 1, min(MOST_FRAMES, len(seq))).round().astype(int))
-    # Before the renderer: a folder that is missing should cost no drawing.
-    with replacing(path) as temporary, StrandRenderer(tile, tile) as renderer:
+    with StrandRenderer(tile, tile) as renderer:
         rows = []
         for f in frames:
-            strands, vertices = drawn_strands(seq, f, interpolation), seq.body_vertices[f]
             cameras = [view(centre, extent, facing_deg(seq, f)) for view in VIEWS]
-            rows.append([renderer.render(strands, vertices, seq.body_faces, c, hair_colour) for c in cameras])
-        Image.fromarray(np.vstack([np.hstack(row) for row in rows])).save(temporary, format="PNG", compress_level=9)
+            rows.append(draw_frame(renderer, seq, f, interpolation, cameras))
+    save_tiles(path, rows)
+
+
+def draw_frame(
+    renderer: StrandRenderer,
+    seq: DrapeSequence,
+    frame: int,
+    interpolation: GuideInterpolation | None,
+    cameras: Sequence[Camera],
+) -> list[UInt8[np.ndarray, "h w 3"]]:
+    """Draw a frame by every camera: the strands between its guides, or without interpolation the guides."""
+    strands, body = seq.strands[frame], seq.body_vertices[frame]
+    if interpolation is not None:
+        strands = interpolation.strands(strands, body)
+    return [renderer.render(strands, body, seq.body_faces, camera) for camera in cameras]
+
+
+def write_before_after(path: Path, before: Subject, after: Subject, tile: int = TILE) -> None:
+    """Write a picture (.png) of two columns, before and after, from the front, the side and the back, in one scale.
+
+    Args:
+        tile: width and height of one view [pixels].
+
+    Raises:
+        InputError: not writable, or no OpenGL on this machine.
+    """
+    boxes = [hair_box(subject.strands, subject.vertices) for subject in (before, after)]
+    extent = MARGIN * max(float((highest - lowest).max()) for lowest, highest in boxes)
+    with StrandRenderer(tile, tile) as renderer:
+        rows = [
+            [
+                renderer.render(*subject, view(np.mean(box, axis=0), extent))
+                for subject, box in zip((before, after), boxes)
+            ]
+            for view in VIEWS_BEFORE_AFTER
+        ]
+    save_tiles(path, rows)
+
+
+def save_tiles(path: Path, rows: Iterable[Iterable[np.ndarray]]) -> None:
+    """Write pictures of one size as the rows and columns of one .png."""
+    save_png(path, Image.fromarray(np.vstack([np.hstack(list(row)) for row in rows])))
+
+
+def save_png(path: Path, picture: Image.Image) -> None:
+    """Write a picture.
+
+    Raises:
+        InputError: the folder does not exist or is not writable.
+    """
+    with replacing(path) as temporary:
+        picture.save(temporary, format="PNG", compress_level=9)

@@ -1,7 +1,6 @@
 """Pictures of hair on a body, drawn off screen with OpenGL (a GPU or Mesa's software rasteriser)."""
 
 import math
-from types import TracebackType
 from typing import Any
 
 import moderngl
@@ -10,19 +9,18 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from quaffure.apps.render import shaders
 from quaffure.apps.render.camera import Camera
 from quaffure.apps.render.framing import hair_box
 from quaffure.apps.render.key_light import KeyLight
-from quaffure.apps.render.uniforms import assign
+from quaffure.apps.render.shaders import Uniforms, assign, build_program
 from quaffure.errors import InputError
 
 CHESTNUT = (0.15, 0.062, 0.025)
 CLAY = (0.64, 0.475, 0.385)
-SCALP_REACH = 0.012  # m
-SHADOW_ROOM = 0.1  # m, round hair and head: so far on the body shadow is cast
-MOST_SAMPLES = 3  # of a segment, where strands curl
-TURN_OF_SAMPLE = math.radians(9.0)
+SCALP_RADIUS = 0.012  # m, around a root
+SHADOW_MARGIN = 0.1  # m, around hair and head: shadow falls on the body up to there
+MOST_SAMPLES = 3  # of a segment, where strands are curly
+ANGLE_OF_SAMPLE = math.radians(9.0)
 # Up to this many strands are drawn with this width [m].
 WIDEST_COUNT, WIDEST_STRAND = 2400, 0.8e-3
 HAIR_WIDTH = 0.7e-4  # m
@@ -34,7 +32,7 @@ COLOUR, DEPTH = 0, 1
 
 
 class StrandRenderer:
-    """Draws strands and a body; buffers are kept between frames of the same size.
+    """Draws strands and a body, off screen.
 
     Args:
         width, height: of the picture [pixels].
@@ -53,23 +51,17 @@ class StrandRenderer:
         size = (supersampling * width, supersampling * height)
         self._picture = self._gl.framebuffer([self._gl.renderbuffer(size, 4)], self._gl.depth_renderbuffer(size))
         self._key = KeyLight(self._gl)
-        self._hair = self._gl.program(shaders.HAIR_VERTEX, fragment_shader=shaders.HAIR_FRAGMENT)
-        self._hair_depth = self._gl.program(shaders.HAIR_VERTEX, fragment_shader=shaders.DEPTH_FRAGMENT)
-        self._body = self._gl.program(shaders.BODY_VERTEX, fragment_shader=shaders.BODY_FRAGMENT)
-        self._body_depth = self._gl.program(shaders.BODY_VERTEX, fragment_shader=shaders.DEPTH_FRAGMENT)
-        background = self._gl.program(shaders.BACKGROUND_VERTEX, fragment_shader=shaders.BACKGROUND_FRAGMENT)
-        self._background = self._gl.vertex_array(background, [])
-        self._hair_arrays = [self._gl.vertex_array(program, []) for program in (self._hair, self._hair_depth)]
-        self._points: moderngl.Texture | None = None
-        self._body_buffers: tuple[moderngl.Buffer, moderngl.Buffer] | None = None
-        self._body_arrays: list[moderngl.VertexArray] = []
+        # The first of each pair of programs, COLOUR, writes colour; the second one, DEPTH, writes depth alone.
+        self._hair = [build_program(self._gl, "hair", fragment) for fragment in ("hair", "depth")]
+        self._body = [build_program(self._gl, "body", fragment) for fragment in ("body", "depth")]
+        self._background = self._gl.vertex_array(build_program(self._gl, "background", "background"), [])
+        self._hair_arrays = [self._gl.vertex_array(program, []) for program in self._hair]
+        self._uploaded: list[moderngl.Texture | moderngl.Buffer | moderngl.VertexArray] = []
 
     def __enter__(self) -> "StrandRenderer":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
 
     def release(self) -> None:
@@ -94,12 +86,16 @@ class StrandRenderer:
         lowest, highest = hair_box(strands, body_vertices)
         reach = np.linalg.norm(np.vstack([body_vertices, lowest, highest]) - np.array(camera.target), axis=1).max()
         with self._gl:  # another renderer's context may be current
+            while self._uploaded:
+                self._uploaded.pop().release()
             self._upload_strands(strands)
             self._upload_body(body_vertices, body_faces, strands[:, 0])
-            for program in (self._hair, self._body):
-                assign(program, hair_colour=hair_colour, body_colour=CLAY)
-            self._light(camera, lowest.astype(np.float64), highest.astype(np.float64))
-            self._draw_picture(camera, 1.1 * float(reach))
+            lights = self._light(camera, lowest.astype(np.float64), highest.astype(np.float64))
+            # After the shadow maps, which are drawn by the camera of the key light.
+            uniforms = lights | self._camera_uniforms(camera, 1.1 * float(reach))
+            for program in (*self._hair, *self._body):
+                assign(program, hair_colour=hair_colour, body_colour=CLAY, **self._strand_uniforms, **uniforms)
+            self._draw_picture()
             return self._read_pixels()
 
     def _upload_strands(self, strands: np.ndarray) -> None:
@@ -107,70 +103,58 @@ class StrandRenderer:
         rows = -(-count * vertices // POINTS_PER_ROW)
         packed = np.zeros((rows * POINTS_PER_ROW, 3), dtype=np.float32)
         packed[: count * vertices] = strands.reshape(-1, 3)
-        if self._points is None or self._points.size != (POINTS_PER_ROW, rows):
-            if self._points is not None:
-                self._points.release()
-            self._points = self._gl.texture((POINTS_PER_ROW, rows), 3, dtype="f4")
-            self._points.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        self._points.write(packed)
+        points = self._gl.texture((POINTS_PER_ROW, rows), 3, packed, dtype="f4")
+        points.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        points.use(0)
+        self._uploaded.append(points)
         self._strands, self._vertices, self._samples = count, vertices, (vertices - 1) * samples_of(strands) + 1
-        width = self.strand_width or width_of(count)
-        for program in (self._hair, self._hair_depth):
-            assign(program, points=0, strand_vertices=vertices, samples=self._samples, strand_width=width)
+        self._strand_uniforms: Uniforms = {
+            "points": 0,
+            "strand_vertices": vertices,
+            "samples": self._samples,
+            "strand_width": self.strand_width or width_of(count),
+        }
 
     def _upload_body(self, vertices: np.ndarray, faces: np.ndarray, roots: np.ndarray) -> None:
         cover = hair_cover(vertices, roots)[:, None]
         packed = np.hstack([vertices, vertex_normals(vertices, faces), cover]).astype(np.float32)
-        indices = np.ascontiguousarray(faces, dtype=np.int32)
-        held = self._body_buffers
-        if held is None or (held[0].size, held[1].size) != (packed.nbytes, indices.nbytes):
-            for released in (*self._body_arrays, *(held or ())):
-                released.release()
-            held = self._gl.buffer(reserve=packed.nbytes), self._gl.buffer(reserve=indices.nbytes)
-            self._body_buffers = held
-            self._body_arrays = [
-                self._gl.vertex_array(self._body, [(held[0], "3f 3f 1f", "position", "normal", "scalp")], held[1]),
-                self._gl.vertex_array(self._body_depth, [(held[0], "3f 4x4", "position")], held[1]),
-            ]
-        held[0].write(packed)
-        held[1].write(indices)
+        buffer = self._gl.buffer(packed)
+        indices = self._gl.buffer(np.ascontiguousarray(faces, dtype=np.int32))
+        self._body_arrays = [
+            self._gl.vertex_array(self._body[COLOUR], [(buffer, "3f 3f 1f", "position", "normal", "scalp")], indices),
+            self._gl.vertex_array(self._body[DEPTH], [(buffer, "3f 4x4", "position")], indices),
+        ]
+        self._uploaded += [buffer, indices, *self._body_arrays]
 
-    def _light(self, camera: Camera, lowest: np.ndarray, highest: np.ndarray) -> None:
-        """Place the lights with the camera: key at its upper left, fill right, rim behind."""
+    def _light(self, camera: Camera, lowest: np.ndarray, highest: np.ndarray) -> Uniforms:
+        """Place the lights with the camera, key at its upper left, fill right, rim behind, and draw the shadow maps."""
         world_from_camera = camera.camera_from_world[:3, :3].T
         key, fill, rim = (world_from_camera @ _unit(light) for light in (KEY_LIGHT, FILL_LIGHT, RIM_LIGHT))
-        self._key.place(key, lowest - SHADOW_ROOM, highest + SHADOW_ROOM)
-        assert self._points is not None
-        self._points.use(0)
+        self._key.place(key, lowest - SHADOW_MARGIN, highest + SHADOW_MARGIN)
         self._key.draw_maps(self._body_arrays[DEPTH], self._strands, self._vertices)
-        for program in (self._hair, self._body):
-            self._key.shine_on(program)
-            assign(program, fill_direction=fill, rim_direction=rim)
+        return {**self._key.use(), "fill_direction": fill, "rim_direction": rim}
 
-    def _draw_picture(self, camera: Camera, reach: float) -> None:
-        target, eye = self._picture, np.array(camera.eye)
-        clip_from_world = camera.clip_from_world(self.width, self.height, reach)
+    def _camera_uniforms(self, camera: Camera, reach: float) -> Uniforms:
         angle = 2.0 * math.tan(0.5 * camera.field_of_view) / (self.supersampling * min(self.width, self.height))
-        for program in (self._hair, self._hair_depth):
-            assign(program, sample_angle=LEAST_SAMPLES_ACROSS * angle)
+        clip_from_world = camera.clip_from_world(self.width, self.height, reach)
+        return {"eye": camera.eye, "clip_from_world": clip_from_world, "sample_angle": LEAST_SAMPLES_ACROSS * angle}
+
+    def _draw_picture(self) -> None:
+        target = self._picture
         target.use()
         target.depth_mask, target.color_mask = True, (True, True, True, True)
         target.clear()
         self._gl.disable(moderngl.DEPTH_TEST)
         self._background.render(moderngl.TRIANGLES, vertices=3)
         self._gl.enable(moderngl.DEPTH_TEST)
-        # Dozens of strands cover a pixel; depth first, so that only the nearest is shaded: several times faster.
+        # Dozens of strands cover a pixel. Depth comes first, so that only the nearest is shaded: several times faster.
         target.color_mask = False, False, False, False
-        self._draw_surfaces(DEPTH, eye, clip_from_world)
+        self._draw_surfaces(DEPTH)
         target.depth_mask, target.color_mask = False, (True, True, True, True)
         self._gl.depth_func = "<="
-        self._draw_surfaces(COLOUR, eye, clip_from_world)
+        self._draw_surfaces(COLOUR)
 
-    def _draw_surfaces(self, kind: int, eye: np.ndarray, clip_from_world: np.ndarray) -> None:
-        assert self._points is not None
-        for program in ((self._hair, self._body), (self._hair_depth, self._body_depth))[kind]:
-            assign(program, eye=eye, clip_from_world=clip_from_world)
-        self._points.use(0)
+    def _draw_surfaces(self, kind: int) -> None:
         self._body_arrays[kind].render(moderngl.TRIANGLES)
         self._hair_arrays[kind].render(moderngl.TRIANGLE_STRIP, vertices=2 * self._samples, instances=self._strands)
 
@@ -181,16 +165,16 @@ class StrandRenderer:
 
 
 def samples_of(strands: Float[np.ndarray, "s n 3"]) -> int:
-    """Into how many straight parts a segment is cut for its strand to look round: a tenth of the strands tells."""
+    """Straight parts to draw a segment in, so that curls look round; by the angles in a tenth of the strands."""
     edges = np.diff(strands[::10], axis=1)
     edges /= np.maximum(np.linalg.norm(edges, axis=-1, keepdims=True), 1e-9)
-    turns = np.arccos(np.clip((edges[:, 1:] * edges[:, :-1]).sum(-1), -1.0, 1.0))
-    largest = float(np.quantile(turns, 0.9)) if turns.size else 0.0
-    return int(np.clip(math.ceil(largest / TURN_OF_SAMPLE), 1, MOST_SAMPLES))
+    angles = np.arccos(np.clip((edges[:, 1:] * edges[:, :-1]).sum(-1), -1.0, 1.0))
+    largest = float(np.quantile(angles, 0.9)) if angles.size else 0.0
+    return int(np.clip(math.ceil(largest / ANGLE_OF_SAMPLE), 1, MOST_SAMPLES))
 
 
 def width_of(strands: int) -> float:
-    """Width to draw each of so many strands with [m]: few stand for many, and are wider than a hair of 0.07 mm."""
+    """Width to draw each of this many strands with [m]: few stand for many, and are wider than a hair of 0.07 mm."""
     return max(min(WIDEST_STRAND, WIDEST_STRAND * math.sqrt(WIDEST_COUNT / strands)), HAIR_WIDTH)
 
 
@@ -204,9 +188,9 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray,
 
 
 def hair_cover(vertices: np.ndarray, roots: np.ndarray) -> Float[np.ndarray, " v"]:
-    """How far each body vertex counts as scalp: 1 beside a strand's root, 0 from `SCALP_REACH` on."""
-    distance, _ = cKDTree(roots).query(vertices, distance_upper_bound=SCALP_REACH)
-    return np.clip(2.0 - 2.0 * distance / SCALP_REACH, 0.0, 1.0)
+    """Share of scalp colour of each body vertex: 1 next to a root, 0 farther than `SCALP_RADIUS` from all roots."""
+    distance, _ = cKDTree(roots).query(vertices, distance_upper_bound=SCALP_RADIUS)
+    return np.clip(2.0 - 2.0 * distance / SCALP_RADIUS, 0.0, 1.0)
 
 
 def _create_context() -> moderngl.Context:

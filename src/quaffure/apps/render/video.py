@@ -1,6 +1,6 @@
 """A drape as a video."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 
@@ -8,9 +8,11 @@ import av
 import numpy as np
 from jaxtyping import UInt8
 
+from quaffure.apps.output_path import check_output
 from quaffure.apps.render.camera import Camera
-from quaffure.apps.render.framing import drawn_strands, facing_deg, frame_hair
-from quaffure.apps.render.scene import CHESTNUT, StrandRenderer
+from quaffure.apps.render.framing import facing_deg, frame_hair
+from quaffure.apps.render.pictures import draw_frame
+from quaffure.apps.render.scene import StrandRenderer
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
@@ -19,28 +21,21 @@ from quaffure.io.atomic import replacing
 Picture = UInt8[np.ndarray, "h w 3"]
 VIEWS = (Camera.front, Camera.side)
 TILE = 512
-# Motion hides what a still would show: fewer samples a pixel than in a picture.
+# Fewer samples a pixel than in a still picture: motion hides the difference.
 SUPERSAMPLING = 3
 CONSTANT_RATE_FACTOR = 20
 
 
 def write_video(
-    path: Path,
-    seq: DrapeSequence,
-    hair_colour: tuple[float, float, float] = CHESTNUT,
-    tile: int = TILE,
-    on_frame: Callable[[int], None] | None = None,
-    interpolation: GuideInterpolation | None = None,
+    path: Path, seq: DrapeSequence, interpolation: GuideInterpolation | None = None, tile: int = TILE
 ) -> None:
     """Write front and side views next to each other (.mp4, H.264).
 
-    The camera stands still, facing where the body faces half way.
+    The camera does not move; it faces the body as it stands in the middle frame.
 
     Args:
-        hair_colour: albedo in linear RGB.
-        tile: width and height of one view, even [pixels].
-        on_frame: called with the number of frames written so far.
         interpolation: of strands between the drape's guides; without it the guides themselves are drawn.
+        tile: width and height of one view, even [pixels].
 
     Raises:
         InputError: not an .mp4, not writable, or no OpenGL on this machine.
@@ -50,12 +45,8 @@ def write_video(
 
     def pictures() -> Iterator[Picture]:
         with StrandRenderer(tile, tile, supersampling=SUPERSAMPLING) as renderer:
-            for frame, body in enumerate(seq.body_vertices):
-                strands = drawn_strands(seq, frame, interpolation)
-                views = [renderer.render(strands, body, seq.body_faces, camera, hair_colour) for camera in cameras]
-                yield np.hstack(views)
-                if on_frame is not None:
-                    on_frame(frame + 1)
+            for frame in range(len(seq)):
+                yield np.hstack(draw_frame(renderer, seq, frame, interpolation, cameras))
 
     encode_video(path, pictures(), seq.fps)
 
@@ -63,17 +54,16 @@ def write_video(
 def encode_video(
     path: Path, pictures: Iterable[Picture], fps: float, constant_rate_factor: int = CONSTANT_RATE_FACTOR
 ) -> None:
-    """Write pictures of one size as a video (.mp4, H.264), each as it comes.
+    """Write pictures of one size as a video (.mp4, H.264), one at a time.
 
     Args:
         pictures: sRGB, even in height and width; at least one.
-        constant_rate_factor: of x264, 0 to 51: higher is smaller and worse.
+        constant_rate_factor: of x264, 0 to 51: a higher one makes a smaller file of lower quality.
 
     Raises:
         InputError: not an .mp4, not writable, no pictures, or an odd number of pixels.
     """
-    if path.suffix.lower() != ".mp4":
-        raise InputError(path, "a video's name ending in .mp4", f"{path.suffix or 'no suffix'}")
+    check_output(path, ".mp4")
     with (
         replacing(path) as temporary,
         av.open(str(temporary), "w", format="mp4", options={"movflags": "+faststart"}) as container,

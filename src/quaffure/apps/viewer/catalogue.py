@@ -1,4 +1,4 @@
-"""What the pickers of the live page offer, loaded when it is first picked and then kept."""
+"""Choices of the pickers of the live page, loaded when they are first picked and then kept."""
 
 import torch
 
@@ -8,8 +8,8 @@ from quaffure.body.motion import Motion
 from quaffure.draper import Draper
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of
+from quaffure.model.network_config import POSE_SIZE
 from quaffure.model.quaffure_model import Quaffure
-from quaffure.model.quaffure_network import POSE_SIZE
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import STYLES
 from quaffure.solvers.by_name import SOLVERS, solver
@@ -24,18 +24,18 @@ class Catalogue:
     """Grooms, clips and drapers by name.
 
     Args:
-        model: the network and the body that everything stands on.
-        groom: one of the user's own, beside the bundled styles.
-        motion: one of the user's own, at 30 frames per second, beside the bundled clips.
+        model: the network and the body.
+        groom: a groom of the user, in addition to the bundled styles.
+        motion: a motion of the user at 30 frames per second, in addition to the bundled clips.
     """
 
     def __init__(self, model: Quaffure, groom: Groom | None = None, motion: Motion | None = None) -> None:
         self.body = model.body
         self._model = model
-        self._grooms = {} if groom is None else {_own_name(groom.name, tuple(STYLES)): groom}
+        self._grooms = {} if groom is None else {_unique_name(groom.name, tuple(STYLES)): groom}
         self._motions = {REST: Motion(torch.zeros(1, POSE_SIZE), CLIP_FPS, REST)}
         if motion is not None:
-            self._motions[_own_name(motion.name, (*CLIP_NAMES, REST))] = motion
+            self._motions[_unique_name(motion.name, (*CLIP_NAMES, REST))] = motion
         self._interpolation: tuple[Groom, GuideInterpolation] | None = None
         self.groom_names = (*self._grooms, *STYLES)
         self.motion_names = tuple(dict.fromkeys((*reversed(self._motions), *CLIP_NAMES)))
@@ -66,13 +66,13 @@ class Catalogue:
         return self._model.draper if name == NEURAL else solver(name, self._model.draper.material)
 
     def interpolation(self, groom: Groom, strands: int) -> GuideInterpolation:
-        """Of strands between the guides of a groom; the last one is kept."""
+        """Interpolation of strands between the guides of a groom; the last one is kept."""
         kept = self._interpolation
         if kept is None or kept[0] is not groom or len(kept[1]) != strands:
             kept = self._interpolation = groom, interpolation_of(groom, self.body, strands)
         return kept[1]
 
 
-def _own_name(name: str, taken: tuple[str, ...]) -> str:
-    """A file may be called like something bundled."""
+def _unique_name(name: str, taken: tuple[str, ...]) -> str:
+    """A name that no bundled groom or clip has."""
     return f"{name} (file)" if name in taken else name

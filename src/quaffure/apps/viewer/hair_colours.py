@@ -1,4 +1,4 @@
-"""Colours of strands for a viewer that draws lines without light: they hold the light themselves."""
+"""Colours of strands, with shading, for a viewer that draws lines without light."""
 
 from functools import cache
 
@@ -11,7 +11,7 @@ INSIDE = (255, 0, 20)
 PALE = 0.8  # how far hair fades to grey where vertices inside the body are shown
 # Directions towards the lights: over the body's right shoulder in front, and low behind its left.
 KEY_LIGHT, FILL_LIGHT = (-0.5, -0.7, 0.75), (0.7, 0.6, 0.2)
-# Half way between the key light and a viewer in front.
+# Halfway between the key light and a viewer in front.
 HALFWAY = (-0.27, -0.88, 0.40)
 SHININESS = 40
 
@@ -19,12 +19,12 @@ SHININESS = 40
 def hair_colours(
     strands: Float[np.ndarray, "s n 3"], inside: Bool[np.ndarray, "s n"] | None = None
 ) -> UInt8[np.ndarray, "s n 3"]:
-    """Linear RGB of every vertex: brown, a little different for each strand, with the light of its tangent (Kajiya
-    and Kay 1989) and of its place round the head, darker at the roots.
+    """Linear RGB of every vertex: brown, a little different for each strand, shaded by its tangent (Kajiya and Kay
+    1989) and by its side of the head, darker at the roots.
 
     Args:
         strands: vertices in the world, roots first [m].
-        inside: vertices to mark; where it is given, all other hair is paler.
+        inside: vertices to mark; with it, all other hair is paler.
     """
     tangent = _unit(np.gradient(strands, axis=1))
     outwards = _unit(strands - strands[:, 0].mean(axis=0))

@@ -1,4 +1,4 @@
-"""The widgets of the live page. They hold no logic: `Page` wires them."""
+"""The widgets of the live page. They hold no logic: `Page` connects them."""
 
 from typing import TypeVar
 
@@ -7,7 +7,7 @@ from viser import GuiApi, GuiSliderHandle
 from quaffure.apps.viewer.catalogue import Catalogue
 from quaffure.apps.viewer.scene_nodes import AZIMUTHS
 
-TURNING_JOINTS = {
+JOINT_RANGES = {
     "Head": 60.0,
     "Neck1": 45.0,
     "Neck": 45.0,
@@ -17,7 +17,7 @@ TURNING_JOINTS = {
     "LeftArm": 90.0,
     "RightArm": 90.0,
 }
-"""Joints whose turns hair feels, and how far their sliders go [degrees]."""
+"""Joints that move hair, and the range of their sliders, +- [degrees]."""
 AXES = ("bend forward (x)", "lean left (y)", "turn left (z)")
 LARGEST_COEFFICIENT = 3.0
 STRAND_COUNTS = {"guides": 0, "5,000 strands": 5_000, "10,000 strands": 10_000, "20,000 strands": 20_000}
@@ -32,23 +32,23 @@ class Panel:
         gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(120, 84, 56))
         gui.set_panel_label("quaffure")
         gui.main_panel.dock_right()
-        self.status = gui.add_markdown("Getting ready. The first drape ever made here compiles its kernels.")
+        self.status = gui.add_markdown("Getting ready. The first drape on this machine compiles its kernels.")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Drape"):
             self._add_pickers(gui, catalogue, groom, motion)
         with tabs.add_tab("Pose"):
-            gui.add_markdown("Turns on top of the clip, in degrees.")
+            gui.add_markdown("Rotations after those of the clip, in degrees.")
             self.reset_pose = gui.add_button("Reset pose")
-            self.joints = {joint: _joint_sliders(gui, joint, reach) for joint, reach in TURNING_JOINTS.items()}
+            self.joints = {joint: _joint_sliders(gui, joint, limit) for joint, limit in JOINT_RANGES.items()}
         with tabs.add_tab("Shape"):
             gui.add_markdown("In standard deviations of adults; the first is height.")
             self.reset_shape = gui.add_button("Reset shape")
-            reach = LARGEST_COEFFICIENT
-            self.shape = [gui.add_slider(f"beta {index}", -reach, reach, 0.1, 0.0) for index in range(10)]
+            limit = LARGEST_COEFFICIENT
+            self.shape = [gui.add_slider(f"beta {index}", -limit, limit, 0.1, 0.0) for index in range(10)]
         with tabs.add_tab("Measure"):
             self.mark_inside = gui.add_checkbox("Mark hair inside the body", False)
             self.measure = gui.add_button("Measure this drape")
-            self.figures = gui.add_markdown("")
+            self.metrics = gui.add_markdown("")
             self.save = gui.add_button("Save drape and picture", hint="An .npz and a .png")
 
     def _add_pickers(self, gui: GuiApi, catalogue: Catalogue, groom: str, motion: str) -> None:
@@ -67,12 +67,12 @@ class Panel:
         self.view = gui.add_button_group("View", tuple(AZIMUTHS))
 
     def show_clip(self, frames: int) -> None:
-        """Make the frame slider that of a clip, at its start."""
+        """Set the frame slider to the length of a clip, at its start."""
         put(self.frame, 0)
         self.frame.max = max(1, frames - 1)
 
     def offer_settling(self, draper: str | None) -> None:
-        """Show the button for a draper that is too slow to follow every change, or none."""
+        """Show the button for a draper that is too slow to follow every change; hide it for None."""
         self.settle.visible = self.notice.visible = draper is not None
         if draper is not None:
             self.settle.label = f"Settle with {draper}"
@@ -81,10 +81,10 @@ class Panel:
 
 def put(slider: GuiSliderHandle[T], value: T) -> None:
     """Move a slider in every browser."""
-    # mypy takes the property for read-only: in viser another method stands between its getter and its setter.
+    # mypy reads the property as read-only: in viser another method is between its getter and its setter.
     slider.value = value  # type: ignore[misc]
 
 
-def _joint_sliders(gui: GuiApi, joint: str, reach: float) -> list[GuiSliderHandle[float]]:
-    with gui.add_folder(joint, expand_by_default=joint == next(iter(TURNING_JOINTS))):
-        return [gui.add_slider(axis, -reach, reach, 1.0, 0.0) for axis in AXES]
+def _joint_sliders(gui: GuiApi, joint: str, limit: float) -> list[GuiSliderHandle[float]]:
+    with gui.add_folder(joint, expand_by_default=joint == next(iter(JOINT_RANGES))):
+        return [gui.add_slider(axis, -limit, limit, 1.0, 0.0) for axis in AXES]

@@ -8,13 +8,13 @@ from quaffure.body.clips import CLIP_FPS
 
 
 class Playback:
-    """Says which frame is due, `CLIP_FPS` times a second while it plays. Frames count on beyond the clip's end.
+    """Calls `on_frame` with the frame to show, `CLIP_FPS` times a second while it plays. Frames go on beyond the end.
 
     Args:
-        on_frame: told of the frame.
+        on_frame: called with the index of the frame.
 
     Attributes:
-        speed: 1 is as fast as life.
+        speed: 1 is real time.
     """
 
     def __init__(self, on_frame: Callable[[int], None]) -> None:
@@ -38,12 +38,12 @@ class Playback:
         self._playing.clear()
 
     def seek(self, frame: int) -> None:
-        """Go on from this frame."""
+        """Continue from this frame."""
         with self._moving:
             self._position = float(frame)
 
     def stop(self) -> None:
-        """For good."""
+        """End the thread."""
         self._stopped.set()
         self._playing.set()
         self._thread.join()

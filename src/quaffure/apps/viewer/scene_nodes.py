@@ -11,20 +11,20 @@ from quaffure.body.pose_features import HEAD
 from quaffure.hair.groom import Groom
 
 SKIN, SCALP = (205, 172, 150), (84, 56, 36)
-CLEAR = 0.45  # opacity
+TRANSLUCENT = 0.45  # opacity
 FLOOR, FLOOR_LINES = (236, 236, 234), (205, 205, 203)
-SCALP_REACH = 0.012  # m round a root, the scalp has the colour of hair
+SCALP_RADIUS = 0.012  # m around a root: the scalp has the colour of hair
 # Few strands stand for many and are drawn wider [m].
 WIDEST_STRAND, WIDEST_COUNT, THINNEST_STRAND = 0.9e-3, 2400, 0.3e-3
-# Where one looks from: a long lens far enough for head and chest.
+# The camera: a long lens, far enough for head and chest.
 FIELD_OF_VIEW, DISTANCE = np.radians(24.0), 1.75  # m
-LOOK_BELOW_HEAD = 0.06  # m below the Head joint
+TARGET_BELOW_HEAD = 0.06  # m below the Head joint
 AZIMUTHS = {"front": 0.0, "3/4": 40.0, "side": 90.0, "back": 180.0}
 """Views by name: degrees from the face (-y) towards the body's left (+x)."""
 
 
 class SceneNodes:
-    """What is drawn. All browsers see the same, each from its own side."""
+    """Nodes of body and hair. They are the same in all browsers; each has a camera of its own."""
 
     def __init__(self, server: ViserServer, body: BodyModel) -> None:
         self._server, self._body = server, body
@@ -35,10 +35,10 @@ class SceneNodes:
         self._skin = server.scene.add_mesh_simple("/body/skin", vertices, self._faces, color=SKIN)
         self._scalp = server.scene.add_mesh_simple("/body/scalp", vertices, self._faces[:1], color=SCALP)
         self._hair: LineSegmentsHandle | None = None
-        self._set_surroundings()
+        self._add_surroundings()
 
-    def dress(self, groom: Groom) -> None:
-        """Colour the scalp under another groom."""
+    def set_groom(self, groom: Groom) -> None:
+        """Give the scalp under a groom the colour of hair."""
         covered = self._covered(groom)
         self._scalp_vertices, faces = np.unique(self._faces[covered], return_inverse=True)
         with self._server.atomic():
@@ -52,7 +52,7 @@ class SceneNodes:
         strands: Float[np.ndarray, "s n 3"],
         colours: UInt8[np.ndarray, "s n 3"],
     ) -> None:
-        """Draw a drape: new points for what is there already."""
+        """Draw a drape. Nodes are kept and get new points."""
         points, ends = segments(strands), segments(colours)
         with self._server.atomic():
             self._skin.vertices = body_vertices
@@ -64,27 +64,27 @@ class SceneNodes:
             else:
                 self._hair.points, self._hair.colors = points, ends
 
-    def show_through(self, body_is_clear: bool) -> None:
-        """Let what is inside the body be seen, or not."""
+    def set_translucent(self, body_is_translucent: bool) -> None:
+        """Show what is inside the body, or hide it."""
         with self._server.atomic():
-            self._skin.opacity = self._scalp.opacity = CLEAR if body_is_clear else None
+            self._skin.opacity = self._scalp.opacity = TRANSLUCENT if body_is_translucent else None
 
-    def look_from(self, view: str, client: ClientHandle) -> None:
-        """Turn one browser's camera to a view of `AZIMUTHS`."""
+    def move_camera(self, view: str, client: ClientHandle) -> None:
+        """Move the camera of one browser to a view of `AZIMUTHS`."""
         with client.atomic():
             client.camera.up_direction = (0.0, 0.0, 1.0)
             client.camera.position = tuple(self._eye(AZIMUTHS[view]))
             client.camera.look_at = tuple(self._target())
 
     def _covered(self, groom: Groom) -> Bool[np.ndarray, " k"]:
-        """Faces of the body that hair grows on or round."""
+        """Faces of the body at or near the roots."""
         roots = cKDTree(groom.rest_strands[:, 0].numpy())
-        near = np.isfinite(roots.query(self._body.rest_vertices.numpy(), distance_upper_bound=SCALP_REACH)[0])
+        near = np.isfinite(roots.query(self._body.rest_vertices.numpy(), distance_upper_bound=SCALP_RADIUS)[0])
         covered = near[self._faces].all(axis=1)
         covered[groom.root_faces.numpy()] = True
         return covered
 
-    def _set_surroundings(self) -> None:
+    def _add_surroundings(self) -> None:
         scene, camera = self._server.scene, self._server.initial_camera
         scene.configure_default_lights(enabled=False)
         scene.configure_environment_map(hdri=None)
@@ -99,7 +99,7 @@ class SceneNodes:
         camera.fov, camera.near = float(FIELD_OF_VIEW), 0.02
 
     def _target(self) -> Float[np.ndarray, "3"]:
-        return self._head - (0.0, 0.0, LOOK_BELOW_HEAD)
+        return self._head - (0.0, 0.0, TARGET_BELOW_HEAD)
 
     def _eye(self, azimuth_deg: float) -> Float[np.ndarray, "3"]:
         azimuth = np.radians(azimuth_deg)

@@ -1,4 +1,4 @@
-"""What happens on the live page: changes to its stage, drapes, measurements, files. All of it on one thread."""
+"""Jobs of the live page: changes of its state, drapes, measurements, files. All of them run on one thread."""
 
 import re
 import sys
@@ -19,7 +19,7 @@ from quaffure.apps.viewer.draping_thread import DrapingThread
 from quaffure.apps.viewer.hair_colours import hair_colours
 from quaffure.apps.viewer.panel import Panel
 from quaffure.apps.viewer.scene_nodes import SceneNodes
-from quaffure.apps.viewer.stage import Drape, Stage
+from quaffure.apps.viewer.view_state import Drape, ViewState
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
@@ -30,160 +30,149 @@ Notify = Callable[[str, str, bool], None]
 RECENT = 15  # drapes, of whose times the median is shown
 
 
-class Look(NamedTuple):
-    """How a drape is drawn: with so many strands, or with 0 its guides; what is inside the body marked or not."""
+class Display(NamedTuple):
+    """How a drape is drawn: number of strands, 0 for its guides, and whether vertices inside the body are marked."""
 
     strand_count: int
     mark_inside: bool
 
 
 class Session:
-    """One stage and its drape. Every method that starts with `ask_` returns at once and leaves the work to its thread.
+    """One state of the page and its drape. `ask` and the methods that start with `ask_` return at once and leave the
+    work to the thread; the other methods are that work.
 
     Args:
-        stage: to start with.
-        panel: where figures are written.
+        state: to start with.
+        panel: where metrics are written.
         nodes: where the drape is drawn.
         notify: shows a title and a text, as an error or not, in every browser.
         save: the folder for files, and the writer of a picture of a drape with the strands between its guides.
 
     Attributes:
-        stage: what is shown, or about to be. Where that fails, what is shown comes back.
+        state: what is shown or about to be shown. If draping it fails, the last draped state comes back.
         shown: the drape on the page; None before the first.
-        thread: does all the work, and alone may change the stage.
+        thread: runs all jobs; only it changes the state.
     """
 
     def __init__(
         self,
-        stage: Stage,
+        state: ViewState,
         catalogue: Catalogue,
         panel: Panel,
         nodes: SceneNodes,
         notify: Notify,
         save: tuple[Path, PictureWriter],
     ) -> None:
-        self.stage = stage
+        self.state = state
         self.shown: Drape | None = None
-        self._draped: Stage | None = None  # the last one that could be
+        self._draped: ViewState | None = None
         self._catalogue, self._panel, self._nodes, self._notify = catalogue, panel, nodes, notify
         self._folder, self._write_picture = save
-        self._look = Look(0, False)
+        self._display = Display(0, False)
         self._times: deque[tuple[float, float | None]] = deque(maxlen=RECENT)
         self.thread = DrapingThread(self.report)
 
-    def ask_edit(self, kind: str, change: Callable[[Stage], Stage]) -> None:
-        """Change the stage and drape it; a newer change of the same kind replaces one that waits."""
+    def ask(self, job: Callable[[], None]) -> None:
+        """Run a method of the session on its thread."""
+        self.thread.request(job.__name__, job)
+
+    def ask_edit(self, kind: str, change: Callable[[ViewState], ViewState]) -> None:
+        """Change the state and drape it; a newer change of the same kind replaces one that waits."""
         self.thread.request(kind, lambda: self._edit(change))
-        self.thread.request("drape", self._drape)
+        self.ask(self.drape)
 
-    def ask_drape(self) -> None:
-        self.thread.request("drape", self._drape)
+    def ask_display(self, strand_count: int, mark_inside: bool) -> None:
+        """Draw this many strands, or with 0 the guides; mark what is inside the body."""
+        self.thread.request("display", lambda: self._set_display(Display(strand_count, mark_inside)))
 
-    def ask_settle(self) -> None:
-        """Run the stage's draper however long it takes."""
-        self.thread.request("settle", self._settle)
+    def _edit(self, change: Callable[[ViewState], ViewState]) -> None:
+        self.state = change(self.state)
 
-    def ask_measure(self) -> None:
-        """Write figures of merit of the drape that is shown to the panel."""
-        self.thread.request("measure", self._measure)
-
-    def ask_save(self) -> None:
-        """Write the drape that is shown, and a picture of it."""
-        self.thread.request("save", self._save)
-
-    def ask_look(self, strand_count: int, mark_inside: bool) -> None:
-        """Draw so many strands, or with 0 the guides; mark what is inside the body."""
-        self.thread.request("look", lambda: self._change_look(Look(strand_count, mark_inside)))
-
-    def _edit(self, change: Callable[[Stage], Stage]) -> None:
-        self.stage = change(self.stage)
-
-    def _drape(self) -> None:
-        """What follows every change: solvers are too slow for that, so the network stands in."""
-        slow = None if self.stage.draper.name in LIVE else self.stage.draper.name
-        with self._undone_on_failure():
-            stage = self.stage if slow is None else replace(self.stage, draper=self._catalogue.draper(NEURAL))
+    def drape(self) -> None:
+        """Drape the state after a change: by the network if the draper is too slow to follow every change."""
+        slow = None if self.state.draper.name in LIVE else self.state.draper.name
+        with self._restored_on_failure():
+            state = self.state if slow is None else replace(self.state, draper=self._catalogue.draper(NEURAL))
             if self.shown is None:
-                stage.drape()  # compiles kernels: not a time to show
-            self._show(stage.drape())
+                state.drape()  # compiles kernels: its time would mislead
+            self._show(state.drape())
         self._panel.offer_settling(slow)
 
-    def _settle(self) -> None:
-        name = self.stage.draper.name
-        with self._undone_on_failure():
+    def settle(self) -> None:
+        """Drape the state by its draper, however long that takes."""
+        name = self.state.draper.name
+        with self._restored_on_failure():
             self._panel.status.content = f"Settling with **{name}**: seconds to minutes. Changes wait until it is done."
-            self._show(self.stage.drape())
+            self._show(self.state.drape())
 
     @contextmanager
-    def _undone_on_failure(self) -> Iterator[None]:
-        """For what drapes the stage: if that fails, the last stage that was draped comes back, and the status with it.
+    def _restored_on_failure(self) -> Iterator[None]:
+        """If draping fails in the block, restore the last draped state and the status.
 
-        Otherwise every later change would be one of a stage that cannot be draped, and fail too.
+        Otherwise every later change would start from a state that cannot be draped, and fail too.
         """
         status = self._panel.status.content
         try:
             yield
         except Exception:
-            self.stage, self._panel.status.content = self._draped or self.stage, status
+            self.state, self._panel.status.content = self._draped or self.state, status
             raise
-        self._draped = self.stage
+        self._draped = self.state
 
     def _show(self, drape: Drape) -> None:
-        picture = self._picture(drape, self._look)  # may fail, and then nothing on the page has changed
+        picture = self._picture(drape, self._display)  # may fail, and then nothing on the page has changed
         before, self.shown = self.shown, drape
-        if before is None or before.stage.groom is not drape.stage.groom:
-            self._nodes.dress(drape.stage.groom)
-            self._times.clear()
-        elif before.stage.draper.name != drape.stage.draper.name:
+        new_groom = before is None or before.state.groom is not drape.state.groom
+        if new_groom:
+            self._nodes.set_groom(drape.state.groom)
+        if new_groom or (before is not None and before.state.draper.name != drape.state.draper.name):
             self._times.clear()
         self._times.append((drape.milliseconds, drape.network_milliseconds))
         self._nodes.show(drape.body_vertices, *picture)
-        self._panel.figures.content = ""
+        self._panel.metrics.content = ""
         self._panel.status.content = self._status(drape)
 
-    def _picture(self, drape: Drape, look: Look) -> tuple[Float[np.ndarray, "m n 3"], UInt8[np.ndarray, "m n 3"]]:
+    def _picture(self, drape: Drape, display: Display) -> tuple[Float[np.ndarray, "m n 3"], UInt8[np.ndarray, "m n 3"]]:
         """Strands to draw, and their colours."""
-        between = self._between(drape, look)
-        strands = drape.strands if between is None else between.strands(drape.strands, drape.body_vertices)
-        return strands, hair_colours(strands, drape.inside(strands) if look.mark_inside else None)
+        interpolation = self._interpolation(drape, display)
+        strands = drape.strands if interpolation is None else interpolation.strands(drape.strands, drape.body_vertices)
+        return strands, hair_colours(strands, drape.inside(strands) if display.mark_inside else None)
 
-    def _between(self, drape: Drape, look: Look) -> GuideInterpolation | None:
-        count = look.strand_count
-        return self._catalogue.interpolation(drape.stage.groom, count) if count else None
+    def _interpolation(self, drape: Drape, display: Display) -> GuideInterpolation | None:
+        count = display.strand_count
+        return self._catalogue.interpolation(drape.state.groom, count) if count else None
 
-    def _change_look(self, look: Look) -> None:
-        picture = None if self.shown is None else self._picture(self.shown, look)
-        self._look = look
-        self._nodes.show_through(look.mark_inside)
-        if self.shown is not None and picture is not None:
-            self._nodes.show(self.shown.body_vertices, *picture)
+    def _set_display(self, display: Display) -> None:
+        if self.shown is not None:
+            self._nodes.show(self.shown.body_vertices, *self._picture(self.shown, display))
+        self._display = display
+        self._nodes.set_translucent(display.mark_inside)
 
     def _status(self, drape: Drape) -> str:
         totals, networks = zip(*self._times)
-        spent = f"{median(totals):.1f} ms a drape"
-        known = [time for time in networks if time is not None]
-        if known:
-            spent += f", network {median(known):.1f} ms"
-        return f"**{drape.stage.draper.name}**, {len(drape.stage.groom):,} guides\n\n{spent}"
+        text = f"**{drape.state.draper.name}**, {len(drape.state.groom):,} guides\n\n{median(totals):.1f} ms a drape"
+        known = [milliseconds for milliseconds in networks if milliseconds is not None]
+        return f"{text}, network {median(known):.1f} ms" if known else text
 
-    def _measure(self) -> None:
-        if self.shown is None:
-            return
-        draped, posed = self.shown.figures()
-        rows = [f"| {name} | {figure:.3g} | {posed[name]:.3g} |" for name, figure in draped.items()]
-        header = [f"| | {self.shown.stage.draper.name} | posed |", "|---|---|---|"]
-        self._panel.figures.content = "\n".join(header + rows)
+    def measure(self) -> None:
+        """Write metrics of the drape that is shown to the panel."""
+        if self.shown is not None:
+            draped, posed = self.shown.metrics()
+            rows = [f"| {name} | {value:.3g} | {posed[name]:.3g} |" for name, value in draped.items()]
+            header = [f"| | {self.shown.state.draper.name} | posed |", "|---|---|---|"]
+            self._panel.metrics.content = "\n".join(header + rows)
 
-    def _save(self) -> None:
-        if self.shown is None:
-            return
-        path = free_path(self._folder, self.shown)
-        write_drape(path, self.shown.sequence)
-        self._write_picture(path.with_suffix(".png"), self.shown.sequence, self._between(self.shown, self._look))
-        self._notify("Saved", f"{path} and {path.with_suffix('.png').name}", False)
+    def save(self) -> None:
+        """Write the drape that is shown, and a picture of it."""
+        if self.shown is not None:
+            path = free_path(self._folder, self.shown)
+            picture, interpolation = path.with_suffix(".png"), self._interpolation(self.shown, self._display)
+            write_drape(path, self.shown.sequence)
+            self._write_picture(picture, self.shown.sequence, interpolation)
+            self._notify("Saved", f"{path} and {picture.name}", False)
 
     def report(self, error: Exception) -> None:
-        """What a job could not do, told in the browser. The page goes on with the last stage that was good."""
+        """Show in the browsers why a job failed. The page continues with the last draped state."""
         if not isinstance(error, InputError):
             traceback.print_exception(error, file=sys.stderr)
         title = "That did not work" if isinstance(error, InputError) else type(error).__name__
@@ -191,12 +180,16 @@ class Session:
 
 
 def free_path(folder: Path, drape: Drape) -> Path:
-    """A name for the drape's .npz that nothing in the folder has."""
-    stage = drape.stage
-    words = f"{stage.groom.name}_{stage.motion.name}_{stage.frame:04d}_{stage.draper.name}"
+    """A path for the drape's .npz that no file of the folder has, with a .png of the same name free as well.
+
+    Raises:
+        InputError: ten thousand drapes of that name.
+    """
+    state = drape.state
+    words = f"{state.groom.name}_{state.motion.name}_{state.frame:04d}_{state.draper.name}"
     stem = re.sub(r"[^\w.-]+", "_", words)
-    names = (f"{stem}{suffix}" for suffix in ("", *(f"_{number}" for number in range(2, 10_000))))
-    for name in names:
-        if not any((folder / f"{name}{suffix}").exists() for suffix in (".npz", ".png")):
-            return folder / f"{name}.npz"
-    raise InputError(folder, "room for another drape", f"ten thousand called {stem}")
+    for suffix in ("", *(f"_{number}" for number in range(2, 10_000))):
+        path = folder / f"{stem}{suffix}.npz"
+        if not path.exists() and not path.with_name(f"{stem}{suffix}.png").exists():
+            return path
+    raise InputError(folder, "space for another drape", f"ten thousand with the name {stem}")

@@ -13,7 +13,7 @@ def density_change(pairs: PressedPairs, step: Float[np.ndarray, "p 3"]) -> Float
     Vertices beyond those that `step` holds do not move.
     """
     change = np.empty(len(pairs.mass))
-    _change(pairs.first, pairs.other, pairs.kernel_gradient, pairs.mass, pairs.stiffness, _padded(pairs, step), change)
+    _change(pairs, _padded(pairs, step), change)
     return change
 
 
@@ -22,23 +22,23 @@ def density_force(
 ) -> Float[np.ndarray, "p 3"]:
     """Gradient [N] of an energy whose derivative by every density is `pressure` [J m^3/kg], by the first `moving`."""
     force = np.empty((len(pressure) if moving is None else moving, 3))
-    _force(pairs.first, pairs.other, pairs.kernel_gradient, pairs.mass, pressure, force)
+    _force(pairs, pressure, force)
     return force
 
 
 def density_product(pairs: PressedPairs, step: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p 3"]:
     """The Hessian times a step [m] of those that move: [N]."""
     change, product, step_of_all = np.empty(len(pairs.mass)), np.empty_like(step), _padded(pairs, step)
-    _change(pairs.first, pairs.other, pairs.kernel_gradient, pairs.mass, pairs.stiffness, step_of_all, change)
+    _change(pairs, step_of_all, change)
     change *= pairs.stiffness
-    _multiply(*pairs[:6], change, step_of_all, product)
+    _multiply(pairs, change, step_of_all, product)
     return product
 
 
 def density_blocks(pairs: PressedPairs, moving: int | None = None) -> Float[np.ndarray, "p 3 3"]:
     """Blocks of the Hessian on each of the first `moving` vertices [N/m]."""
     blocks = np.empty((len(pairs.mass) if moving is None else moving, 3, 3))
-    _blocks(*pairs, blocks)
+    _blocks(pairs, blocks)
     return blocks
 
 
@@ -51,53 +51,47 @@ def _padded(pairs: PressedPairs, step: Float[np.ndarray, "p 3"]) -> Float[np.nda
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _force(
-    first: np.ndarray, others: np.ndarray, gradients: np.ndarray, mass: np.ndarray, pressure: np.ndarray,
-    force: np.ndarray,
-) -> None:  # fmt: skip
-    for place in prange(len(force)):
+def _force(pairs: PressedPairs, pressure: np.ndarray, force: np.ndarray) -> None:
+    first, others, gradients, _, _, mass, _ = pairs
+    for row in prange(len(force)):
         fx, fy, fz = 0.0, 0.0, 0.0
-        own_mass, own_pressure = mass[place], pressure[place]
-        for at in range(first[place], first[place + 1]):
+        own_mass, own_pressure = mass[row], pressure[row]
+        for at in range(first[row], first[row + 1]):
             other = others[at]
             push = own_pressure * mass[other] + pressure[other] * own_mass
             fx += push * gradients[at, 0]
             fy += push * gradients[at, 1]
             fz += push * gradients[at, 2]
-        force[place, 0], force[place, 1], force[place, 2] = fx, fy, fz
+        force[row, 0], force[row, 1], force[row, 2] = fx, fy, fz
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _change(
-    first: np.ndarray, others: np.ndarray, gradients: np.ndarray, mass: np.ndarray, stiffness: np.ndarray,
-    step: np.ndarray, change: np.ndarray,
-) -> None:  # fmt: skip
-    for place in prange(len(mass)):
-        change[place] = 0.0
-        if stiffness[place] <= 0.0:
+def _change(pairs: PressedPairs, step: np.ndarray, change: np.ndarray) -> None:
+    first, others, gradients, _, _, mass, stiffness = pairs
+    for row in prange(len(mass)):
+        change[row] = 0.0
+        if stiffness[row] <= 0.0:
             continue
         total = 0.0
-        sx, sy, sz = step[place, 0], step[place, 1], step[place, 2]
-        for at in range(first[place], first[place + 1]):
+        sx, sy, sz = step[row, 0], step[row, 1], step[row, 2]
+        for at in range(first[row], first[row + 1]):
             other = others[at]
             total += mass[other] * (
                 gradients[at, 0] * (sx - step[other, 0])
                 + gradients[at, 1] * (sy - step[other, 1])
                 + gradients[at, 2] * (sz - step[other, 2])
             )
-        change[place] = total
+        change[row] = total
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _multiply(
-    first: np.ndarray, others: np.ndarray, gradients: np.ndarray, across: np.ndarray, along: np.ndarray,
-    mass: np.ndarray, change: np.ndarray, step: np.ndarray, product: np.ndarray,
-) -> None:  # fmt: skip
-    for place in prange(len(product)):
+def _multiply(pairs: PressedPairs, change: np.ndarray, step: np.ndarray, product: np.ndarray) -> None:
+    first, others, gradients, across, along, mass, _ = pairs
+    for row in prange(len(product)):
         fx, fy, fz = 0.0, 0.0, 0.0
-        sx, sy, sz = step[place, 0], step[place, 1], step[place, 2]
-        own_mass, own_change = mass[place], change[place]
-        for at in range(first[place], first[place + 1]):
+        sx, sy, sz = step[row, 0], step[row, 1], step[row, 2]
+        own_mass, own_change = mass[row], change[row]
+        for at in range(first[row], first[row + 1]):
             other = others[at]
             dx, dy, dz = sx - step[other, 0], sy - step[other, 1], sz - step[other, 2]
             gx, gy, gz = gradients[at, 0], gradients[at, 1], gradients[at, 2]
@@ -106,31 +100,29 @@ def _multiply(
             fx += push * gx + across[at] * dx
             fy += push * gy + across[at] * dy
             fz += push * gz + across[at] * dz
-        product[place, 0], product[place, 1], product[place, 2] = fx, fy, fz
+        product[row, 0], product[row, 1], product[row, 2] = fx, fy, fz
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _blocks(
-    first: np.ndarray, others: np.ndarray, gradients: np.ndarray, across: np.ndarray, along: np.ndarray,
-    mass: np.ndarray, stiffness: np.ndarray, blocks: np.ndarray,
-) -> None:  # fmt: skip
-    for place in prange(len(blocks)):
+def _blocks(pairs: PressedPairs, blocks: np.ndarray) -> None:
+    first, others, gradients, across, along, mass, stiffness = pairs
+    for row in prange(len(blocks)):
         block = np.zeros((3, 3))
         ox, oy, oz = 0.0, 0.0, 0.0
-        for at in range(first[place], first[place + 1]):
+        for at in range(first[row], first[row + 1]):
             other = others[at]
             gx, gy, gz = gradients[at, 0], gradients[at, 1], gradients[at, 2]
             ox += mass[other] * gx
             oy += mass[other] * gy
             oz += mass[other] * gz
-            weight = stiffness[other] * mass[place] * mass[place] + along[at]
+            weight = stiffness[other] * mass[row] * mass[row] + along[at]
             block[0, 0] += weight * gx * gx + across[at]
             block[0, 1] += weight * gx * gy
             block[0, 2] += weight * gx * gz
             block[1, 1] += weight * gy * gy + across[at]
             block[1, 2] += weight * gy * gz
             block[2, 2] += weight * gz * gz + across[at]
-        own = stiffness[place]
+        own = stiffness[row]
         block[0, 0] += own * ox * ox
         block[0, 1] += own * ox * oy
         block[0, 2] += own * ox * oz
@@ -138,4 +130,4 @@ def _blocks(
         block[1, 2] += own * oy * oz
         block[2, 2] += own * oz * oz
         block[1, 0], block[2, 0], block[2, 1] = block[0, 1], block[0, 2], block[1, 2]
-        blocks[place] = block
+        blocks[row] = block

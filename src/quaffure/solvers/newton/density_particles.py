@@ -1,7 +1,7 @@
 """Eqs. 11-13 in double precision: vertices sorted into cells, their densities, the gradient of what depends on those.
 
-Value and gradient are those of `quaffure.energies.fused_density`, the twin in single precision. Arrays "in the crowd's
-order" follow the cells of a grid, so that neighbours lie together in memory.
+Value and gradient are those of `quaffure.energies.fused_density`, the twin in single precision. Arrays in sorted
+order follow the cells of a grid, so that neighbours lie together in memory.
 """
 
 import math
@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from numba import njit, prange
 
 from quaffure.energies.fused_density import Particles
+from quaffure.energies.smoothing_kernel import kernel_slope, kernel_value
 from quaffure.geometry.cell_list import Grid, cell_columns, check_finite, grid_round, sort_into_grid
 
 
@@ -22,7 +23,7 @@ class DensityParticles(NamedTuple):
     Attributes:
         x, y, z: positions [m].
         mass: [kg].
-        order: place in the groom of every vertex.
+        order: index in the groom of every vertex.
         start: where each cell starts.
         grid: the cells.
         smoothing_length: h [m].
@@ -43,7 +44,7 @@ class DensityParticles(NamedTuple):
         return Particles(self.x, self.y, self.z, self.mass, self.start)
 
     def of(self, kept: Bool[np.ndarray, " p"]) -> "DensityParticles":
-        """Some of the vertices, picked in the crowd's order."""
+        """Some of the vertices, picked in the sorted order."""
         start = np.concatenate([[0], np.cumsum(kept)])[self.start]
         x, y, z, mass, order = (field[kept] for field in self[:5])
         return DensityParticles(x, y, z, mass, order, start, self.grid, self.smoothing_length)
@@ -64,18 +65,18 @@ def density_particles(
     return DensityParticles(x, y, z, mass[order], order, start, grid, smoothing_length)
 
 
-def density(crowd: DensityParticles, others: DensityParticles | None = None) -> Float[np.ndarray, " p"]:
-    """Eq. 12 of every vertex in the crowd's order [kg/m^3]; `others`, in the same grid: what they alone bring."""
-    found = np.empty(len(crowd.order))
-    near_by = (others or crowd).particles
-    _densities(crowd.particles, near_by, crowd.grid.shape, crowd.smoothing_length, found)
+def density(particles: DensityParticles, others: DensityParticles | None = None) -> Float[np.ndarray, " p"]:
+    """Eq. 12 of every vertex in the sorted order [kg/m^3]; `others`, in the same grid: what they alone bring."""
+    found = np.empty(len(particles.order))
+    near_by = (others or particles).particles
+    _densities(particles.particles, near_by, particles.grid.shape, particles.smoothing_length, found)
     return found
 
 
-def density_gradient(crowd: DensityParticles, pressure: Float[np.ndarray, " p"]) -> Float[np.ndarray, "p 3"]:
+def density_gradient(particles: DensityParticles, pressure: Float[np.ndarray, " p"]) -> Float[np.ndarray, "p 3"]:
     """Gradient [N] of an energy whose derivative by every density is `pressure` [J m^3/kg], without a list of pairs."""
     gradient = np.empty((len(pressure), 3))
-    _gradient(crowd.particles, crowd.grid.shape, crowd.smoothing_length, pressure, gradient)
+    _gradient(particles.particles, particles.grid.shape, particles.smoothing_length, pressure, gradient)
     return gradient
 
 
@@ -87,8 +88,8 @@ def _densities(rows: Particles, others: Particles, shape: tuple[int, int, int], 
             continue
         ranges = np.empty((9, 2), np.int64)
         found = cell_columns(cell, shape, others.start, ranges)
-        for place in range(rows.start[cell], rows.start[cell + 1]):
-            px, py, pz = rows.x[place], rows.y[place], rows.z[place]
+        for row in range(rows.start[cell], rows.start[cell + 1]):
+            px, py, pz = rows.x[row], rows.y[row], rows.z[row]
             total = 0.0
             for column in range(found):
                 near_by = slice(ranges[column, 0], ranges[column, 1])
@@ -96,24 +97,23 @@ def _densities(rows: Particles, others: Particles, shape: tuple[int, int, int], 
                 for other in range(len(xs)):
                     dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
                     q = np.sqrt(dx * dx + dy * dy + dz * dz) * inverse
-                    far, near = max(2.0 - q, 0.0), max(1.0 - q, 0.0)
-                    total += masses[other] * (far * far * far - 4.0 * near * near * near)
-            density[place] = total * scale
+                    total += masses[other] * kernel_value(q)
+            density[row] = total * scale
 
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _gradient(
     rows: Particles, shape: tuple[int, int, int], h: float, pressure: np.ndarray, gradient: np.ndarray
 ) -> None:
-    scale, inverse = 3.0 / (4.0 * math.pi * h**4), 1.0 / h
+    scale, inverse = 1.0 / (4.0 * math.pi * h**4), 1.0 / h
     for cell in prange(len(rows.start) - 1):
         if rows.start[cell] == rows.start[cell + 1]:
             continue
         ranges = np.empty((9, 2), np.int64)
         found = cell_columns(cell, shape, rows.start, ranges)
-        for place in range(rows.start[cell], rows.start[cell + 1]):
-            px, py, pz = rows.x[place], rows.y[place], rows.z[place]
-            own_pressure, own_mass = scale * pressure[place], scale * rows.weight[place]
+        for row in range(rows.start[cell], rows.start[cell + 1]):
+            px, py, pz = rows.x[row], rows.y[row], rows.z[row]
+            own_pressure, own_mass = scale * pressure[row], scale * rows.weight[row]
             gx, gy, gz = 0.0, 0.0, 0.0
             for column in range(found):
                 near_by = slice(ranges[column, 0], ranges[column, 1])
@@ -123,10 +123,9 @@ def _gradient(
                 for other in range(len(xs)):
                     dx, dy, dz = px - xs[other], py - ys[other], pz - zs[other]
                     r = np.sqrt(dx * dx + dy * dy + dz * dz)
-                    far, near = max(2.0 - r * inverse, 0.0), max(1.0 - r * inverse, 0.0)
                     push = own_pressure * masses[other] + own_mass * pressures[other]
-                    push *= (4.0 * near * near - far * far) / max(r, 1e-9)
+                    push *= kernel_slope(r * inverse) / max(r, 1e-9)
                     gx += push * dx
                     gy += push * dy
                     gz += push * dz
-            gradient[place, 0], gradient[place, 1], gradient[place, 2] = gx, gy, gz
+            gradient[row, 0], gradient[row, 1], gradient[row, 2] = gx, gy, gz

@@ -16,13 +16,15 @@ from jaxtyping import Int
 
 from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
+from quaffure.energies.energy_term import Terms
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.geometry.cell_list import check_finite
-from quaffure.scene import Scene
+from quaffure.scene import HairScene, PosedScene
 from quaffure.solvers.lbfgs import LbfgsDraper
-from quaffure.solvers.newton.newton_descent import MOST_DAMPING, Trust, descend
+from quaffure.solvers.newton.newton_descent import MOST_DAMPING, TrustRegionState, descend
 from quaffure.solvers.newton.newton_system import NewtonSystem, PerStrand, Point, Vertices
 from quaffure.solvers.stopping import stopping_report
+from quaffure.solvers.supported_terms import refuse_other_terms
 from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting
 from quaffure.types import Float, Positions, Tensor
 
@@ -39,14 +41,14 @@ REMAINING_SHARE = 0.5
 EXACT_ENOUGH = 0.96
 """Exactness from which all strands together are worth a step where the gradient has spread."""
 FIRST_SLACK = 0.05
-"""How far the first model lets densities rise [kg/m^3]; the first step says better."""
+"""How far the first model lets densities rise [kg/m^3]; the first step shows more exactly."""
 _FEWEST = 20
-_STEPS = 10  # of some strands before others have their turn
+_STEPS = 10  # of some strands before others are moved
 _ROUND = 0.1  # a round's own cost in steps of all strands
 
 
 class NewtonDraper:
-    """Minimizes `HairEnergy` over vertices, roots held, from the best of where XPBD, twice, and L-BFGS lead.
+    """Minimizes `HairEnergy` over vertices, roots held, from the best of the drapes of XPBD, twice, and L-BFGS.
 
     Where hair presses on hair there are many minima, and no solver always finds the lowest. The drape is never above
     one of the three starts, so never above that of `XpbdDraper` with its default setting. The defaults of
@@ -60,18 +62,29 @@ class NewtonDraper:
 
     name = "newton"
 
-    def __init__(self, material: HairMaterial | None = None, tolerance: float = 1e-4, steps: int = 100) -> None:
+    def __init__(
+        self,
+        material: HairMaterial | None = None,
+        tolerance: float = 1e-4,
+        steps: int = 100,
+        terms: Terms | None = None,
+    ) -> None:
+        """
+        Raises:
+            InputError: terms other than Eqs. 6, 7, 9, 10 and 11, whose second derivatives it has.
+        """
+        refuse_other_terms(self.name, terms)
         self.material = material or HairMaterial()
         self.tolerance, self.steps = tolerance, steps
 
-    def drape(self, scene: Scene) -> Positions:
+    def drape(self, scene: HairScene) -> Positions:
         return self.solve(scene)[0]
 
-    def solve(self, scene: Scene) -> tuple[Positions, StoppingReport]:
+    def solve(self, scene: HairScene) -> tuple[Positions, StoppingReport]:
         """Draped vertices [m] and where the solver stopped. Every sample is solved by itself.
 
         The relative gradient of the report is that of `tolerance`: the whole gradient of the energy with rounded
-        creases, in double precision, before the drape is cast to float32, which moves vertices by up to 0.1 um
+        concave edges, in double precision, before the drape is cast to float32, which moves vertices by up to 0.1 um
         (`quaffure.solvers.stopping` says what that does to the gradient). Its energy is the exact one of the drape as
         returned. Its iterations are Newton's evaluations of one sample, without those of the three starts; its seconds
         are those of the starts too.
@@ -93,19 +106,21 @@ class NewtonDraper:
         report = stopping_report(energy, scene, positions, math.ceil(evaluations / len(positions)), seconds)
         return positions, replace(report, relative_gradient=worst)
 
-    def _settled(self, energy: HairEnergy, sample: Scene, system: NewtonSystem) -> tuple[Float[Tensor, "s n 3"], float]:
+    def _settled(
+        self, energy: HairEnergy, sample: PosedScene, system: NewtonSystem
+    ) -> tuple[Float[Tensor, "s n 3"], float]:
         """Vertices of a single sample [m], and the relative norm of the gradient.
 
-        Newton lowers the energy with rounded creases. Where the exact one has risen on the way, the start is kept.
+        Newton lowers the energy with rounded concave edges. Where the exact one has risen meanwhile, the start is kept.
         """
         lbfgs = LbfgsDraper(self.material, evaluations=LBFGS_EVALUATIONS)
         drapers = (XpbdDraper(self.material), XpbdDraper(self.material, PATIENT), lbfgs)
         starts = [draper.drape(sample).detach() for draper in drapers]
-        costs = [float(energy.total(x, sample.director, sample.surface)) for x in starts]
+        costs = [float(energy.total(x, sample)) for x in starts]
         start = starts[int(np.argmin(costs))]
         settled, relative = self.minimize(system, start[0].double().numpy())
         drape = torch.from_numpy(settled).to(start.dtype)
-        if float(energy.total(drape[None], sample.director, sample.surface)) <= min(costs):
+        if float(energy.total(drape[None], sample)) <= min(costs):
             return drape, relative
         return start[0], float(np.linalg.norm(_forces(system, system.point(start[0].double().numpy()))))
 
@@ -118,7 +133,9 @@ class NewtonDraper:
             ValueError: one of the positions is not finite.
         """
         start = system.point(positions)
-        state = _State(start, system.strand_gradient(start), Trust(np.full(positions.shape[:2], FIRST_SLACK)))
+        state = _State(
+            start, system.strand_gradient(start), TrustRegionState(np.full(positions.shape[:2], FIRST_SLACK))
+        )
         taken, together, is_tamed, energy, before = 0.0, False, False, math.inf, math.inf
         while True:
             forces = _forces(system, state.point, state.own)
@@ -126,12 +143,12 @@ class NewtonDraper:
             if relative <= self.tolerance or taken >= self.steps or (has_stalled and together and is_tamed):
                 return state.point.positions, relative
             has_spread = relative > REMAINING_SHARE * before and state.trust.exactness > EXACT_ENOUGH
-            # To half the tolerance at most: what the strands that are held have left comes on top.
+            # To half the tolerance at most: the residual of the strands that are held comes on top.
             strands, target = heaviest(forces), max(HELD_SHARE * relative, 0.5 * self.tolerance)
             were_together = together
             together = len(strands) > ACTIVE_SHARE * len(forces) or has_stalled or (has_spread and not together)
             if together and not were_together:
-                # What damping some strands needed says nothing of all.
+                # What damping some strands needed does not apply to all.
                 state = state._replace(trust=replace(state.trust, damping=0.0))
             is_tamed, energy, before = state.trust.damping > MOST_DAMPING, state.point.energy, relative
             state, effort = _all_moved(system, state) if together else _some_moved(system, state, strands, target)
@@ -148,7 +165,7 @@ class _State(NamedTuple):
 
     point: Point
     own: Vertices
-    trust: Trust
+    trust: TrustRegionState
 
 
 def _forces(system: NewtonSystem, point: Point, own: Vertices | None = None) -> PerStrand:
@@ -158,7 +175,7 @@ def _forces(system: NewtonSystem, point: Point, own: Vertices | None = None) -> 
         own: gradient of all terms but Eq. 11, where it is known [N].
     """
     own = system.strand_gradient(point) if own is None else own
-    return np.linalg.norm(own + system.crowd_gradient(point), axis=(1, 2)) / system.weight
+    return np.linalg.norm(own + system.density_energy_gradient(point), axis=(1, 2)) / system.weight
 
 
 def heaviest(forces: PerStrand) -> Int[np.ndarray, " k"]:

@@ -1,10 +1,10 @@
-"""Newton steps of some or all strands: what the model is told, its minimum by conjugate gradients, the line search.
+"""Newton steps of some or all strands: the model and its state, its minimum by conjugate gradients, the line search.
 
 Each step solves a model of the energy by conjugate gradients, preconditioned by the block-tridiagonal factors of the
 strands (Nocedal and Wright 2006, section 7.1). The model lies between a convex one and the exact one, the nearer to
-that the better it foretells. Edges turn along arcs, so that a long step does not stretch them. Where single strands
-meet what the model did not foresee, a crease of the body or other hair, they alone take a shorter step. No step is
-taken that raises the energy.
+that the better it predicts. Edges turn along arcs, so that a long step does not stretch them. Where single strands
+meet what the model did not predict, a concave edge of the body or other hair, they alone take a shorter step. No step
+is taken that raises the energy.
 """
 
 from dataclasses import dataclass
@@ -16,16 +16,16 @@ from quaffure.solvers.newton.newton_system import NewtonSystem, PerStrand, PerVe
 from quaffure.solvers.newton.strand_newton import turn_edges
 
 SUFFICIENT = 0.1
-"""Decrease that a step must bring, of what its slope promises."""
+"""Decrease that a step must bring, of what its slope predicts."""
 TOLERABLE = 0.02
-"""What one strand may cost more than foreseen, of what the whole step promises."""
+"""What one strand may cost more than predicted, of the decrease that the whole step predicts."""
 SHORTER = 0.4
-FORETOLD, WELL_FORETOLD = 0.5, 0.1
+PREDICTED, WELL_PREDICTED = 0.5, 0.1
 """Agreement of energy and model from which the next model is more exact, and how near to 1 makes it much more so."""
 LEAST_DAMPING, MOST_DAMPING = 1e-3, 10.0
 """Less than the first changes nothing; where a step as short as the second makes it still fails, none will do."""
 _TRIALS = 12
-_EASY_TRIALS = 2  # as many are no reason to mistrust a model
+_EASY_TRIALS = 2  # as many are no reason to make a model more convex
 _INNER_ITERATIONS = 150
 
 
@@ -36,7 +36,7 @@ class Step(NamedTuple):
         reached: where it leads; not always lower.
         trials: lengths tried.
         rise: of every density, had the whole step been taken [kg/m^3].
-        is_bent: whether the model has a direction of negative curvature.
+        has_negative_curvature: whether the model has a direction of negative curvature.
         agreement: change of the energy over the model's (rho of Nocedal and Wright 2006, eq. 4.4). 0, for nothing is
             known, where the step was shortened or is no minimum of the model.
     """
@@ -44,26 +44,26 @@ class Step(NamedTuple):
     reached: Point
     trials: int
     rise: PerVertex
-    is_bent: bool
+    has_negative_curvature: bool
     agreement: float
 
 
 @dataclass(frozen=True)
-class Trust:
-    """What a model is told beyond derivatives; see `quaffure.solvers.newton.newton_system.QuadraticModel`.
+class TrustRegionState:
+    """What a model depends on beyond derivatives; see `quaffure.solvers.newton.newton_system.QuadraticModel`.
 
     All follows from the last step: hair that came closer resists sooner, the exact Hessian counts for more the better
-    the model foretold, and where even the convex one led too far, steps are damped. The agreement of energy and model
-    rules as it does the radius of a trust region (Nocedal and Wright 2006, algorithm 4.1); damping is Levenberg's and
-    Marquardt's (ibid., section 10.3). How much each changes at a time was chosen by trial on whole grooms.
+    the model predicted, and where even the convex one led too far, steps are damped. The agreement of energy and model
+    determines them as it does the radius of a trust region (Nocedal and Wright 2006, algorithm 4.1); damping is that of
+    Levenberg and Marquardt (ibid., section 10.3). How much each changes at a time was chosen by trial on whole grooms.
     """
 
     slack: PerVertex
     exactness: float = 0.0
     damping: float = 0.0
 
-    def after(self, relative: float, step: Step) -> "Trust":
-        """The trust for the next step.
+    def after(self, relative: float, step: Step) -> "TrustRegionState":
+        """The state for the next step.
 
         Args:
             relative: norm of the gradient before the step, over that of gravity's. Far from rest the exact Hessian
@@ -73,16 +73,16 @@ class Trust:
         slack = np.maximum(0.5 * self.slack, 0.7 * step.rise.clip(min=0))
         exactness = max(min(self._exactness_after(step), 1.0 - relative), 0.0)
         damping = self._damping_after(step)
-        return Trust(slack, exactness, damping if damping >= LEAST_DAMPING else 0.0)
+        return TrustRegionState(slack, exactness, damping if damping >= LEAST_DAMPING else 0.0)
 
     def _exactness_after(self, step: Step) -> float:
         if step.trials > _TRIALS // 2:
             return 0.3 * self.exactness if self.exactness > 0.1 else 0.0
-        if step.trials > _EASY_TRIALS or step.is_bent:
+        if step.trials > _EASY_TRIALS or step.has_negative_curvature:
             return 0.7 * self.exactness
-        if step.agreement <= FORETOLD:
+        if step.agreement <= PREDICTED:
             return self.exactness
-        return 1.0 - (0.3 if abs(step.agreement - 1.0) < WELL_FORETOLD else 0.6) * (1.0 - self.exactness)
+        return 1.0 - (0.3 if abs(step.agreement - 1.0) < WELL_PREDICTED else 0.6) * (1.0 - self.exactness)
 
     def _damping_after(self, step: Step) -> float:
         """Raised where the convex model, which cannot be made any safer, led too far; lowered after easy steps."""
@@ -91,10 +91,12 @@ class Trust:
         return self.damping if step.trials > _EASY_TRIALS else 0.25 * self.damping
 
 
-def descend(system: NewtonSystem, point: Point, trust: Trust, target: float, steps: int) -> tuple[Point, Trust, int]:
+def descend(
+    system: NewtonSystem, point: Point, trust: TrustRegionState, target: float, steps: int
+) -> tuple[Point, TrustRegionState, int]:
     """Newton steps from a point until the gradient's norm over `system.weight` is at most `target`.
 
-    Returns the point reached, the trust for the next step there, and the number of steps.
+    Returns the point reached, the state for the next step there, and the number of steps.
     """
     for taken in range(steps):
         model = QuadraticModel(system, point, trust.slack, trust.exactness, trust.damping)
@@ -137,39 +139,40 @@ def conjugate_gradients(model: QuadraticModel, tolerance: float) -> tuple[Vertic
     return step, False
 
 
-def line_search(system: NewtonSystem, model: QuadraticModel, direction: Vertices, is_bent: bool) -> Step:
-    """Shorten a step, strand by strand where strands are to blame, until it lowers the energy enough.
+def line_search(system: NewtonSystem, model: QuadraticModel, direction: Vertices, has_negative_curvature: bool) -> Step:
+    """Shorten a step, strand by strand where the model fails, until it lowers the energy enough.
 
     Strands may run uphill within a step that leads downhill, so that the step with others shortened need not. Where
     single strands are not soon enough, all are shortened alike, from their full lengths if need be.
 
     Args:
         direction: the step [m], downhill.
-        is_bent: see `Step`.
+        has_negative_curvature: see `Step`.
     """
     slope: PerStrand = (model.gradient * direction).sum((1, 2))
-    promise, before = float(slope.sum()), model.point
+    expected, before = float(slope.sum()), model.point
     length = np.ones(len(direction))
     reached, trials = _moved(system, model, direction, length), 1
-    rise, forecast = reached.excess - before.excess, model.forecast(direction)
+    rise, predicted = reached.excess - before.excess, model.predicted(direction)
     while trials < _TRIALS and not _suffices(reached.energy - before.energy, float((length * slope).sum())):
-        surprise = forecast.surprise(before, length, reached)
-        to_blame = surprise > -TOLERABLE * promise * 0.5**trials
-        if trials < _TRIALS // 2 and to_blame.any():
-            length = np.where(to_blame, SHORTER * length, length)
+        model_error = predicted.model_error(before, length, reached)
+        at_fault = model_error > -TOLERABLE * expected * 0.5**trials
+        if trials < _TRIALS // 2 and at_fault.any():
+            length = np.where(at_fault, SHORTER * length, length)
         elif (length * slope).sum() < 0:
             length = SHORTER * length
         else:
             length = np.full(len(direction), SHORTER**trials)
         reached, trials = _moved(system, model, direction, length), trials + 1
     # At a minimum along the step, which conjugate gradients find, the model has fallen by half of the slope.
-    agreement = (reached.energy - before.energy) / (0.5 * promise) if trials == 1 and not is_bent else 0.0
-    return Step(reached, trials, rise, is_bent, agreement)
+    is_minimum = trials == 1 and not has_negative_curvature
+    agreement = (reached.energy - before.energy) / (0.5 * expected) if is_minimum else 0.0
+    return Step(reached, trials, rise, has_negative_curvature, agreement)
 
 
-def _suffices(change: float, promise: float) -> bool:
-    """The condition of Armijo (Nocedal and Wright 2006, eq. 3.4), and no rise, whatever is promised."""
-    return change <= SUFFICIENT * promise and change < 0
+def _suffices(change: float, expected: float) -> bool:
+    """The condition of Armijo (Nocedal and Wright 2006, eq. 3.4), and no rise, whatever the slope."""
+    return change <= SUFFICIENT * expected and change < 0
 
 
 def _moved(system: NewtonSystem, model: QuadraticModel, step: Vertices, length: PerStrand) -> Point:

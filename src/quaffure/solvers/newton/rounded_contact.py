@@ -1,4 +1,4 @@
-"""Signed distance to the body with its creases rounded, and its second derivatives, in double precision.
+"""Signed distance to the body with its concave edges rounded, and its second derivatives, in double precision.
 
 Where two faces of a hollow are equally near, the distance to the nearest of them has a kink, and contact holds hair in
 just such places: there the energy has a minimum, but no gradient that vanishes. The smooth minimum
@@ -9,159 +9,117 @@ be closer, but then the distance jumps where a foot passes a corner of a hollow,
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from quaffure.geometry.binary_bvh import (
-    LANES,
-    MAX_DEPTH,
-    closest_on_triangle,
-    squared_distance,
-    squared_distance_to_box,
-)
-from quaffure.geometry.bvh import BVH_STACK, Bvh, nearest_face
-from quaffure.geometry.occupancy_grid import FREE, OUTSIDE, OccupancyGrid, classify
-from quaffure.geometry.surface import Surface
+from quaffure.geometry.bvh import faces_within, nearest_face, search_workspace
+from quaffure.geometry.occupancy_grid import FREE, FREE_DISTANCE, UNKNOWN, classify
+from quaffure.geometry.surface import Surface, SurfaceArrays, bvh_of, occupancy_of
+from quaffure.geometry.triangle import ON_SURFACE, closest_on_triangle, signed_distance_from_offset, squared_distance
 
-CREASE_WIDTH = 2e-5
-"""w, over which creases are rounded [m]."""
-_REACH = 20 * CREASE_WIDTH  # a face this much farther weighs 2e-9
+ROUNDING_WIDTH = 2e-5
+"""w, over which concave edges are rounded [m]."""
+_BAND = 20 * ROUNDING_WIDTH  # a face this much farther weighs 2e-9
+_FLOAT32_ERROR = 1e-6  # of distances in float32 [m]
 _MAX_FEET = 256
-_ON_SURFACE = 1e-7  # nearer than this the offset from the body has no direction [m]
 
 
-class Body(NamedTuple):
-    """One posed body's `Surface`; positions and normals in float64.
-
-    Flat, for parallel kernels take no tuples within tuples: `Bvh` from `blocks` on, `OccupancyGrid` from `origin` on.
-    """
-
-    corners: np.ndarray
-    normals: np.ndarray
-    bounds: np.ndarray
-    first: np.ndarray
-    second: np.ndarray
-    blocks: np.ndarray
-    boxes: np.ndarray
-    levels: np.ndarray
-    origin: np.ndarray
-    clear: np.ndarray
-    slot: np.ndarray
-    outside: np.ndarray
-    free: np.ndarray
-
-
-def body_arrays(surface: Surface, sample: int) -> Body:
-    """One sample of a surface, as the kernels read it."""
-    topology = surface.topology
-    posed = (field[sample].astype(np.float64) for field in (surface.corners, surface.normals, surface.bounds))
-    corners, normals, bounds = posed
-    tree = (topology.tree.first, topology.tree.second)
-    return Body(corners, normals, bounds, *tree, *surface.bvh(sample), *(field[sample] for field in surface.map))
+def body_arrays(surface: Surface, sample: int) -> SurfaceArrays:
+    """One sample of a surface, corners and normals in float64."""
+    arrays = surface.sample_arrays(sample)
+    return arrays._replace(corners=arrays.corners.astype(np.float64), normals=arrays.normals.astype(np.float64))
 
 
 @njit(cache=True)
 def rounded_distance(
-    point: np.ndarray, place: int, margin: float, body: Body, normal: np.ndarray, crease: np.ndarray, bulge: np.ndarray
-) -> tuple[float, int]:
-    """Signed distance of a point [m] and the place of its nearest face.
+    point: np.ndarray, leaf: int, margin: float, body: SurfaceArrays,
+    normal: np.ndarray, rounding: np.ndarray, bending: np.ndarray,
+) -> tuple[float, int]:  # fmt: skip
+    """Signed distance of a point [m] and the leaf of its nearest face.
 
     Nothing is filled where the distance is not below `margin`; it may then be infinite.
-    The Hessian of the distance is `bulge` - `crease`.
+    The Hessian of the distance is `bending` - `rounding`.
 
     Args:
-        place: where to start the search for the nearest face.
+        leaf: where to start the search for the nearest face.
         normal: filled with the gradient of the distance.
-        crease: filled with what rounding takes off the Hessian, positive semidefinite [1/m].
-        bulge: filled with the Hessian due to the body's edges and corners: positive semidefinite outside,
+        rounding: filled with what rounding takes off the Hessian, positive semidefinite [1/m].
+        bending: filled with the Hessian due to the body's edges and corners: positive semidefinite outside,
             negative inside [1/m].
     """
-    near, place = _nearest_place(point, place, margin + _REACH, body)
+    near, leaf = _nearest_leaf(point, leaf, margin + _BAND, body)
     if not near:
-        return np.inf, place
-    cx, cy, cz, feature = closest_on_triangle(body.corners[place], point[0], point[1], point[2])
-    ox, oy, oz = point[0] - cx, point[1] - cy, point[2] - cz
-    pseudonormal = body.normals[place, feature]
-    nearest = math.sqrt(ox * ox + oy * oy + oz * oz)
-    inside = ox * pseudonormal[0] + oy * pseudonormal[1] + oz * pseudonormal[2] < 0.0
-    signed = -nearest if inside else nearest
-    if signed >= margin + _REACH:
-        return signed, place
+        return np.inf, leaf
+    x, y, z = point
+    cx, cy, cz, feature = closest_on_triangle(body.corners[leaf], x, y, z)
+    nx, ny, nz = body.normals[leaf, feature]
+    signed, nx, ny, nz = signed_distance_from_offset(x - cx, y - cy, z - cz, nx, ny, nz)
+    if signed >= margin + _BAND:
+        return signed, leaf
     normal[:] = 0.0
-    crease[:] = 0.0
-    bulge[:] = 0.0
-    if nearest <= _ON_SURFACE:
-        normal[:] = pseudonormal / math.sqrt((pseudonormal * pseudonormal).sum())
-        return signed, place
+    rounding[:] = 0.0
+    bending[:] = 0.0
+    nearest, inside = abs(signed), signed < 0.0
+    if nearest <= ON_SURFACE:
+        normal[0], normal[1], normal[2] = nx, ny, nz
+        return signed, leaf
     if inside:
-        _add_foot(point, place, -1.0, 1.0, body, normal, crease, bulge)
-        return signed, place
+        _add_foot(point, leaf, -1.0, 1.0, body, normal, rounding, bending)
+        return signed, leaf
     feet = np.empty(_MAX_FEET, np.int32)
     distances = np.empty(_MAX_FEET)
-    found = _feet(point, nearest + _REACH, body, feet, distances)
+    found = _feet(point, nearest + _BAND, body, feet, distances)
     total = 0.0
     for foot in range(found):
-        weight = math.exp((nearest - distances[foot]) / CREASE_WIDTH)
+        weight = math.exp((nearest - distances[foot]) / ROUNDING_WIDTH)
         total += weight
-        _add_foot(point, feet[foot], 1.0, weight, body, normal, crease, bulge)
+        _add_foot(point, feet[foot], 1.0, weight, body, normal, rounding, bending)
     normal /= total
     for row in range(3):
         for column in range(3):
-            bulge[row, column] /= total
-            crease[row, column] = (crease[row, column] / total - normal[row] * normal[column]) / CREASE_WIDTH
-    return signed - CREASE_WIDTH * math.log(total), place
+            bending[row, column] /= total
+            rounding[row, column] = (rounding[row, column] / total - normal[row] * normal[column]) / ROUNDING_WIDTH
+    return signed - ROUNDING_WIDTH * math.log(total), leaf
 
 
 @njit(cache=True)
-def _nearest_place(point: np.ndarray, place: int, limit: float, body: Body) -> tuple[bool, int]:
-    """Place of the nearest face, searched from `place` on; False where the point is known to be `limit` away."""
-    x, y, z = point[0], point[1], point[2]
-    where = classify(x, y, z, OccupancyGrid(body.origin, body.clear, body.slot, body.outside, body.free))
-    if where == FREE:
-        return False, place
-    tree = Bvh(body.blocks, body.boxes, body.levels)
-    waiting, room = np.empty(BVH_STACK, np.int32), np.empty(BVH_STACK + 2 * LANES, np.float32)
-    if where == OUTSIDE:
-        found = nearest_face(x, y, z, -1, limit * limit, tree, waiting, room)
-        return found >= 0, max(found, 0)
-    start = squared_distance(body.corners[place], x, y, z)
-    return True, nearest_face(x, y, z, place, start, tree, waiting, room)
+def _nearest_leaf(point: np.ndarray, leaf: int, limit: float, body: SurfaceArrays) -> tuple[bool, int]:
+    """Leaf of the nearest face, searched from `leaf` on; False where the point is known to be `limit` away."""
+    x, y, z = point
+    where = classify(x, y, z, occupancy_of(body))
+    if where == FREE and limit <= FREE_DISTANCE:
+        return False, leaf
+    stack, scratch = search_workspace()
+    if where == UNKNOWN:
+        start = squared_distance(body.corners[leaf], x, y, z)
+        return True, nearest_face(x, y, z, leaf, start, bvh_of(body), stack, scratch)
+    found = nearest_face(x, y, z, -1, limit * limit, bvh_of(body), stack, scratch)
+    return found >= 0, max(found, 0)
 
 
 @njit(cache=True)
-def _feet(point: np.ndarray, limit: float, body: Body, feet: np.ndarray, distances: np.ndarray) -> int:
+def _feet(point: np.ndarray, limit: float, body: SurfaceArrays, feet: np.ndarray, distances: np.ndarray) -> int:
     """List the faces nearer than `limit` and their distances; return their number."""
-    stack = np.empty(MAX_DEPTH, np.int32)
-    x, y, z = point[0], point[1], point[2]
-    stack[0] = 0
-    top, found = 1, 0
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        if squared_distance_to_box(body.bounds[node], x, y, z) >= limit * limit:
-            continue
-        if body.second[node] >= 0:
-            stack[top], stack[top + 1] = body.first[node], body.second[node]
-            top += 2
-            continue
-        for place in range(body.first[node], body.first[node] - body.second[node]):
-            cx, cy, cz, _ = closest_on_triangle(body.corners[place], x, y, z)
-            distance = math.sqrt((x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2)
-            if distance < limit and found < _MAX_FEET:
-                feet[found], distances[found] = place, distance
-                found += 1
+    x, y, z = point
+    stack, scratch = search_workspace()
+    candidates = faces_within(x, y, z, limit + _FLOAT32_ERROR, bvh_of(body), stack, scratch, feet)
+    found = 0
+    for index in range(candidates):
+        distance = math.sqrt(squared_distance(body.corners[feet[index]], x, y, z))
+        if distance < limit:
+            feet[found], distances[found] = feet[index], distance
+            found += 1
     return found
 
 
 @njit(cache=True)
 def _add_foot(
-    point: np.ndarray, place: int, sign: float, weight: float, body: Body,
-    normal: np.ndarray, square: np.ndarray, bulge: np.ndarray,
+    point: np.ndarray, leaf: int, sign: float, weight: float, body: SurfaceArrays,
+    normal: np.ndarray, square: np.ndarray, bending: np.ndarray,
 ) -> None:  # fmt: skip
     """Add a face's unit gradient n of the distance, n n^T, and the distance's Hessian, times `weight`."""
-    triangle = body.corners[place]
+    triangle = body.corners[leaf]
     cx, cy, cz, feature = closest_on_triangle(triangle, point[0], point[1], point[2])
     away, along = np.empty(3), np.zeros(3)
     away[0], away[1], away[2] = point[0] - cx, point[1] - cy, point[2] - cz
@@ -176,4 +134,4 @@ def _add_foot(
             square[row, column] += weight * away[row] * away[column] if sign > 0.0 else 0.0
             if feature > 0:
                 across = (1.0 if row == column else 0.0) - away[row] * away[column] - along[row] * along[column]
-                bulge[row, column] += weight * sign * across / distance
+                bending[row, column] += weight * sign * across / distance

@@ -3,9 +3,9 @@
 import numpy as np
 from numba import njit, prange
 
+from quaffure.geometry.surface import SurfaceArrays
 from quaffure.solvers.newton.block_tridiagonal import factor_strand
-from quaffure.solvers.newton.rounded_contact import Body
-from quaffure.solvers.newton.strand_hessian import Hair, strand_energy, strand_hessian
+from quaffure.solvers.newton.strand_hessian import Hair, StrandSystem, strand_energy, strand_hessian
 
 LEAST_SHARE = 0.2
 """No edge shrinks below this share of its length in one step."""
@@ -14,23 +14,22 @@ SHORTEST_EDGE = 1e-12
 
 
 @njit(cache=True, parallel=True)
-def strand_energies(positions: np.ndarray, hair: Hair, body: Body, places: np.ndarray, energies: np.ndarray) -> None:
-    """Fill the energy of every strand [J]; `places` as in `strand_energy`."""
+def strand_energies(
+    positions: np.ndarray, hair: Hair, body: SurfaceArrays, leaves: np.ndarray, energies: np.ndarray
+) -> None:
+    """Fill the energy of every strand [J]; `leaves` as in `strand_energy`."""
     for strand in prange(len(positions)):
-        energies[strand] = strand_energy(positions[strand], strand, hair, body, places[strand])
+        energies[strand] = strand_energy(positions[strand], strand, hair, body, leaves[strand])
 
 
 @njit(cache=True, parallel=True)
 def linearize_strands(
-    positions: np.ndarray, hair: Hair, body: Body, places: np.ndarray, exactness: float, gradient: np.ndarray,
-    diagonal: np.ndarray, coupling: np.ndarray,
-) -> None:  # fmt: skip
-    """Fill gradient [s, n, 3] and the Hessian's blocks of every strand; `exactness` as in `strand_hessian`."""
+    positions: np.ndarray, hair: Hair, body: SurfaceArrays, leaves: np.ndarray, exactness: float, system: StrandSystem
+) -> None:
+    """Fill gradient and Hessian of every strand; `exactness` as in `strand_hessian`."""
     for strand in prange(len(positions)):
-        strand_hessian(
-            positions[strand], strand, hair, body, places[strand], exactness,
-            gradient[strand], diagonal[strand], coupling[strand],
-        )  # fmt: skip
+        one = StrandSystem(system.gradient[strand], system.diagonal[strand], system.coupling[strand])
+        strand_hessian(positions[strand], strand, hair, body, leaves[strand], exactness, one)
 
 
 @njit(cache=True, parallel=True)

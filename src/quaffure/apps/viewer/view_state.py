@@ -1,0 +1,152 @@
+"""State of the live page, as plain data that can be draped without a browser."""
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+
+from quaffure.benchmark.metrics import measure
+from quaffure.body.body_model import SHAPE_COUNT, BodyModel
+from quaffure.body.motion import Motion, joint_matrices, pose_from_matrices
+from quaffure.drape_motion import bodies_of, drape_motion
+from quaffure.draper import Draper
+from quaffure.errors import InputError
+from quaffure.geometry.rotation import matrix_from_axis_angle
+from quaffure.geometry.signed_distance import signed_distance
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.groom import Groom
+from quaffure.model.neural import NeuralDraper
+from quaffure.types import BodyPose, Bool, Float
+
+Degrees = tuple[float, float, float]
+NO_ROTATION: Degrees = (0.0, 0.0, 0.0)
+MEAN_SHAPE = (0.0,) * SHAPE_COUNT
+
+
+@dataclass(frozen=True, eq=False)
+class ViewState:
+    """A groom on a body in one frame of a clip, and the draper for it.
+
+    Attributes:
+        motion: the clip.
+        frame: index in the clip.
+        joint_rotations: rotation vectors about the axes of the rest pose, by joint, applied after the clip [degrees].
+        body_shape: beta [standard deviations].
+
+    Raises:
+        InputError: a frame outside of the clip, a joint that the body does not have, or not ten shape coefficients.
+    """
+
+    body: BodyModel
+    groom: Groom
+    motion: Motion
+    draper: Draper
+    frame: int = 0
+    joint_rotations: Mapping[str, Degrees] = field(default_factory=dict)
+    body_shape: tuple[float, ...] = MEAN_SHAPE
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.frame < len(self.motion):
+            raise InputError("frame", f"0 to {len(self.motion) - 1} of {self.motion.name}", f"{self.frame}")
+        if len(self.body_shape) != SHAPE_COUNT:
+            raise InputError("body shape", f"{SHAPE_COUNT} coefficients", f"{len(self.body_shape)}")
+        for joint in self.joint_rotations:
+            if joint not in self.body.joint_names:
+                raise InputError("joint", f"one of {', '.join(self.body.joint_names)}", f"'{joint}'")
+
+    def at(self, frame: int) -> "ViewState":
+        """The state with another frame; clips repeat."""
+        return replace(self, frame=frame % len(self.motion))
+
+    def playing(self, motion: Motion) -> "ViewState":
+        """The state with another clip, from its start."""
+        return replace(self, motion=motion, frame=0)
+
+    def rotated(self, joint: str, degrees: Degrees) -> "ViewState":
+        """The state with another rotation of one joint."""
+        return replace(self, joint_rotations={**self.joint_rotations, joint: degrees})
+
+    def shaped(self, index: int, coefficient: float) -> "ViewState":
+        """The state with another value of one shape coefficient."""
+        shape = (*self.body_shape[:index], coefficient, *self.body_shape[index + 1 :])
+        return replace(self, body_shape=shape)
+
+    def body_pose(self) -> BodyPose:
+        """Theta of the frame with the joint rotations, [1, 81] [rad]."""
+        clip_pose = self.motion.body_pose[self.frame][None]
+        body_pose, rotations = clip_pose.clone(), joint_matrices(clip_pose)
+        for joint, degrees in self.joint_rotations.items():
+            if degrees != NO_ROTATION:
+                index = self.body.joint_names.index(joint)
+                rotation = matrix_from_axis_angle(torch.tensor(degrees, dtype=rotations.dtype) * (math.pi / 180))
+                rotations[:, index] = rotation @ rotations[:, index]
+                body_pose[:, 3 * index : 3 * index + 3] = pose_from_matrices(rotations)[:, 3 * index : 3 * index + 3]
+        return body_pose
+
+    def drape(self) -> "Drape":
+        """Drape the groom. Takes as long as the draper takes."""
+        pose = Motion(self.body_pose(), self.motion.fps, self.motion.name)
+        with network_clock(self.draper) as network_times:
+            sequence = drape_motion(self.draper, self.groom, self.body, pose, torch.tensor(self.body_shape))
+        sequence.meta["frame"] = self.frame
+        return Drape(self, sequence, sum(network_times) if network_times else None)
+
+
+@dataclass(frozen=True, eq=False)
+class Drape:
+    """A drape of a state.
+
+    Attributes:
+        sequence: of one frame, for files and metrics.
+        network_milliseconds: wall time of the network alone, None for drapers without one.
+    """
+
+    state: ViewState
+    sequence: DrapeSequence
+    network_milliseconds: float | None
+
+    @property
+    def strands(self) -> Float[np.ndarray, "s n 3"]:
+        """Draped guides [m, world]."""
+        return self.sequence.strands[0]
+
+    @property
+    def body_vertices(self) -> Float[np.ndarray, "v 3"]:
+        """The body under them [m, world]."""
+        return self.sequence.body_vertices[0]
+
+    @property
+    def milliseconds(self) -> float:
+        """Wall time from pose in to strands out."""
+        return float(self.sequence.meta["milliseconds"])
+
+    def metrics(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Metrics by name, of the drape and of the posed groom."""
+        draped, posed = measure(self.sequence, self.state.groom, self.state.body)
+        return _first_frame(draped), _first_frame(posed)
+
+    def inside(self, strands: Float[np.ndarray, "m n 3"]) -> Bool[np.ndarray, "m n"]:
+        """Which vertices of these strands are inside the body; roots, which lie on the skin, are not."""
+        surface = bodies_of(self.sequence, self.state.body).surface
+        points = torch.from_numpy(strands[:, 1:].reshape(1, -1, 3))
+        below = (signed_distance(points, surface) < 0).numpy().reshape(len(strands), -1)
+        return np.pad(below, ((0, 0), (1, 0)))
+
+
+def _first_frame(metrics: Mapping[str, torch.Tensor]) -> dict[str, float]:
+    return {name: float(values[0]) for name, values in metrics.items()}
+
+
+@contextmanager
+def network_clock(draper: Draper) -> Iterator[list[float]]:
+    """Collect the wall time of the draper's network [ms]; none where it has no network."""
+    times: list[float] = []
+    if not isinstance(draper, NeuralDraper):
+        yield times
+        return
+    before = draper.backend().network_seconds
+    yield times
+    times.append(1000 * (draper.backend().network_seconds - before))

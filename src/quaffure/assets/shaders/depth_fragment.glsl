@@ -1,0 +1,3 @@
+#version 330
+// Depth alone: no colour.
+void main() {}

@@ -1,0 +1,86 @@
+"""Under what key a drape is kept: everything that decides it, by value.
+
+Names of classes, files and functions are no part of it: what is moved or renamed drapes as before. The code that drapes
+is stood for by `DRAPE_VERSION`.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from quaffure.digest import array_digest
+from quaffure.draper import Draper
+from quaffure.types import Float, Tensor
+
+DRAPE_VERSION = 1
+"""To be raised by whoever changes what drapers return: energies, solvers, networks' code, posing, collision."""
+
+
+def drape_key(
+    draper: str, groom: str, body: str, body_pose: Float[Tensor, "81"], body_shape: Float[Tensor, "10"]
+) -> str:
+    """Key of one drape.
+
+    Args:
+        draper: `draper_key`.
+        groom, body: their digests.
+    """
+    return _sha256([DRAPE_VERSION, draper, groom, body, array_digest(body_pose, body_shape)])
+
+
+def draper_key(draper: Draper) -> str:
+    """Key of a draper: its name, and by value its public attributes, material and weights among them.
+
+    Private attributes are left out, as they hold what was computed before. Two drapers of other code need other names.
+    """
+    return _sha256(_by_value(draper))
+
+
+def setting_of(draper: Draper) -> dict[str, object]:
+    """Class and attributes of a draper, as JSON holds them; its material and network are left out."""
+    return {"class": type(draper).__name__} | {
+        name: _readable(value)
+        for name, value in _public(draper).items()
+        if name != "material" and not isinstance(value, torch.nn.Module)
+    }
+
+
+def _readable(value: Any) -> object:
+    if isinstance(value, str | int | float | bool | None):
+        return value
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
+    return setting_of(value) if hasattr(value, "drape") else repr(value)
+
+
+def _by_value(value: Any) -> object:
+    if isinstance(value, str | int | float | bool | None):
+        return value
+    if isinstance(value, torch.Tensor | np.ndarray):
+        return array_digest(value)
+    if isinstance(value, tuple | list):
+        return [_by_value(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(name): _by_value(item) for name, item in value.items()}
+    if isinstance(value, Enum | Path | torch.dtype | torch.device):
+        return str(value)
+    if isinstance(value, torch.nn.Module):
+        return {"config": _by_value(getattr(value, "config", None)), "weights": _by_value(value.state_dict())}
+    if is_dataclass(value):
+        return {field.name: _by_value(getattr(value, field.name)) for field in fields(value)}
+    return {"name": getattr(value, "name", "")} | {name: _by_value(item) for name, item in _public(value).items()}
+
+
+def _public(value: object) -> dict[str, Any]:
+    return {name: item for name, item in vars(value).items() if not name.startswith("_")}
+
+
+def _sha256(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,167 @@
+"""The five steps of a drape as compiled float32 kernels on the CPU, many grooms in one batch of the network."""
+
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numba import get_num_threads, njit, prange
+
+from quaffure.body.collision_skin import CollisionSkin, collision_skin
+from quaffure.body.head_frame import HeadFrameBody, head_frame_body
+from quaffure.body.kinematics import PosedJoints
+from quaffure.config import HairMaterial
+from quaffure.geometry.mls_surface import FAST
+from quaffure.model.initial_shape import InitialShape, bits, empty_shape, fill_initial_shape
+from quaffure.model.prepared_groom import PreparedGroom
+from quaffure.model.projection import project
+from quaffure.model.quaffure_network import FEATURE_SIZE, DirectionNetwork
+from quaffure.model.torch_backend import TorchBackend, TorchPosed
+from quaffure.scene import BodyBatch
+from quaffure.types import Float, Positions, Tensor
+
+BATCH = 8
+"""Drapes whose textures the decoder makes at once; more are not faster, and take more memory."""
+
+
+class CpuPosed(NamedTuple):
+    """The body of one drape.
+
+    Attributes:
+        body: a batch of one.
+        encoded: by the network.
+        memory: for the initial shape; of all drapes of a batch, so that it is still in the processor's cache.
+        skin: faces that hair is projected out of.
+    """
+
+    body: HeadFrameBody
+    encoded: Any
+    memory: InitialShape
+    skin: CollisionSkin
+
+
+class CpuBackend:
+    """Steps of one drape after another; see `quaffure.model.neural.drape`.
+
+    Attributes:
+        layout: the network with the weights that it had when this was made.
+        network_seconds: wall time of the network alone, of all drapes so far.
+    """
+
+    def __init__(self, network: DirectionNetwork, material: HairMaterial, bf16: bool) -> None:
+        self.config, self._material = network.config, material
+        self.layout: Any = network.for_inference(bf16)
+        self.network_seconds = 0.0
+        self._clearance = self.config.projection.clearance_share * material.collision_margin
+
+    def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, CpuPosed]]:
+        """Each groom with the body of its row; bodies are posed, and grooms encoded, `BATCH` at a time."""
+        body, config = bodies.body, self.config
+        skin = collision_skin(body, self._clearance)
+        rest, rotations, positions = bodies.joints
+        for first in range(0, len(grooms), BATCH):
+            part, rows = grooms[first : first + BATCH], slice(first, first + BATCH)
+            joints = PosedJoints(rest[rows], rotations[rows], positions[rows])
+            pose, shape = bodies.body_pose[rows], bodies.body_shape[rows]
+            batch = head_frame_body(body, pose, shape, joints, config.initial_shape.body, config.contact)
+            codes, most, begun = [], 0, time.perf_counter()
+            for groom in part:
+                codes.append(groom.code)
+                most = max(most, groom.blocks.rows.size)
+            encoded = self.layout.encode(torch.stack(codes), batch.pose_code)
+            self.network_seconds += time.perf_counter() - begun
+            memory = empty_shape(1, most, self.layout.columns, self.layout.dtype)
+            for row, groom in enumerate(part):
+                yield groom, CpuPosed(batch.sample(row), encoded[row], memory, skin)
+
+    def initial_shape(self, groom: PreparedGroom, posed: CpuPosed) -> InitialShape:
+        """Row by row of the kernels' blocks."""
+        rows, (roots, edges, compliance, features) = groom.blocks.rows, posed.memory
+        count = rows.size
+        shape = InitialShape(roots[:, :count], edges[:, :count], compliance[:, :count], features[:, :count])
+        fill_initial_shape(groom.blocks, rows, posed.body, self._material, self.config.initial_shape, shape)
+        return shape
+
+    def network(self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape) -> Float[Tensor, "row outputs"]:
+        """Change of every edge's direction."""
+        begun = time.perf_counter()
+        changes = self.layout.changes(posed.encoded, groom.blocks.texels, shape.features[0])
+        self.network_seconds += time.perf_counter() - begun
+        return changes
+
+    def integrate(
+        self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape, changes: Float[Tensor, "row outputs"]
+    ) -> Positions:
+        """Vertices [m, world] of edges that have changed their directions."""
+        hair, strand = torch.empty(1, *groom.margin.shape, 3), groom.blocks.strands.strand.reshape(-1)
+        _integrate(
+            _ShapeRows(shape.roots[0].numpy(), shape.edges[0].numpy(), shape.compliance[0].numpy(), strand),
+            bits(changes), groom.rest_length.numpy(), posed.body.world_from_head[0].numpy(), posed.body.head[0].numpy(),
+            get_num_threads(), hair[0].numpy(),
+        )  # fmt: skip
+        return hair
+
+    def project(self, groom: PreparedGroom, posed: CpuPosed, hair: Positions) -> Positions:
+        """Hair projected out of the skin [m, world]."""
+        if not self.config.contact:
+            return hair
+        strands, config = (hair[0], posed.body.skin[0], groom.rest_length, groom.clearance), self.config.projection
+        return project(*strands, posed.skin, posed.body.head[0], config)[None]
+
+
+class CpuTrainingBackend(TorchBackend):
+    """The initial shape from the compiled kernels, without gradient, the rest in torch; no projection."""
+
+    def head_frame(self, bodies: BodyBatch) -> HeadFrameBody:
+        config = self.config.initial_shape.body
+        return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, bodies.joints, config, collides=False)
+
+    def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
+        shape = empty_shape(len(posed.body.head), len(groom.margin), FEATURE_SIZE, torch.float32)
+        config, rows = self.config.initial_shape, groom.blocks.strands.strand
+        fill_initial_shape(groom.blocks, rows, posed.body, self._material, config, shape)
+        return shape
+
+
+class _ShapeRows(NamedTuple):
+    """Rows of an `InitialShape`, and the strand of each."""
+
+    roots: np.ndarray
+    edges: np.ndarray
+    compliance: np.ndarray
+    strand: np.ndarray
+
+
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def _integrate(
+    shape: _ShapeRows, changes: np.ndarray, rest_length: np.ndarray, world_from_head: np.ndarray, head: np.ndarray,
+    threads: int, hair: np.ndarray,
+) -> None:  # fmt: skip
+    """Change edges by the network's outputs, put them one after another and transform them into the world.
+
+    Args:
+        changes: the bits of float32, or of bfloat16.
+        hair: filled, in the order of `rest_length`.
+    """
+    edges, compliance = shape.edges, shape.compliance
+    count, columns = edges.shape[1], changes.shape[1]
+    spaces, shift = np.empty((threads, columns), np.uint32), np.uint32(32 - 8 * changes.itemsize)
+    a, b, c = world_from_head[0], world_from_head[1], world_from_head[2]
+    for thread in prange(threads):
+        bits, change = spaces[thread], spaces[thread].view(np.float32)
+        for row in range(thread, len(rest_length), threads):  # the rows after these repeat the last strand
+            for k in range(columns):
+                bits[k] = np.uint32(changes[row, k]) << shift
+            own, x, y, z = shape.strand[row], shape.roots[row, 0], shape.roots[row, 1], shape.roots[row, 2]
+            for vertex in range(count + 1):
+                hair[own, vertex, 0] = head[0] + a[0] * x + a[1] * y + a[2] * z
+                hair[own, vertex, 1] = head[1] + b[0] * x + b[1] * y + b[2] * z
+                hair[own, vertex, 2] = head[2] + c[0] * x + c[1] * y + c[2] * z
+                if vertex < count:
+                    compliant = compliance[row, vertex]
+                    ux = edges[row, vertex, 0] + compliant * change[3 * vertex]
+                    uy = edges[row, vertex, 1] + compliant * change[3 * vertex + 1]
+                    uz = edges[row, vertex, 2] + compliant * change[3 * vertex + 2]
+                    scale = rest_length[own, vertex] / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
+                    x, y, z = x + scale * ux, y + scale * uy, z + scale * uz

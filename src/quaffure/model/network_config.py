@@ -1,0 +1,135 @@
+"""Settings of a network and of the steps around it; stored in its weights file.
+
+The keys of a file are the names of the command line's options, which do not change; `FILE_KEYS` maps them to fields.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from quaffure.body.mls_body import MlsBodyConfig
+from quaffure.model.weights_file import MAX_WIDTH
+
+POSE_SIZE, SHAPE_SIZE, MAX_LAYERS = 81, 10, 64
+FILE_KEYS = {"views": "skin_features", "slides": "contact"}
+
+
+@dataclass(frozen=True)
+class InitialShapeConfig:
+    """Strands before the network (`quaffure.model.initial_shape`)."""
+
+    body: MlsBodyConfig = field(default_factory=MlsBodyConfig)
+    layer_thickness: float = 0.03
+    """Distance above the lowest hair at which the uppermost starts [m]."""
+    layer_ramp: float = 0.1
+    """Length of strand over which a layer reaches all of its height [m]."""
+    depth_share: float = 0.25
+    """Depth below its clearance at rest at which hair may start, as a share of the depth at which Eq. 10 pushes an edge
+    of length l as hard as the edge resists, k_Cosserat / (3 k_bc l^2)."""
+    max_depth: float = 0.004
+    """The same at most [m]."""
+    min_weight_share: float = 0.05
+    """Share of weight above which local features are a distance."""
+    cluster_size: int = 8
+    """Neighbouring strands that share the contact-force estimate of their representative."""
+    cluster_radius: float = 0.02
+    """Largest distance of their roots from the representative's; strands further away represent themselves [m]."""
+    propagated_share: float = 0.3
+    """Share of the contact force that rotates an edge and those above it before contact is resolved a second time. All
+    of it would swing the strand off the skin; docs/training.md has other shares."""
+    load_share: float = 0.2
+    """Share of a strand's weight by which other hair or the skin may push an edge, besides the weight beyond it."""
+
+    def __post_init__(self) -> None:
+        if self.cluster_size < 1 or self.layer_ramp <= 0 or self.min_weight_share <= 0:
+            raise ValueError(f"expected a cluster size of 1 or more, a ramp and a weight share above 0, found {self}")
+
+
+@dataclass(frozen=True)
+class ProjectionConfig:
+    """Strands projected out of the skin after the network (`quaffure.model.projection`)."""
+
+    clearance_share: float = 0.5
+    """Distance at which hair is left alone, as a share of its collision margin. At the whole margin Eq. 10 ends, but
+    hair collides with hair: what is pushed further out meets what lies there (docs/training.md has other shares)."""
+    spacing: float = 0.0025
+    """Distance along a strand between two contact queries [m]; shorter edges are skipped."""
+    max_push: float = 3.0
+    """Largest push of a vertex, in lengths of its edge: the edge then stands nearly along the push."""
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """What a checkpoint needs to rebuild its network and the steps around it."""
+
+    output: Literal["directions", "displacement"] = "directions"
+    """`directions` (ours): changes of edge directions, integrated. `displacement` (the paper's): of vertices."""
+    pose_features: int = 0
+    """Length of the analytic pose features appended to the paper's R^107; 0 leaves them out."""
+    texel_channels: int = 48
+    """Channels of the decoder's texture that the strand layers read (`directions` only)."""
+    strand_width: int = 128
+    """Width of the layers common to all strands (`directions` only)."""
+    strand_layers: int = 2
+    """Hidden layers common to all strands, the first included (`directions` only)."""
+    skin_features: Annotated[bool, tyro.conf.arg(name="views")] = True
+    """The strand layers read local features of the skin near the initial strand, or, with `--no-views`, do not
+    (`directions` only)."""
+    contact: Annotated[bool, tyro.conf.arg(name="slides")] = True
+    """The initial strand is kept out of the point-sampled body, and the hair projected out of the skin after the
+    network, or, with `--no-slides`, neither (`directions` only)."""
+    initial_shape: InitialShapeConfig = field(default_factory=InitialShapeConfig)
+    projection: ProjectionConfig = field(default_factory=ProjectionConfig)
+
+    def __post_init__(self) -> None:
+        if self.output not in ("directions", "displacement"):
+            raise ValueError(f"expected output directions or displacement, found {self.output!r}")
+        widths = {"pose_features": (0, MAX_WIDTH), "texel_channels": (1, MAX_WIDTH), "strand_width": (1, MAX_WIDTH)}
+        for name, (least, most) in (widths | {"strand_layers": (1, MAX_LAYERS)}).items():
+            value = getattr(self, name)
+            if not (isinstance(value, int) and least <= value <= most):
+                raise ValueError(f"expected {name} from {least} to {most}, found {value!r}")
+
+    def __repr__(self) -> str:
+        """By the keys of files, without what is as by default: checkpoints of runs are found by this text."""
+        default = {"initial_shape": InitialShapeConfig(), "projection": ProjectionConfig()}
+        keys = {name: key for key, name in FILE_KEYS.items()}
+        values = {name: getattr(self, name) for name in (f.name for f in fields(self))}
+        shown = (f"{keys.get(name, name)}={value!r}" for name, value in values.items() if value != default.get(name))
+        return f"NetworkConfig({', '.join(shown)})"
+
+
+def to_file_values(config: NetworkConfig) -> dict[str, Any]:
+    """Settings by the keys of a weights file, as JSON takes them."""
+    keys = {name: key for key, name in FILE_KEYS.items()}
+    return {keys.get(name, name): value for name, value in asdict(config).items()}
+
+
+def from_file_values(values: Mapping[str, Any]) -> NetworkConfig:
+    """Undo `to_file_values`; what an older file does not hold is as by default.
+
+    Raises:
+        ValueError: a setting that is not known, or out of range.
+    """
+    named = {FILE_KEYS.get(key, key): value for key, value in values.items()}
+    if "initial_shape" in named:
+        shape = known_fields(dict(named["initial_shape"]), InitialShapeConfig)
+        body = MlsBodyConfig(**known_fields(shape.pop("body", {}), MlsBodyConfig))
+        named["initial_shape"] = InitialShapeConfig(**shape, body=body)
+    if "projection" in named:
+        named["projection"] = ProjectionConfig(**known_fields(named["projection"], ProjectionConfig))
+    return NetworkConfig(**known_fields(named, NetworkConfig))
+
+
+def known_fields(values: dict[str, Any], kind: type) -> dict[str, Any]:
+    """`values`, all of them fields of a dataclass.
+
+    Raises:
+        ValueError: one is not.
+    """
+    unknown = set(values) - {field.name for field in fields(kind)}
+    if unknown:
+        raise ValueError(f"unknown {kind.__name__} fields {sorted(unknown)}")
+    return values

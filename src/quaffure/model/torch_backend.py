@@ -1,0 +1,114 @@
+"""The five steps of a drape in torch: any device, any floating type, differentiable in all but the projection."""
+
+import time
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import nn
+
+from quaffure.body.collision_skin import collision_skin
+from quaffure.body.head_frame import HeadFrameBody, head_frame_body_reference
+from quaffure.config import HairMaterial
+from quaffure.geometry.polyline import integrate_directions
+from quaffure.model.inference_network import NetworkInputs
+from quaffure.model.initial_shape import InitialShape, initial_shape_reference, strands_in_head_frame
+from quaffure.model.network_config import NetworkConfig
+from quaffure.model.prepared_groom import PreparedGroom
+from quaffure.model.projection import project_reference
+from quaffure.scene import BodyBatch
+from quaffure.types import Float, Positions, Tensor
+
+
+class TorchPosed(NamedTuple):
+    """A batch of bodies for one groom, in the world and in the head's frame."""
+
+    bodies: BodyBatch
+    body: HeadFrameBody
+
+
+class TorchBackend:
+    """Steps on a batch of bodies that one groom is draped on; see `quaffure.model.neural.drape`.
+
+    Attributes:
+        projects: without it, `project` leaves hair as it is.
+        network_seconds: wall time of the network alone, of all drapes so far; of what was queued on another device.
+    """
+
+    def __init__(self, network: nn.Module, material: HairMaterial, bf16: bool, projects: bool) -> None:
+        self._network, self._material, self._bf16 = network, material, bf16
+        self.network_seconds = 0.0
+        self.config: NetworkConfig = network.config  # type: ignore[assignment]
+        self.projects = projects and self.config.contact
+        self._clearance = self.config.projection.clearance_share * float(material.collision_margin)
+
+    def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, TorchPosed]]:
+        """Each groom with the bodies of its rows."""
+        if all(groom is grooms[0] for groom in grooms):
+            yield grooms[0], TorchPosed(bodies, self.head_frame(bodies))
+            return
+        for row, groom in enumerate(grooms):
+            own = bodies.rows(slice(row, row + 1))
+            yield groom, TorchPosed(own, self.head_frame(own))
+
+    def head_frame(self, bodies: BodyBatch) -> HeadFrameBody:
+        config = self.config.initial_shape.body
+        pose, shape = bodies.body_pose, bodies.body_shape
+        return head_frame_body_reference(bodies.body, pose, shape, bodies.posed, config)
+
+    def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
+        return initial_shape_reference(groom, posed.body, self._material, self.config.initial_shape)
+
+    def network(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape) -> Tensor:
+        """Change of every edge's direction."""
+        return self.forward(groom, posed.body.pose_code, shape.features)
+
+    def forward(self, groom: PreparedGroom, pose_code: Tensor, *features: Tensor) -> Tensor:
+        device, begun = pose_code.device, time.perf_counter()
+        with torch.autocast(device.type, torch.bfloat16, enabled=self._bf16):
+            changes: Tensor = self._network(NetworkInputs(groom.code, groom.texels, pose_code), *features)
+        self.network_seconds += time.perf_counter() - begun
+        return changes
+
+    def integrate(
+        self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape, changes: Float[Tensor, "b s e 3"]
+    ) -> Positions:
+        """Vertices [m, world] of edges that have changed their directions."""
+        world_from_head = posed.body.world_from_head[:, None].mT
+        edges = (shape.edges + shape.compliance[..., None] * changes) @ world_from_head
+        roots = (shape.roots[:, :, None] @ world_from_head)[:, :, 0] + posed.body.head[:, None]
+        return integrate_directions(roots, edges, groom.rest_length)
+
+    def project(self, groom: PreparedGroom, posed: TorchPosed, hair: Positions) -> Positions:
+        """Hair projected out of the skin [m, world]."""
+        if not self.projects:
+            return hair
+        skin = collision_skin(posed.bodies.body, self._clearance)
+        samples = [
+            project_reference(own, vertices, groom.rest_length, groom.clearance, skin, self.config.projection)
+            for own, vertices in zip(hair, posed.body.skin)
+        ]
+        return torch.stack(samples)
+
+
+class DisplacementBackend(TorchBackend):
+    """The paper's configuration: displacements of the posed groom, without contact before or after the network."""
+
+    def __init__(self, network: nn.Module, material: HairMaterial, bf16: bool) -> None:
+        super().__init__(network, material, bf16, projects=False)
+
+    def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
+        """The posed groom; its features are positions alone."""
+        roots, edges = strands_in_head_frame(groom.strands, posed.body)
+        positions = roots[:, :, None] + torch.nn.functional.pad(edges.cumsum(dim=2), (0, 0, 1, 0))
+        return InitialShape(roots, edges, torch.ones_like(edges[..., 0]), positions.flatten(2))
+
+    def network(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape) -> Tensor:
+        """Displacement of every vertex [m]; roots do not move."""
+        moved = self.forward(groom, posed.body.pose_code)
+        return torch.cat([torch.zeros_like(moved[:, :, :1]), moved[:, :, 1:]], dim=2)
+
+    def integrate(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape, changes: Positions) -> Positions:
+        """Displaced vertices [m, world]."""
+        positions = shape.features.unflatten(2, (-1, 3)) + changes
+        return positions @ posed.body.world_from_head[:, None].mT + posed.body.head[:, None, None]

@@ -1,0 +1,154 @@
+"""Arrays of an `.npz` file, each checked by its header before memory is taken for it. Nothing is ever unpickled."""
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+from zipfile import BadZipFile, ZipExtFile, ZipFile
+
+import numpy as np
+
+from quaffure.errors import InputError
+
+NumberType = type[np.generic]
+Spec = Mapping[str, tuple[tuple[int | str, ...], tuple[NumberType, ...]]]
+"""Each array's axes (a number is a fixed size; a letter is the same size in all arrays) and types, `numpy.floating` for
+instance. Arrays of real numbers must be finite."""
+REAL: tuple[NumberType, ...] = (np.floating,)
+INTEGER: tuple[NumberType, ...] = (np.integer,)
+NUMBER: tuple[NumberType, ...] = (np.floating, np.integer)
+TEXT: tuple[NumberType, ...] = (np.str_,)
+# The most that deflate can shrink (zlib's technical notes); a member that claims more has a forged size.
+MOST_COMPRESSION = 1032
+
+
+class Header(NamedTuple):
+    """What a member of the archive says of its array."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+
+def array_names(path: Path) -> frozenset[str]:
+    """Names of the arrays in a file; none where it is no readable `.npz`."""
+    try:
+        with ZipFile(path) as archive:
+            return frozenset(name.removesuffix(".npy") for name in archive.namelist())
+    except (OSError, BadZipFile):
+        return frozenset()
+
+
+def read_numbers(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Those of the named arrays that an `.npz` file has, of any shape.
+
+    Raises:
+        InputError: the file is missing, no `.npz` or damaged, or an array does not hold plain numbers.
+    """
+    with _opened(path, "an undamaged .npz file") as archive:
+        present = [name for name in names if f"{name}.npy" in archive.namelist()]
+        headers = {name: _header(archive, name, path) for name in present}
+        for name, header in headers.items():
+            if not _is_any(header.dtype, NUMBER):
+                raise InputError(
+                    path, f"plain numbers in its array {name}", f"{header.dtype} (pickled objects are never loaded)"
+                )
+        return {name: _array(archive, name) for name in present}
+
+
+def read_arrays(path: Path, spec: Spec, what: str) -> tuple[dict[str, np.ndarray], dict[str, int]]:
+    """All arrays of a specification, and the sizes of its lettered axes.
+
+    Args:
+        what: the kind of file, for errors: `a body file (.npz)`.
+
+    Raises:
+        InputError: the file is missing, no `.npz` or damaged, lacks an array, or breaks the specification.
+    """
+    with _opened(path, what) as archive:
+        missing = [name for name in spec if f"{name}.npy" not in archive.namelist()]
+        if missing:
+            raise InputError(path, f"{what} with the arrays {', '.join(spec)}", f"no array {', '.join(missing)}")
+        sizes = _check_headers({name: _header(archive, name, path) for name in spec}, spec, path, what)
+        arrays = {name: _array(archive, name) for name in spec}
+    _check_finite(arrays, path, what)
+    return arrays, sizes
+
+
+def check_arrays(arrays: Mapping[str, np.ndarray], spec: Spec, source: Path, what: str) -> dict[str, int]:
+    """Hold arrays to a specification before they are written; the sizes of its lettered axes.
+
+    Raises:
+        InputError: they break it.
+    """
+    headers = {name: Header(array.shape, array.dtype) for name, array in arrays.items()}
+    sizes = _check_headers(headers, spec, source, what)
+    _check_finite(arrays, source, what)
+    return sizes
+
+
+@contextmanager
+def _opened(path: Path, what: str) -> Iterator[ZipFile]:
+    try:
+        with ZipFile(path) as archive:
+            yield archive
+    except InputError:
+        raise
+    except FileNotFoundError as error:
+        raise InputError(path, what, "no such file") from error
+    except OSError as error:
+        raise InputError(path, what, error.strerror or str(error)) from error
+    # On damaged bytes zipfile, zlib and numpy's header parser raise some ten unrelated types between them.
+    except Exception as error:
+        raise InputError(path, what, str(error) or type(error).__name__) from error
+
+
+def _header(archive: ZipFile, name: str, path: Path) -> Header:
+    member = archive.getinfo(f"{name}.npy")
+    with archive.open(member) as file:
+        header = _parse_header(file)
+        expected = file.tell() + math.prod(header.shape) * header.dtype.itemsize
+    forged = member.file_size > MOST_COMPRESSION * path.stat().st_size
+    # The size of pickled objects is not in the header; they are refused by their type.
+    if not header.dtype.hasobject and (expected != member.file_size or forged):
+        found = f"{member.file_size} bytes"
+        raise InputError(path, f"{expected} bytes to hold its array {name} {list(header.shape)}", found)
+    return header
+
+
+def _parse_header(file: ZipExtFile) -> Header:
+    version = np.lib.format.read_magic(file)
+    # Version 3 exists only for field names beyond Latin-1, and plain numbers have no fields.
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(file)
+    return Header(shape, dtype)
+
+
+def _array(archive: ZipFile, name: str) -> np.ndarray:
+    with archive.open(f"{name}.npy") as file:
+        return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def _check_headers(headers: Mapping[str, Header], spec: Spec, source: Path, what: str) -> dict[str, int]:
+    sizes: dict[int | str, int] = {}
+    for name, (axes, types) in spec.items():
+        shape, dtype = headers[name]
+        if not _is_any(dtype, types):
+            allowed = " or ".join(kind.__name__.rstrip("_") for kind in types)
+            raise InputError(source, f"{what} with {name} of type {allowed}", f"{dtype}")
+        if len(shape) == len(axes):
+            sizes = dict(zip(axes, shape)) | sizes
+        expected = tuple(sizes.get(axis, axis) if isinstance(axis, str) else axis for axis in axes)
+        if shape != expected:
+            raise InputError(source, f"{what} with {name} of shape {expected}", f"{shape}")
+    return {axis: size for axis, size in sizes.items() if isinstance(axis, str)}
+
+
+def _check_finite(arrays: Mapping[str, np.ndarray], source: Path, what: str) -> None:
+    for name, array in arrays.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise InputError(source, f"{what} with finite {name}", "NaN or infinity")
+
+
+def _is_any(dtype: np.dtype[Any], types: tuple[NumberType, ...]) -> bool:
+    return any(np.issubdtype(dtype, kind) for kind in types)

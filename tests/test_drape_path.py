@@ -1,0 +1,214 @@
+"""The path of one drape: how many functions it enters, what it runs, and what it can be differentiated in."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+
+import pytest
+import torch
+from torch import nn
+
+import quaffure
+from quaffure.apps.cli.main import main
+from quaffure.backend import Backend
+from quaffure.body import kinematics
+from quaffure.body.body_model import BodyModel
+from quaffure.body.pose_features import FEATURE_COUNT
+from quaffure.config import HairMaterial
+from quaffure.hair.groom import Groom
+from quaffure.model.checkpoint import load_network, save_network
+from quaffure.model.inference_network import ForwardNetwork, InferenceNetwork, NetworkInputs
+from quaffure.model.network_config import InitialShapeConfig, NetworkConfig, ProjectionConfig, from_file_values
+from quaffure.model.neural import NeuralDraper
+from quaffure.model.quaffure_model import Quaffure, load_model
+from quaffure.model.quaffure_network import DirectionNetwork
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, Scene
+from quaffure.types import Tensor
+from tests.training_runs import tiny_groom
+
+CONFIG = NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=8, strand_width=16)
+MATERIAL = HairMaterial()
+PACKAGE = str(Path(quaffure.__file__).parent)
+MOST_FUNCTIONS = 35
+FRAMES_AT_ONCE = 8
+
+
+class Swirled(DirectionNetwork):
+    """Another forward of the same layers: every edge is pushed to one side."""
+
+    def forward(self, inputs: NetworkInputs, features: Tensor) -> Tensor:
+        return super().forward(inputs, features) + torch.tensor([0.5, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def scene(body: BodyModel) -> Scene:
+    generator = torch.Generator().manual_seed(0)
+    pose = 0.15 * torch.randn(2, 81, generator=generator)
+    return Scene(tiny_groom(body), BodyBatch(body, pose, torch.randn(2, 10, generator=generator)))
+
+
+def network_of(kind: type[DirectionNetwork]) -> DirectionNetwork:
+    torch.manual_seed(0)
+    network = kind(CONFIG)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter += 0.06 * torch.randn_like(parameter)
+    return network.eval()
+
+
+def test_one_drape_enters_few_functions(body: BodyModel) -> None:
+    model = load_model(bf16=False)
+    groom, shape = make_groom("bob", body).select(torch.arange(0, 2400, 30)), torch.zeros(1, 10)
+    model.drape(groom, torch.zeros(1, 81), shape)
+    entered = set()
+
+    def note(frame: FrameType, event: str, argument: object) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_filename.startswith(PACKAGE):
+            entered.add((code.co_filename.removeprefix(PACKAGE), code.co_qualname))
+
+    sys.setprofile(note)
+    try:
+        model.drape(groom, torch.full((1, 81), 0.1), shape)
+    finally:
+        sys.setprofile(None)
+    print(f"one drape enters {len(entered)} functions:", *sorted(entered), sep="\n  ")
+    assert 10 < len(entered) <= MOST_FUNCTIONS
+
+
+def test_a_subclass_drapes_with_its_own_forward(scene: Scene) -> None:
+    plain, swirled = network_of(DirectionNetwork), network_of(Swirled)
+    assert isinstance(plain.for_inference(bf16=False), InferenceNetwork)
+    assert isinstance(swirled.for_inference(bf16=False), ForwardNetwork)
+    draper = NeuralDraper(swirled, MATERIAL)
+    hair, without = draper.drape(scene), NeuralDraper(plain, MATERIAL).drape(scene)
+    assert (hair - without).norm(dim=-1).mean() > 1e-3
+    only_contact = replace(CONFIG, contact=False)
+    swirled.config = only_contact  # no projection, to compare with what a training sees
+    draper = NeuralDraper(swirled, MATERIAL)
+    with torch.no_grad():
+        torch.testing.assert_close(draper.drape(scene), draper.deform(scene), atol=2e-5, rtol=0)
+
+
+@pytest.mark.parametrize("where", ["strand", "decoder"])
+def test_a_replaced_layer_is_noticed(scene: Scene, where: str) -> None:
+    network = network_of(DirectionNetwork)
+    network.config = replace(CONFIG, contact=False)
+    draper = NeuralDraper(network, MATERIAL)
+    before = draper.drape(scene)
+    if where == "strand":
+        network.strand[2] = nn.Tanh()
+    else:
+        network.decoder.dense[1] = nn.ReLU()
+    hair = draper.drape(scene)
+    assert (hair - before).norm(dim=-1).max() > 1e-4
+    with torch.no_grad():
+        torch.testing.assert_close(hair, draper.deform(scene), atol=2e-5, rtol=0)
+
+
+def test_a_subclass_drapes_in_bfloat16(scene: Scene) -> None:
+    network = network_of(Swirled)
+    exact, rounded = (NeuralDraper(network, MATERIAL, bf16).drape(scene) for bf16 in (False, True))
+    assert 0 < (exact - rounded).norm(dim=-1).mean() < 1e-3
+
+
+def test_both_backends_drape_alike(scene: Scene) -> None:
+    few = Scene(scene.groom.select(torch.arange(0, 40, 8)), scene.bodies)
+    network = network_of(DirectionNetwork)
+    in_torch = NeuralDraper(network, MATERIAL, backend=Backend.TORCH)
+    hair = in_torch.drape(few)
+    assert (NeuralDraper(network, MATERIAL).drape(few) - hair).norm(dim=-1).quantile(0.95) < 1e-4
+    rows = in_torch.drape_grooms([few.groom, few.groom.select(torch.arange(2))], scene.bodies)
+    torch.testing.assert_close(rows[0], hair[:1], atol=1e-5, rtol=0)
+    assert rows[1].shape == (1, 2, 24, 3)
+
+
+def double(groom: Groom) -> Groom:
+    return replace(groom, rest_strands=groom.rest_strands.double(), root_barycentric=groom.root_barycentric.double())
+
+
+@pytest.mark.parametrize("varied", ["pose", "shape", "linear_density", "k_cosserat"])
+def test_torch_drapes_are_differentiable(body: BodyModel, varied: str) -> None:
+    """Central differences through the whole drape but the projection, in double precision."""
+    network, bodies = network_of(DirectionNetwork).double(), body.to("cpu", torch.float64)
+    groom = double(tiny_groom(body).select(torch.arange(0, 40, 5)))
+    generator = torch.Generator().manual_seed(1)
+    values = {
+        "pose": 0.15 * torch.randn(1, 81, generator=generator, dtype=torch.float64),
+        "shape": torch.randn(1, 10, generator=generator, dtype=torch.float64),
+        "linear_density": torch.tensor(MATERIAL.linear_density, dtype=torch.float64),
+        "k_cosserat": torch.tensor(MATERIAL.k_cosserat, dtype=torch.float64),
+    }
+    weights = torch.randn(1, 8, 24, 3, generator=generator, dtype=torch.float64)
+    direction = torch.randn(values[varied].shape, generator=generator, dtype=torch.float64)
+    if direction.ndim == 0:
+        direction = values[varied].clone()  # relative to the parameter's own size
+
+    def loss(step: float | Tensor) -> Tensor:
+        now = values | {varied: values[varied] + step * direction}
+        material = replace(MATERIAL, linear_density=now["linear_density"], k_cosserat=now["k_cosserat"])
+        scene = Scene(groom, BodyBatch(bodies, now["pose"], now["shape"]))
+        return (NeuralDraper(network, material).deform(scene) * weights).sum()
+
+    step = torch.zeros((), dtype=torch.float64, requires_grad=True)
+    (gradient,) = torch.autograd.grad(loss(step), step)
+    with torch.no_grad():
+        difference = (loss(1e-6) - loss(-1e-6)) / 2e-6
+    assert abs(float(difference)) > 1e-3
+    assert float(gradient) == pytest.approx(float(difference), rel=1e-4)
+
+
+def test_frames_are_posed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draping, writing and measuring share the joints; in batches of frames."""
+    posed: list[int] = []
+    compiled = kinematics._forward_kinematics
+    monkeypatch.setattr(
+        kinematics, "_forward_kinematics", lambda pose, *rest: (posed.append(len(pose)), compiled(pose, *rest))[1]
+    )
+    # The network's groom is prepared at the rest pose, once, and not here.
+    in_torch = BodyModel._forward_kinematics
+    at_rest: list[bool] = []
+
+    def torch_kinematics(body: BodyModel, pose: Tensor, joints: Tensor) -> tuple[Tensor, Tensor]:
+        at_rest.append(bool((pose == 0).all()))
+        return in_torch(body, pose, joints)
+
+    monkeypatch.setattr(BodyModel, "_forward_kinematics", torch_kinematics)
+    outs = [str(tmp_path / name) for name in ("hair.npz", "hair.usda")]
+    frames = FRAMES_AT_ONCE + 3
+    main(["drape", "crew_cut", "--frames", f"0:{frames}", "--out", outs[0], "--out", outs[1], "--json"])
+    assert posed == [FRAMES_AT_ONCE, 3]
+    assert all(at_rest)
+
+
+def test_settings_are_kept_with_the_weights(tmp_path: Path, scene: Scene) -> None:
+    shape = InitialShapeConfig(layer_thickness=0.01, cluster_size=4, propagated_share=0.5)
+    config = replace(CONFIG, initial_shape=shape, projection=ProjectionConfig(clearance_share=0.25, max_push=2.0))
+    network = DirectionNetwork(config).eval()
+    save_network(tmp_path / "n.safetensors", network, MATERIAL, {})
+    loaded, *_ = load_network(tmp_path / "n.safetensors")
+    assert loaded.config == config
+    default = DirectionNetwork(CONFIG).eval()
+    hair, other = (NeuralDraper(one, MATERIAL).drape(scene) for one in (loaded, default))
+    assert (hair - other).norm(dim=-1).max() > 1e-3
+
+
+def test_files_without_settings_have_those_of_before() -> None:
+    config = from_file_values({"output": "directions", "views": False, "slides": False})
+    assert config == NetworkConfig(skin_features=False, contact=False)
+    assert "views=False, slides=False" in repr(config)
+    with pytest.raises(ValueError, match="unknown"):
+        from_file_values({"views": True, "sights": 3})
+
+
+def test_the_model_runs_on_the_backend_of_its_weights(scene: Scene) -> None:
+    model = load_model()
+    torch_draper = NeuralDraper(model.draper.network, model.draper.material, backend=Backend.TORCH)
+    other = Quaffure(model.body, torch_draper, {})
+    pose = scene.bodies.body_pose.clone().requires_grad_()
+    hair = other.draper.deform(Scene(scene.groom, BodyBatch(model.body, pose, scene.bodies.body_shape)))
+    (gradient,) = torch.autograd.grad(hair.square().sum(), pose)
+    assert gradient.isfinite().all()
+    assert gradient.abs().max() > 0

@@ -1,0 +1,79 @@
+"""Packages export their public names lazily: for checkers and at run time the same names, from the same modules."""
+
+import ast
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from quaffure._lazy import lazy_exports
+
+SOURCE = Path(__file__).parents[1] / "src"
+PACKAGES = sorted(
+    ".".join(file.parent.relative_to(SOURCE).parts)
+    for file in SOURCE.rglob("__init__.py")
+    if "lazy_exports" in file.read_text(encoding="utf-8")
+)
+
+
+def folder(package: str) -> Path:
+    return SOURCE.joinpath(*package.split("."))
+
+
+def names_for_checkers(package: str) -> dict[str, str]:
+    """Module of each name that `package` imports under TYPE_CHECKING."""
+    tree = ast.parse((folder(package) / "__init__.py").read_text(encoding="utf-8"))
+    (branch,) = (node for node in tree.body if isinstance(node, ast.If))
+    return {
+        alias.name: str(statement.module)
+        for statement in branch.body
+        if isinstance(statement, ast.ImportFrom)
+        for alias in statement.names
+    }
+
+
+def names_at_run_time(package: str) -> dict[str, str]:
+    """Module of each name that `package` passes to `lazy_exports`."""
+    tree = ast.parse((folder(package) / "__init__.py").read_text(encoding="utf-8"))
+    (call,) = (node for node in ast.walk(tree) if isinstance(node, ast.Call) and "lazy_exports" in ast.unparse(node))
+    table = ast.literal_eval(call.args[1])
+    return {name: f"{package}.{module}" for module, names in table.items() for name in names}
+
+
+def test_packages_export_names() -> None:
+    assert {"quaffure", "quaffure.hair", "quaffure.body", "quaffure.procedural"} <= set(PACKAGES)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_type_checkers_read_the_names_of_run_time(package: str) -> None:
+    assert names_for_checkers(package) == names_at_run_time(package)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_exported_name_exists(package: str) -> None:
+    exporting = import_module(package)
+    assert set(exporting.__all__) - {"__version__"} == set(names_at_run_time(package))
+    for name, module in names_at_run_time(package).items():
+        assert getattr(exporting, name) is getattr(import_module(module), name), name
+        assert name in dir(exporting)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_exported_name_is_that_of_a_module(package: str) -> None:
+    # `from quaffure.x import y` would give the function before, and the module after, y.py has been imported.
+    modules = {path.stem for path in folder(package).iterdir()}
+    assert not modules & set(names_at_run_time(package))
+
+
+def test_an_unknown_name_is_refused_by_name() -> None:
+    _, get_attribute, _ = lazy_exports("quaffure.hair", {"groom": ["Groom"]})
+    with pytest.raises(AttributeError, match=r"module 'quaffure\.hair' has no attribute 'Wig'"):
+        get_attribute("Wig")
+
+
+def test_packages_load_without_their_modules() -> None:
+    statement = "\n".join([f"import {package}" for package in PACKAGES] + ["import sys", "print(*sys.modules)"])
+    run = subprocess.run([sys.executable, "-c", statement], capture_output=True, text=True, check=True)
+    assert not {"torch", "numpy", "numba", "pxr", "moderngl", "viser"} & set(run.stdout.split())

@@ -21,13 +21,12 @@ from dataclasses import dataclass, fields, replace
 
 import torch
 
+from quaffure.config import HairMaterial
+from quaffure.errors import InputError
 from quaffure.geometry.polyline import directors
 from quaffure.types import EdgeVectors, Energy, Float, Positions, RestLengths, Tensor
 
-BENDING_STIFFNESS = 8e-9
-"""EI of a human hair [N m^2]."""
-TWISTING_STIFFNESS = BENDING_STIFFNESS / 1.35
-"""GJ of the same hair, a round rod of Poisson's ratio 0.35 [N m^2]."""
+BENDING_STIFFNESS, TWISTING_STIFFNESS = HairMaterial.bending_stiffness, HairMaterial.twisting_stiffness
 SHORTEST_JOINT = 2e-4
 """Least length over which a joint bends [m]: edges of no length must not be infinitely stiff."""
 LEAST_ALIGNMENT = 1e-5
@@ -131,6 +130,9 @@ def stress_free_rest(
         strands: vertices of the rest groom [m].
         stiffness_scale: of every edge; 1 without.
         bend, twist: EI and GJ [N m^2].
+
+    Raises:
+        InputError: a strand folds back.
     """
     direction = directors(strands)
     joint = joint_lengths(strands.diff(dim=1).norm(dim=-1))
@@ -149,8 +151,17 @@ def stress_free_rest(
 
 
 def previous_frames(direction: Float[Tensor, "s e 3"]) -> tuple[Float[Tensor, "s e 3"], Float[Tensor, "s e 3"]]:
-    """Tangent and normal of the frame before each edge of rest strands; at the root the tangent is the first edge's."""
+    """Tangent and normal of the frame before each edge of rest strands; at the root the tangent is the first edge's.
+
+    Raises:
+        InputError: two edges fold back by more than 179.6 degrees, so that no frame can be transported across them.
+    """
     before = torch.cat([direction[:, :1], direction[:, :-1]], dim=1)
+    folded = (1 + (before * direction).sum(-1) < LEAST_ALIGNMENT).nonzero()
+    if len(folded):
+        strand, vertex = folded[0].tolist()
+        found = f"{len(folded)} sharper folds, the first in strand {strand} at vertex {vertex}"
+        raise InputError("groom for the rod", "bends of less than 179.6 degrees at every vertex", found)
     root_normal = any_normal(direction[:, 0])
     normals = transported_normals(direction[:, 0], root_normal, direction)
     return before, torch.cat([root_normal[:, None], normals[:, :-1]], dim=1)

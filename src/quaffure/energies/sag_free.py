@@ -24,8 +24,6 @@ from quaffure.body.body_model import BodyModel
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.rest_state import rest_state
 from quaffure.energies.rod import (
-    BENDING_STIFFNESS,
-    TWISTING_STIFFNESS,
     RodRest,
     in_frames,
     joint_lengths,
@@ -63,12 +61,14 @@ class SagFreeRest:
         collision_margin: distance D of Eq. 10 at which the body pushes each vertex with its support [m].
         support: s, force of the body on each vertex of the design [N].
         normal: direction of that force, unit.
+        unstable: strands that are no minimum yet, though as stiff as `stability.MOST_TRIALS` allow.
     """
 
     rod: RodRest
     collision_margin: Float[Tensor, "s n"]
     support: Float[Tensor, "s n"]
     normal: Float[Tensor, "s n 3"]
+    unstable: Bool[Tensor, " s"]
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,7 @@ class SagFreeReport:
         above_10_percent: edges with `stiffness_scale` above 10.
         supported_percent: vertices that the body supports.
         largest_residual: of the force on any vertex, in weights of that vertex.
+        unstable_strands: that would still fall from the design at a push.
     """
 
     stiffened_percent: float
@@ -88,6 +89,7 @@ class SagFreeReport:
     above_10_percent: float
     supported_percent: float
     largest_residual: float
+    unstable_strands: int
 
 
 def sag_free_rest(
@@ -104,6 +106,9 @@ def sag_free_rest(
         material: weight and contact of the strands.
         held: edges that a tie or a clip holds to the direction of the design.
         surface: of the body at rest, when at hand (`rest_surface`).
+
+    Raises:
+        InputError: a strand folds back (`previous_frames`).
     """
     material = material or HairMaterial()
     state = rest_state(groom.rest_strands.double().cpu(), material)
@@ -112,7 +117,9 @@ def sag_free_rest(
     held = torch.zeros_like(joint, dtype=torch.bool) if held is None else held.cpu()
     distance, normal = distances_and_normals(strands, surface or rest_surface(body))
     weight = STANDARD_GRAVITY * state.mass
-    forces = StrandForces.of(strands, weight, normal, held, BENDING_STIFFNESS / joint, TWISTING_STIFFNESS / joint)
+    forces = StrandForces.of(
+        strands, weight, normal, held, material.bending_stiffness / joint, material.twisting_stiffness / joint
+    )
     available = (1 - (distance - SUPPORT_DISTANCE).clamp(min=0) / SUPPORT_FADE).clamp(0, 1)
     available[:, 0] = 0
     available[:, 1:][held] = 0
@@ -123,12 +130,14 @@ def sag_free_rest(
     moments = transmitted_moments(forces, support)
     scale = _scale_for_preload(forces, moments)
     contact = 2 * (3 * material.k_body_collision * support).sqrt()
-    scale = scale * _factors_for_stability(direction, forces, moments, scale, support, contact)
+    factors, unstable = _factors_for_stability(direction, forces, moments, scale, support, contact)
+    scale = scale * factors
     return SagFreeRest(
         rod=_preloaded(direction, forces, moments, scale),
         collision_margin=torch.where(support > 0, pressed, margin),
         support=support,
         normal=normal,
+        unstable=unstable,
     )
 
 
@@ -146,8 +155,8 @@ def _factors_for_stability(
     scale: Float[Tensor, "s e"],
     support: Float[Tensor, "s n"],
     contact_stiffness: Float[Tensor, "s n"],
-) -> Float[Tensor, "s e"]:
-    """How many times stiffer each edge has to be for the design to be a minimum."""
+) -> tuple[Float[Tensor, "s e"], Bool[Tensor, " s"]]:
+    """How many times stiffer each edge has to be for the design to be a minimum, and strands that are none yet."""
     bending, twisting, goal = moments
     stiff = replace(
         forces,
@@ -157,9 +166,11 @@ def _factors_for_stability(
     weight = _goal_weights(forces.held, goal, stiff.bending_stiffness)
     pull = weight[..., None] * _leaned(direction, goal / weight.clamp(min=1e-30)[..., None])
     arrays = (support, contact_stiffness, bending, twisting, pull)
-    factors = torch.ones_like(scale)
-    stable_factors(Design(*stiff.arrays(), *(array.contiguous().numpy() for array in arrays)), factors.numpy())
-    return factors
+    factors, unstable = torch.ones_like(scale), torch.zeros(len(scale), dtype=torch.bool)
+    stable_factors(
+        Design(*stiff.arrays(), *(array.contiguous().numpy() for array in arrays)), factors.numpy(), unstable.numpy()
+    )
+    return factors, unstable
 
 
 def _goal_weights(
@@ -225,4 +236,5 @@ def sag_free_report(groom: Groom, rest: SagFreeRest, material: HairMaterial | No
         above_10_percent=100 * int((scale > 10).sum()) / max(len(scale), 1),
         supported_percent=100 * float((rest.support[:, 1:] > 0).double().mean()),
         largest_residual=float(residual(groom, rest, material).max()),
+        unstable_strands=int(rest.unstable.sum()),
     )

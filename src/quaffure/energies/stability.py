@@ -195,14 +195,18 @@ def _eliminate(hessian: np.ndarray, edge: int) -> None:
 
 
 @njit(cache=True, parallel=True)
-def stable_factors(design: Design, factors: np.ndarray) -> None:
-    """How many times stiffer than in `design` each joint has to be, written to `factors`; 1 where it is not."""
+def stable_factors(design: Design, factors: np.ndarray, unstable: np.ndarray) -> None:
+    """How many times stiffer than in `design` each joint has to be, written to `factors`; 1 where it is not.
+
+    `unstable` becomes true for strands that are not stable after `MOST_TRIALS`.
+    """
     for strand in prange(len(factors)):
-        _stable_factors(design, strand, factors[strand])
+        unstable[strand] = not _find_factors(design, strand, factors[strand])
 
 
 @njit(cache=True)
-def _stable_factors(design: Design, strand: int, factors: np.ndarray) -> None:
+def _find_factors(design: Design, strand: int, factors: np.ndarray) -> bool:
+    """Fills the factors of one strand; whether it is stable with them."""
     edges, directions = len(factors), design.direction[strand]
     loads, hessian, normals = np.empty((3 * edges, 3 * edges)), np.empty((3 * edges, 3 * edges)), np.empty((edges, 3))
     _fill_normals(directions, normals)
@@ -213,9 +217,11 @@ def _stable_factors(design: Design, strand: int, factors: np.ndarray) -> None:
         hessian[:] = loads
         unstable = _first_unstable(design, strand, normals, factors, hessian)
         if unstable < 0:
-            break
+            return True
         for edge in range(unstable, edges):
             factors[edge] *= 1 + GROWTH * beyond[edge] / beyond[unstable]
+    hessian[:] = loads
+    return _first_unstable(design, strand, normals, factors, hessian) < 0
 
 
 @njit(cache=True)

@@ -23,6 +23,7 @@ from quaffure.energies.rod import (
 from quaffure.geometry.cell_list import check_finite, interleaved
 from quaffure.types import Energy, Float, Positions, Tensor
 
+Vector = tuple[float, float, float]
 _RUN = 16  # strands that one thread takes in turn
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _LEAST_ALIGNMENT = np.float32(LEAST_ALIGNMENT)
@@ -79,7 +80,7 @@ def fused_rod(positions: Positions, rest: RodArrays, rotation: RootRotations) ->
     check_finite(positions)
     if rotation.requires_grad:
         raise ValueError("expected rotations without gradient: `energy_rod` differentiates those")
-    return _FusedRod.apply(positions, rest, rotation)
+    return _FusedRod.apply(positions, rest, rotation)  # type: ignore[no-untyped-call]
 
 
 def rod_energies_and_gradient(
@@ -150,17 +151,17 @@ def rod_of_strand(
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def dot(a: tuple, b: tuple) -> float:
+def dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def cross(a: tuple, b: tuple) -> tuple:
+def cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def rotate(rotation: np.ndarray, v: np.ndarray) -> tuple:
+def rotate(rotation: np.ndarray, v: np.ndarray) -> Vector:
     """The matrix times the vector."""
     return (
         rotation[0, 0] * v[0] + rotation[0, 1] * v[1] + rotation[0, 2] * v[2],
@@ -170,14 +171,14 @@ def rotate(rotation: np.ndarray, v: np.ndarray) -> tuple:
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def transported(a: tuple, start: tuple, end: tuple) -> tuple:
+def transported(a: Vector, start: Vector, end: Vector) -> Vector:
     """A vector `a` across the unit vector `start`, rotated by the smallest rotation from `start` to the unit `end`."""
     w = dot(a, end) / max(_ONE + dot(start, end), _LEAST_ALIGNMENT)
     return a[0] - w * (start[0] + end[0]), a[1] - w * (start[1] + end[1]), a[2] - w * (start[2] + end[2])
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def transported_adjoint(a: tuple, start: tuple, end: tuple, upstream: tuple) -> tuple:
+def transported_adjoint(a: Vector, start: Vector, end: Vector, upstream: Vector) -> tuple[Vector, Vector, Vector]:
     """Gradients of upstream . transported(a, start, end) by a, start and end."""
     alignment = _ONE + dot(start, end)
     inverse = _ONE / max(alignment, _LEAST_ALIGNMENT)
@@ -200,12 +201,12 @@ def transported_adjoint(a: tuple, start: tuple, end: tuple, upstream: tuple) -> 
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def _store(array: np.ndarray, row: int, v: tuple) -> None:
+def _store(array: np.ndarray, row: int, v: Vector) -> None:
     array[row, 0], array[row, 1], array[row, 2] = v[0], v[1], v[2]
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def _load(array: np.ndarray, row: int) -> tuple:
+def _load(array: np.ndarray, row: int) -> Vector:
     return array[row, 0], array[row, 1], array[row, 2]
 
 
@@ -243,7 +244,9 @@ def solve_twist(rest: RodArrays, strand: int, work: RodWorkspace) -> None:
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def _joint_derivatives(rest: RodArrays, strand: int, work: RodWorkspace, joint: int) -> tuple:
+def _joint_derivatives(
+    rest: RodArrays, strand: int, work: RodWorkspace, joint: int
+) -> tuple[float, float, float, float]:
     """Of the energy of a joint, by the mean of its two twist angles: half the slope, a quarter of the curvature; and
     its twist moment and twisting stiffness."""
     angle, beyond = work.twist[joint], work.twist[joint + 1]
@@ -286,7 +289,15 @@ def _twist_step(rest: RodArrays, strand: int, work: RodWorkspace) -> np.floating
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def bend_joint(t: tuple, a: tuple, u: tuple, r: tuple, cosine: float, sine: float, stiffness: float) -> tuple:
+def bend_joint(
+    t: Vector,
+    a: Vector,
+    u: Vector,
+    r: Vector,
+    cosine: float,
+    sine: float,
+    stiffness: float,
+) -> tuple[float, Vector, Vector, Vector]:
     """Bending energy before an edge of direction u and its gradients by the frame's tangent t and normal a, and by u.
 
     B / 2 |u - M r|^2 with M r = r_0 t + (r_1 cos - r_2 sin) a + (r_1 sin + r_2 cos) t x a.
@@ -336,7 +347,7 @@ def _energy_and_adjoint(
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def _add_to_vertices(gradient: np.ndarray, edge: int, u: tuple, by_u: tuple, inverse_length: float) -> None:
+def _add_to_vertices(gradient: np.ndarray, edge: int, u: Vector, by_u: Vector, inverse_length: float) -> None:
     """Gradient by an edge's direction as one by its two ends: only its part across the edge counts."""
     along = dot(u, by_u)
     for axis in range(3):

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit, prange
 
 from quaffure.energies.rod import LEAST_ALIGNMENT
-from quaffure.energies.rod_kernels import cross, dot, transported
+from quaffure.energies.rod_kernels import Vector, cross, dot, transported
 from quaffure.energies.support import _row
 
 STEP = 1e-5
@@ -55,7 +55,7 @@ class Design(NamedTuple):
 
 
 @njit(cache=True, inline="always")
-def _rotated(v: tuple, axis: int, angle: float) -> tuple:
+def _rotated(v: Vector, axis: int, angle: float) -> Vector:
     """A vector rotated about a coordinate axis."""
     c, s = np.cos(angle), np.sin(angle)
     if axis == 0:
@@ -67,8 +67,13 @@ def _rotated(v: tuple, axis: int, angle: float) -> tuple:
 
 @njit(cache=True)
 def _joint_moment(
-    before: tuple, normal: tuple, edge: tuple, edge_normal: tuple, rest: tuple, stiffness: tuple
-) -> tuple:
+    before: Vector,
+    normal: Vector,
+    edge: Vector,
+    edge_normal: Vector,
+    rest: tuple[float, ...],
+    stiffness: tuple,
+) -> Vector:
     """Moment M that a joint transmits between the material frames of two edges [N m].
 
     Args:
@@ -99,7 +104,9 @@ def _joint_moment(
 
 
 @njit(cache=True)
-def _rest_at(design: Design, strand: int, edge: int, normal: tuple, factor: float) -> tuple:
+def _rest_at(
+    design: Design, strand: int, edge: int, normal: Vector, factor: float
+) -> tuple[tuple[float, ...], tuple[float, float]]:
     """Rest direction and twist of a joint `factor` times as stiff that transmits the design's moments, and B and C."""
     bending = factor * design.bending_stiffness[strand, edge]
     twisting = factor * design.twisting_stiffness[strand, edge]
@@ -114,7 +121,7 @@ def _rest_at(design: Design, strand: int, edge: int, normal: tuple, factor: floa
 
 
 @njit(cache=True)
-def _fill_joint(design: Design, strand: int, edge: int, normal: tuple, factor: float, derivative: np.ndarray) -> None:
+def _fill_joint(design: Design, strand: int, edge: int, normal: Vector, factor: float, derivative: np.ndarray) -> None:
     """K of a joint: derivative of its moment by the rotation of the edge beyond, by central differences."""
     direction = _row(design.direction[strand], edge)
     before = _row(design.direction[strand], max(edge - 1, 0))

@@ -16,7 +16,7 @@ import torch
 from numba import njit, prange
 
 from quaffure.energies.rod import LEAST_ALIGNMENT
-from quaffure.energies.rod_kernels import cross, dot
+from quaffure.energies.rod_kernels import Vector, cross, dot
 from quaffure.geometry.polyline import directors
 from quaffure.types import Bool, Float, Tensor
 
@@ -107,12 +107,12 @@ def transmitted_moments(
 
 
 @njit(cache=True, inline="always")
-def _row(array: np.ndarray, index: int) -> tuple:
+def _row(array: np.ndarray, index: int) -> Vector:
     return array[index, 0], array[index, 1], array[index, 2]
 
 
 @njit(cache=True, inline="always")
-def split_moment(moment: tuple, before: tuple, direction: tuple) -> tuple:
+def split_moment(moment: Vector, before: Vector, direction: Vector) -> Vector:
     """Bending and twist moment m and T of a joint between edges of directions `before` and `direction`."""
     share = dot(moment, direction) / max(1 + dot(before, direction), LEAST_ALIGNMENT)
     bending = (
@@ -136,7 +136,7 @@ def _supports(forces: _Forces, available: np.ndarray, support: np.ndarray) -> No
 
 
 @njit(cache=True, inline="always")
-def _write_row(row: np.ndarray, moment: tuple, forces: _Forces, strand: int, edge: int) -> None:
+def _write_row(row: np.ndarray, moment: Vector, forces: _Forces, strand: int, edge: int) -> None:
     """A moment's bending and twist over the roots of the stiffnesses: the square of the row is its elastic energy."""
     direction = _row(forces.direction[strand], edge)
     bending, twist = split_moment(moment, _row(forces.direction[strand], max(edge - 1, 0)), direction)

@@ -5,7 +5,7 @@ energy is expanded in the twist angles; Newton's method finds these; tip to root
 adjoint of the transport is propagated. The same source serves float32 and float64.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ from quaffure.energies.rod import (
 from quaffure.geometry.cell_list import check_finite, interleaved
 from quaffure.types import Energy, Float, Positions, Tensor
 
-Vector = tuple[float, float, float]
+Vector = tuple[Any, Any, Any]  # of scalars, float32 or float64
 _RUN = 16  # strands that one thread takes in turn
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _LEAST_ALIGNMENT = np.float32(LEAST_ALIGNMENT)
@@ -246,7 +246,7 @@ def solve_twist(rest: RodArrays, strand: int, work: RodWorkspace) -> None:
 @njit(cache=True, fastmath=True, inline="always")
 def _joint_derivatives(
     rest: RodArrays, strand: int, work: RodWorkspace, joint: int
-) -> tuple[float, float, float, float]:
+) -> tuple[Any, Any, Any, Any]:
     """Of the energy of a joint, by the mean of its two twist angles: half the slope, a quarter of the curvature; and
     its twist moment and twisting stiffness."""
     angle, beyond = work.twist[joint], work.twist[joint + 1]
@@ -297,7 +297,7 @@ def bend_joint(
     cosine: float,
     sine: float,
     stiffness: float,
-) -> tuple[float, Vector, Vector, Vector]:
+) -> tuple[Any, Vector, Vector, Vector]:
     """Bending energy before an edge of direction u and its gradients by the frame's tangent t and normal a, and by u.
 
     B / 2 |u - M r|^2 with M r = r_0 t + (r_1 cos - r_2 sin) a + (r_1 sin + r_2 cos) t x a.

@@ -72,7 +72,7 @@ def _joint_moment(
     edge: Vector,
     edge_normal: Vector,
     rest: tuple[float, ...],
-    stiffness: tuple,
+    stiffness: tuple[float, float],
 ) -> Vector:
     """Moment M that a joint transmits between the material frames of two edges [N m].
 

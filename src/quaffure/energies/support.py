@@ -112,7 +112,7 @@ def _row(array: np.ndarray, index: int) -> Vector:
 
 
 @njit(cache=True, inline="always")
-def split_moment(moment: Vector, before: Vector, direction: Vector) -> Vector:
+def split_moment(moment: Vector, before: Vector, direction: Vector) -> tuple[Vector, float]:
     """Bending and twist moment m and T of a joint between edges of directions `before` and `direction`."""
     share = dot(moment, direction) / max(1 + dot(before, direction), LEAST_ALIGNMENT)
     bending = (

@@ -9,8 +9,8 @@ from quaffure.body.pose_features import HEAD
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface, posed_surface
 from quaffure.hair.groom import Groom
-from quaffure.hair.posing import posed_strands
-from quaffure.types import BodyPose, BodyShape, EdgeVectors, Positions
+from quaffure.hair.posing import posed_strands, rigid_rotations, root_rotations
+from quaffure.types import BodyPose, BodyShape, EdgeVectors, Float, Positions, Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +56,18 @@ class PosedScene:
     Attributes:
         posed: x_posed, the groom moved with its scalp triangles [m, world].
         surface: skins of the posed bodies.
+        rotation: of every scalp triangle from rest; fitted to the posed strands where none is given.
     """
 
     groom: Groom
     posed: Positions
     surface: Surface
+    rotation: Float[Tensor, "b s 3 3"] | None = None
+
+    @cached_property
+    def root_rotation(self) -> Float[Tensor, "b s 3 3"]:
+        """Rotation of every strand from rest to its pose (world_from_rest)."""
+        return rigid_rotations(self.groom, self.posed) if self.rotation is None else self.rotation
 
     @cached_property
     def director(self) -> EdgeVectors:
@@ -70,7 +77,8 @@ class PosedScene:
     def sample(self, index: int) -> "PosedScene":
         """One sample as a scene of its own, the same to the bit."""
         one = slice(index, index + 1)
-        return PosedScene(self.groom, self.posed[one], self.surface.samples(one))
+        rotation = None if self.rotation is None else self.rotation[one]
+        return PosedScene(self.groom, self.posed[one], self.surface.samples(one), rotation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +94,11 @@ class Scene:
         return posed_strands(self.groom, self.bodies.posed, self.bodies.body)
 
     @cached_property
+    def root_rotation(self) -> Float[Tensor, "b s 3 3"]:
+        """Rotation of every strand's scalp triangle from rest to its pose (world_from_rest)."""
+        return root_rotations(self.groom, self.bodies.posed, self.bodies.body)
+
+    @cached_property
     def director(self) -> EdgeVectors:
         """Unit director d3 of every edge."""
         return directors(self.posed)
@@ -96,7 +109,7 @@ class Scene:
 
     def sample(self, index: int) -> PosedScene:
         """One sample as a scene of its own, the same to the bit: a part of this one, not posed again."""
-        return PosedScene(self.groom, self.posed, self.surface).sample(index)
+        return PosedScene(self.groom, self.posed, self.surface, self.root_rotation).sample(index)
 
 
 HairScene = Scene | PosedScene

@@ -55,6 +55,10 @@ class EnergyTerm(ABC):
         """A readable error [`metric_unit`] per vertex, edge or pair; None where the term has none."""
         return None
 
+    def adapt_rest(self, rest: RestState) -> RestState:
+        """The rest state for all terms of the sum, where this one needs another: a rest shape with its own margins."""
+        return rest
+
     def prepare(self, rest: RestState, scene: HairScene) -> Any:
         """What `energy` needs and can be computed once for a scene; it finds it in `HairState.prepared`."""
         return None

@@ -17,6 +17,7 @@ from quaffure.energies.fused_strand import TERMS, strand_energy
 from quaffure.energies.gravity import Gravity
 from quaffure.energies.hair_terms import hair_terms
 from quaffure.energies.rest_state import RestState, rest_state
+from quaffure.energies.rod_term import Rod
 from quaffure.energies.self_collision import SelfCollision
 from quaffure.energies.stretch import Stretch
 from quaffure.energies.stretch_shear import StretchShear
@@ -59,7 +60,10 @@ class HairEnergy:
         self.material = material or HairMaterial()
         self.rest: RestState = rest_state(groom.rest_strands, self.material)
         self.backend = backend or choose_backend(groom.rest_strands)
-        self._use(hair_terms() if terms is None else tuple(terms))
+        terms = hair_terms() if terms is None else tuple(terms)
+        for term in terms:
+            self.rest = term.adapt_rest(self.rest)
+        self._use(terms)
 
     def only(self, *names: str) -> "HairEnergy":
         """The same energy with the terms of these names alone."""
@@ -77,6 +81,8 @@ class HairEnergy:
         if self._on_density:
             energies.append(fused_self_collision(positions, self.rest, self.material))
         hair = self._state(positions, scene, variables)
+        if self._on_rod:
+            energies.append(hair.prepared[Rod.name].fused_energy(positions))
         energies += [term.energy(hair, scene) for term in self._in_torch]
         return torch.stack(energies).sum(dim=0) if energies else positions.new_zeros(len(positions))
 
@@ -89,6 +95,8 @@ class HairEnergy:
         if self._on_density:
             found[SelfCollision.name] = fused_self_collision(positions, self.rest, self.material)
         hair = self._state(positions, scene, variables)
+        if self._on_rod:
+            found[Rod.name] = hair.prepared[Rod.name].fused_energy(positions)
         found |= {term.name: term.energy(hair, scene) for term in self._in_torch}
         return {term.name: found[term.name] for term in self.terms}
 
@@ -130,7 +138,9 @@ class HairEnergy:
         # The strand kernel leaves a term out whose stiffness is 0; weight has no stiffness.
         self._on_strands = kinds & {StretchShear, Stretch, Gravity, BodyCollision} if Gravity in kinds else set()
         self._on_density = kinds & {SelfCollision}
-        self._in_torch = [term for term in terms if type(term) not in self._on_strands | self._on_density]
+        self._on_rod = kinds & {Rod}
+        fused = self._on_strands | self._on_density | self._on_rod
+        self._in_torch = [term for term in terms if type(term) not in fused]
         stiffness = {"k_cosserat": StretchShear, "k_stretch": Stretch, "k_body_collision": BodyCollision}
         absent = {name: 0.0 for name, kind in stiffness.items() if kind not in self._on_strands}
         self._strand_material = replace(self.material, **absent)
@@ -142,5 +152,5 @@ class HairEnergy:
 
     def _state(self, positions: Positions, scene: HairScene, variables: Variables | None) -> HairState:
         if scene not in self._prepared:
-            self._prepared[scene] = {term.name: term.prepare(self.rest, scene) for term in self._in_torch}
+            self._prepared[scene] = {term.name: term.prepare(self.rest, scene) for term in self.terms}
         return HairState(positions, self.rest, self.material, variables or {}, self._prepared[scene])

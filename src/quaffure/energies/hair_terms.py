@@ -5,28 +5,40 @@ from quaffure.energies.cosserat import Cosserat
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.gravity import Gravity
 from quaffure.energies.mass_spring import MassSpring
+from quaffure.energies.rod_term import Rod
+from quaffure.energies.sag_free import SagFreeRest
 from quaffure.energies.self_collision import SelfCollision
 from quaffure.energies.stretch import Stretch
 from quaffure.energies.stretch_shear import StretchShear
 from quaffure.errors import InputError
 
 MODIFIED_COSSERAT = "modified_cosserat"
-"""Eqs. 6-8, the default; the others serve validation and the ablation of Fig. 10."""
+"""Eqs. 6-8, the default; `cosserat` and `mass_spring` serve validation and the ablation of Fig. 10."""
+ROD = "rod"
+"""A Kirchhoff rod and Eq. 7, not in the paper; with a sag-free rest shape, hair at rest is as it was designed."""
 
 ELASTIC_MODELS: dict[str, Terms] = {
     MODIFIED_COSSERAT: (StretchShear(), Stretch()),
     "cosserat": (Cosserat(),),
     "mass_spring": (MassSpring(),),
+    ROD: (Rod(), Stretch()),
 }
 """What resists gravity and contact in a strand, with default stiffness."""
 
 
-def hair_terms(elastic: str = MODIFIED_COSSERAT) -> Terms:
+def hair_terms(elastic: str = MODIFIED_COSSERAT, design: SagFreeRest | None = None) -> Terms:
     """An elastic model and Eqs. 9, 10 and 11.
 
+    Args:
+        elastic: name of the model.
+        design: sag-free rest shape of the one groom that the terms are for; with the rod alone.
+
     Raises:
-        InputError: no elastic model of that name.
+        InputError: no elastic model of that name, or a design with another model than the rod.
     """
     if elastic not in ELASTIC_MODELS:
         raise InputError("elastic model", f"one of {', '.join(ELASTIC_MODELS)}", repr(elastic))
-    return (*ELASTIC_MODELS[elastic], Gravity(), BodyCollision(), SelfCollision())
+    if design is not None and elastic != ROD:
+        raise InputError("sag-free rest shape", f"the elastic model {ROD}", repr(elastic))
+    chosen = ELASTIC_MODELS[elastic] if design is None else (Rod(design), Stretch())
+    return (*chosen, Gravity(), BodyCollision(), SelfCollision())

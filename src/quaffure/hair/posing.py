@@ -28,6 +28,18 @@ def root_rotations(groom: Groom, posed: PosedBody, body: BodyModel) -> Float[Ten
     return triangle_frames(posed.vertices[:, carriers]) @ rest.mT
 
 
+def rigid_rotations(groom: Groom, posed: Positions) -> Float[Tensor, "b s 3 3"]:
+    """Rotation of every strand from rest to a rigidly posed strand, fitted (Kabsch).
+
+    The rotation of a straight strand about itself is not determined.
+    """
+    edges = groom.rest_strands.diff(dim=1).to(posed)
+    u, _, vh = torch.linalg.svd(torch.einsum("bsni,snj->bsij", posed.diff(dim=2), edges))
+    sign = torch.ones_like(u[..., 0])
+    sign[..., 2] = torch.linalg.det(u @ vh).sign()
+    return (u * sign[..., None, :]) @ vh
+
+
 def posed_strands(groom: Groom, posed: PosedBody, body: BodyModel) -> Positions:
     """The groom moved rigidly, strand by strand, with its scalp triangles (x_posed) [m, world].
 

@@ -7,6 +7,7 @@ from quaffure.baselines.posed import PosedDraper
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper, StoppingReport
 from quaffure.energies.hair_terms import MODIFIED_COSSERAT, hair_terms
+from quaffure.energies.sag_free import SagFreeRest
 from quaffure.errors import InputError
 from quaffure.scene import Scene
 from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
@@ -40,17 +41,23 @@ MODIFIED_ONLY: dict[str, Callable[[HairMaterial], Draper]] = {
 SOLVERS = (*DESCENTS, *MODIFIED_ONLY)
 
 
-def solver(name: str, material: HairMaterial | None = None, elastic: str = MODIFIED_COSSERAT) -> Draper:
+def solver(
+    name: str,
+    material: HairMaterial | None = None,
+    elastic: str = MODIFIED_COSSERAT,
+    design: SagFreeRest | None = None,
+) -> Draper:
     """The draper of that name with its default setting.
 
     Args:
         elastic: name of the elastic model (`quaffure.energies.hair_terms`).
+        design: sag-free rest shape of the one groom to drape, with the rod alone.
 
     Raises:
         InputError: no draper or elastic model of that name, or a draper that does not accept that model.
     """
     material = material or HairMaterial()
-    terms = hair_terms(elastic)
+    terms = hair_terms(elastic, design)
     if name in DESCENTS:
         return DESCENTS[name](material, terms=terms)
     if name not in MODIFIED_ONLY:

@@ -3,7 +3,7 @@
 from collections.abc import Sized
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -15,7 +15,8 @@ from quaffure.benchmark.metrics import DrapeMetrics, PerFrame
 from quaffure.body.body_model import load_body
 from quaffure.drape_motion import FRAMES_AT_ONCE, drape_motion
 from quaffure.draper import Draper
-from quaffure.energies.hair_terms import ELASTIC_MODELS, MODIFIED_COSSERAT
+from quaffure.energies.hair_terms import ELASTIC_MODELS, MODIFIED_COSSERAT, ROD
+from quaffure.energies.sag_free import sag_free_rest
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import interpolation_of
@@ -53,6 +54,9 @@ class DrapeCommand:
     """Steps of Adam from the output of the network; 0 is the network alone."""
     elastic: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = MODIFIED_COSSERAT
     """The elastic model, for adam and lbfgs in all their forms. Metrics are those of the default one."""
+    rest: Literal["design", "stress-free"] | None = None
+    """With --elastic rod: the rest shape that keeps hair as designed on the mean body (design, the default), or the
+    groom itself, from which gravity bends it."""
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones; those of `quaffure train-groomgen` for groomgen."""
     reference: Path | None = None
@@ -75,6 +79,11 @@ class DrapeCommand:
         draper = self._draper()
         console.print(f"reading the groom {self.groom}")
         groom = load_groom(self.groom, body, self.head)
+        if self.elastic == ROD and self.rest != "stress-free":
+            design = sag_free_rest(groom, body, draper.material)
+            if bool(design.unstable.any()):
+                console.print(f"{int(design.unstable.sum())} strands will not keep the design")
+            draper = solver(self.draper, draper.material, self.elastic, design)
         interpolation = None if self.strands is None else interpolation_of(groom, body, self.strands)
         shape = (len(motion), *groom.rest_strands.shape)
         if reference is not None and reference.strands.shape != shape:
@@ -92,6 +101,8 @@ class DrapeCommand:
             sequence = drape_motion(draper, groom, body, motion, body_shape, on_frames)
         if self.draper in SOLVERS:  # `--elastic` does not choose the model that a network was trained with
             sequence.meta["elastic"] = self.elastic
+        if self.elastic == ROD:
+            sequence.meta["rest"] = self.rest or "design"
         for path in self.out:
             console.print(f"writing {path}")
             write_output(path, sequence, interpolation)
@@ -110,6 +121,8 @@ class DrapeCommand:
             raise InputError("--refine", f"the draper {NEURAL}", f"'{self.draper}'")
         if self.refine < 0:
             raise InputError("--refine", "0 or more", f"{self.refine}")
+        if self.rest is not None and self.elastic != ROD:
+            raise InputError("--rest", f"--elastic {ROD}", f"'{self.elastic}'")
         if self.draper in SOLVERS:
             return solver(self.draper, load_model(self.weights).draper.material, self.elastic)
         if self.elastic != MODIFIED_COSSERAT:

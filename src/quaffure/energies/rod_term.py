@@ -1,0 +1,89 @@
+"""The elastic model `rod` as a term of `HairEnergy`: a Kirchhoff rod at the equilibrium of its twist."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+
+from quaffure.energies.energy_term import EnergyTerm, HairState
+from quaffure.energies.rest_state import RestState
+from quaffure.energies.rod import (
+    RodRest,
+    RootRotations,
+    energy_rod,
+    equilibrium_twist,
+    rest_targets,
+    stress_free_rest,
+)
+from quaffure.energies.rod_kernels import RodArrays, fused_rod, rod_arrays
+from quaffure.energies.sag_free import SagFreeRest
+from quaffure.errors import InputError
+from quaffure.geometry.polyline import directors
+from quaffure.scene import HairScene
+from quaffure.types import Energy, Float, Positions, Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class PosedRod:
+    """The rods of a groom on posed bodies."""
+
+    rest: RodRest
+    rotation: RootRotations
+
+    @cached_property
+    def _arrays(self) -> RodArrays:
+        return rod_arrays(self.rest, self.rest.rest_twist.dtype)
+
+    def fused_energy(self, positions: Positions) -> Energy:
+        """The rods' energy [J] by the compiled kernel, differentiable in the positions [m] alone."""
+        return fused_rod(positions, self._arrays, self.rotation.detach())
+
+
+@dataclass(frozen=True)
+class Rod(EnergyTerm):
+    """Bending and twisting of a Kirchhoff rod (`quaffure.energies.rod`), to be used with Eq. 7.
+
+    Attributes:
+        design: rest shape of one groom that keeps it as designed (`sag_free_rest`), with the collision margins that
+            belong to it; without it, every groom is free of stress as it is, and gravity bends it from there.
+    """
+
+    name = "elastic"
+    equation = "Bergou et al. 2008"
+    metric_unit = "deg"
+    design: SagFreeRest | None = None
+
+    def adapt_rest(self, rest: RestState) -> RestState:
+        """With the collision margins of the design.
+
+        Raises:
+            InputError: the design is that of another groom.
+        """
+        if self.design is None:
+            return rest
+        margin = self.design.collision_margin
+        if margin.shape != rest.collision_margin.shape:
+            expected, found = (tuple(values.shape) for values in (margin, rest.collision_margin))
+            raise InputError("sag-free rest shape", f"the groom that it was made for, {expected}", f"{found}")
+        return replace(rest, collision_margin=margin.to(rest.collision_margin))
+
+    def prepare(self, rest: RestState, scene: HairScene) -> PosedRod:
+        if self.design is None:
+            material = rest.material
+            stiffness = material.bending_stiffness, material.twisting_stiffness
+            rod = stress_free_rest(rest.rest_strands.double(), None, *stiffness)
+        else:
+            rod = self.design.rod
+        return PosedRod(rod.to(scene.posed.dtype).to(scene.posed.device), scene.root_rotation.to(scene.posed))
+
+    def energy(self, hair: HairState, scene: HairScene) -> Energy:
+        rod: PosedRod = hair.prepared[self.name]
+        return energy_rod(hair.positions, rod.rest, rod.rotation)
+
+    def metric(self, hair: HairState, scene: HairScene) -> Float[Tensor, "b s e"]:
+        """Angle by which each joint is bent from its rest shape."""
+        rod: PosedRod = hair.prepared[self.name]
+        direction = directors(hair.positions)
+        twist = equilibrium_twist(direction, rod.rest, rod.rotation)
+        chord = (direction - rest_targets(direction, twist, rod.rest, rod.rotation)).norm(dim=-1)
+        return torch.rad2deg(2 * torch.asin((chord / 2).clamp(max=1)))

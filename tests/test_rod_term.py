@@ -1,0 +1,89 @@
+"""The elastic model `rod` in solvers: hair at rest keeps its design, and hangs on a body that bows."""
+
+import pytest
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.clips import bundled_clip
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies.rod import stress_free_rest
+from quaffure.energies.sag_free import sag_free_rest
+from quaffure.errors import InputError
+from quaffure.geometry.surface import Surface
+from quaffure.hair.groom import Groom
+from quaffure.procedural.generator import make_groom
+from quaffure.scene import BodyBatch, PosedScene, Scene
+from quaffure.solvers.lbfgs import LbfgsDraper
+from quaffure.types import Float, Tensor
+
+
+def _few(body: BodyModel, surface: Surface, count: int) -> Groom:
+    groom = make_groom("long_straight", body, surface=surface)
+    return groom.select(torch.arange(0, len(groom), len(groom) // count))
+
+
+def _upright(groom: Groom, body: BodyModel) -> Scene:
+    return Scene(groom, BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
+
+
+def _from_vertical(positions: Tensor) -> Float[Tensor, "b s e"]:
+    """Angle of every edge to straight down [deg]."""
+    direction = torch.nn.functional.normalize(positions.diff(dim=2), dim=-1)
+    return torch.rad2deg(torch.acos((-direction[..., 2]).clamp(-1, 1)))
+
+
+@pytest.mark.slow
+def test_hair_settles_where_it_was_designed(body: BodyModel, surface: Surface) -> None:
+    groom = _few(body, surface, 200)
+    scene = _upright(groom, body)
+    draped = LbfgsDraper(terms=hair_terms("rod", sag_free_rest(groom, body, surface=surface))).drape(scene)
+    distance = (draped - scene.posed).norm(dim=-1)
+    assert float(distance.mean()) < 1e-3
+    assert float(distance[..., -1].mean()) < 2e-3
+
+
+@pytest.mark.slow
+def test_long_hair_hangs_on_a_body_that_bows(body: BodyModel, surface: Surface) -> None:
+    groom = _few(body, surface, 60)
+    body_pose = bundled_clip("bow", body).body_pose[60:61]
+    scene = Scene(groom, BodyBatch(body, body_pose, torch.zeros(1, 10)))
+    design = sag_free_rest(groom, body, surface=surface)
+    angles = []
+    for terms in (hair_terms("rod", design), hair_terms()):
+        draped = LbfgsDraper(evaluations=150, terms=terms).drape(scene)
+        angles.append(float(_from_vertical(draped)[..., 12:].median()))
+    assert angles[0] < 30
+    assert angles[1] > 50
+
+
+def test_compiled_rod_keeps_the_design_and_its_margins(body: BodyModel, surface: Surface) -> None:
+    groom = _few(body, surface, 30)
+    design = sag_free_rest(groom, body, surface=surface)
+    scene = _upright(groom, body)
+    energy = HairEnergy(groom, terms=hair_terms("rod", design))
+    torch.testing.assert_close(energy.rest.collision_margin, design.collision_margin.float())
+    assert not bool(design.unstable.any())
+    with pytest.raises(InputError, match="groom that it was made for"):
+        HairEnergy(groom.select(torch.arange(5)), terms=hair_terms("rod", design))
+    with pytest.raises(InputError, match="the elastic model rod"):
+        hair_terms("cosserat", design)
+    turned = scene.posed.mean(dim=1, keepdim=True) - scene.posed  # a half turn and a reflection: not rigid
+    assert float(energy.only("elastic").total(turned, scene)) > float(energy.only("elastic").total(scene.posed, scene))
+
+
+def test_rotation_of_posed_strands_is_found_from_their_shape(body: BodyModel, surface: Surface) -> None:
+    groom = _few(body, surface, 30)
+    pose = torch.zeros(1, 81)
+    pose[0, ::3] = 0.1
+    scene = Scene(groom, BodyBatch(body, pose, torch.zeros(1, 10)))
+    fitted = PosedScene(groom, scene.posed, scene.surface)
+    free = HairEnergy(groom, terms=hair_terms("rod")).only("elastic")
+    moved = scene.posed + 0.01 * torch.randn(scene.posed.shape, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(free.total(moved, fitted), free.total(moved, scene), rtol=1e-3, atol=0)
+
+
+def test_strands_that_fold_back_are_refused() -> None:
+    strand = torch.tensor([[[0.0, 0, 0], [0, 0, 0.01], [0, 0, 0.02], [0, 1e-6, 0.01]]], dtype=torch.float64)
+    with pytest.raises(InputError, match=r"179\.6 degrees.*strand 0 at vertex 2"):
+        stress_free_rest(strand)

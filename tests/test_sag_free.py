@@ -1,0 +1,97 @@
+"""Sag-free rest shapes: the design is in balance, and a minimum, of the whole energy."""
+
+import pytest
+import torch
+
+from quaffure.body.body_model import BodyModel
+from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.energies.body_collision import energy_body_collision
+from quaffure.energies.gravity import energy_gravity
+from quaffure.energies.rest_state import RestState, rest_state
+from quaffure.energies.rod import energy_rod, stress_free_rest
+from quaffure.energies.sag_free import SagFreeRest, residual, sag_free_report, sag_free_rest
+from quaffure.geometry.polyline import integrate_directions_reference
+from quaffure.geometry.signed_distance import signed_distance
+from quaffure.geometry.surface import Surface
+from quaffure.hair.groom import Groom
+from quaffure.procedural.generator import make_groom
+from quaffure.types import Energy, Float, Tensor
+
+STYLES = ("long_ringlets", "afro", "bob")
+
+
+def _few(style: str, body: BodyModel, surface: Surface, count: int = 60) -> Groom:
+    groom = make_groom(style, body, surface=surface)
+    return groom.select(torch.arange(0, len(groom), len(groom) // count))
+
+
+def _total(direction: Tensor, groom: Groom, rest: SagFreeRest, surface: Surface) -> Energy:
+    """Rod, weight and contact by exact distances [J] of a groom whose edges point along `direction`."""
+    material = HairMaterial()
+    state: RestState = rest_state(groom.rest_strands.double(), material)
+    strands = state.rest_strands
+    positions = integrate_directions_reference(strands[None, :, 0], direction[None], state.rest_length)
+    rotation = torch.eye(3, dtype=torch.float64).expand(1, len(strands), 3, 3)
+    distance = signed_distance(positions.flatten(1, 2), surface).reshape(positions.shape[:3])
+    contact = energy_body_collision(distance[:, :, 1:], rest.collision_margin[:, 1:], material.k_body_collision)
+    return energy_rod(positions, rest.rod, rotation) + energy_gravity(positions, state.mass) + contact
+
+
+def _directions(groom: Groom) -> Float[Tensor, "s e 3"]:
+    return torch.nn.functional.normalize(groom.rest_strands.double().diff(dim=1), dim=-1)
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_design_is_in_balance(style: str, body: BodyModel, surface: Surface) -> None:
+    """By autograd through the torch energies, which share no code with the kernel that `residual` reads."""
+    groom = _few(style, body, surface)
+    rest = sag_free_rest(groom, body, surface=surface)
+    direction = _directions(groom).requires_grad_()
+    (gradient,) = torch.autograd.grad(_total(direction, groom, rest, surface).sum(), direction)
+    state = rest_state(groom.rest_strands.double(), HairMaterial())
+    weight = STANDARD_GRAVITY * state.mass[:, 1:]
+    assert float((gradient.norm(dim=-1) / (state.rest_length * weight)).max()) < 1e-4
+    assert float(residual(groom, rest).max()) < 1e-6
+    assert float(rest.support.max()) > 2 * float(weight.max())
+    assert float(rest.rod.rest_twist.abs().max()) > 1e-3
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_design_is_a_minimum(style: str, body: BodyModel, surface: Surface) -> None:
+    """No small rotation of random edges lowers the energy of any strand."""
+    groom = _few(style, body, surface, 20)
+    rest = sag_free_rest(groom, body, surface=surface)
+    direction = _directions(groom)
+    before = float(_total(direction, groom, rest, surface))
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(20):
+        change = 0.01 * torch.randn(direction.shape, generator=generator, dtype=torch.float64).cumsum(1)
+        moved = torch.nn.functional.normalize(direction + change, dim=-1)
+        assert float(_total(moved, groom, rest, surface)) > before
+
+
+def test_stress_free_rest_is_not_in_balance(body: BodyModel, surface: Surface) -> None:
+    """Else the tests above would show nothing."""
+    groom = _few("long_ringlets", body, surface)
+    rest = sag_free_rest(groom, body, surface=surface)
+    free = SagFreeRest(stress_free_rest(groom.rest_strands.double()), rest.collision_margin, rest.support, rest.normal)
+    assert float(residual(groom, free).median()) > 0.5
+
+
+def test_held_edges_take_what_a_tail_asks_for(body: BodyModel, surface: Surface) -> None:
+    groom = _few("ponytail", body, surface)
+    held = (torch.arange(groom.rest_lengths.shape[1]) < 11).expand(groom.rest_lengths.shape)
+    rest = sag_free_rest(groom, body, held=held, surface=surface)
+    assert float(residual(groom, rest).max()) < 1e-6
+    assert bool(((rest.rod.goal_weight > 0) == held).all())
+    assert bool((rest.support[:, 1:][held] == 0).all())
+    assert sag_free_report(groom, rest).above_10_percent <= 10
+
+
+def test_margins_never_exceed_the_clearance_where_nothing_is_supported(body: BodyModel, surface: Surface) -> None:
+    groom = _few("long_straight", body, surface)
+    rest = sag_free_rest(groom, body, surface=surface)
+    distance = signed_distance(groom.rest_strands.double().flatten(0, 1)[None], surface).view(rest.support.shape)
+    free = rest.support == 0
+    assert bool((rest.collision_margin <= distance + 1e-9)[free].all())
+    assert bool((rest.collision_margin > distance)[~free].all())

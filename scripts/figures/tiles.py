@@ -16,7 +16,7 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from quaffure.apps.render.camera import Camera
-from quaffure.apps.render.contact_sheet import FAINT_INK, INK, PAPER
+from quaffure.apps.render.contact_sheet import INK, PALE_INK, PAPER
 from quaffure.apps.render.scene import StrandRenderer
 from quaffure.benchmark.evaluation_set import CaseEntry, DataFolders, GroomSource, load_cases, load_evaluation_set
 from quaffure.body.body_model import BodyModel
@@ -141,7 +141,7 @@ def captioned(tile: Picture, caption: Caption) -> Picture:
         needed = pen.textlength(line, font)
         if needed > width:
             raise InputError(f"caption '{line}'", f"at most {width} pixels", f"{needed:.0f}")
-        pen.text((2, GAP // 2 + LINE * row), line, INK if row == 0 else FAINT_INK, font)
+        pen.text((2, GAP // 2 + LINE * row), line, INK if row == 0 else PALE_INK, font)
     return np.vstack([tile, np.asarray(strip)])
 
 

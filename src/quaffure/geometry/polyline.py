@@ -8,12 +8,12 @@ from torch.autograd.function import FunctionCtx
 from quaffure.types import EdgeVectors, Float, Positions, RestLengths, Tensor
 
 
-def edges(positions: Positions) -> EdgeVectors:
+def edges(positions: Float[Tensor, "*batch n 3"]) -> Float[Tensor, "*batch e 3"]:
     """Vectors from each vertex to the next [m]."""
     return positions[..., 1:, :] - positions[..., :-1, :]
 
 
-def directors(posed: Positions) -> EdgeVectors:
+def directors(posed: Float[Tensor, "*batch n 3"]) -> Float[Tensor, "*batch e 3"]:
     """Unit directors d3 of the rigidly posed groom."""
     return torch.nn.functional.normalize(edges(posed), dim=-1)
 

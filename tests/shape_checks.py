@@ -8,6 +8,8 @@ import ast
 from beartype import BeartypeConf, beartype
 from jaxtyping import _import_hook, install_import_hook
 
+import quaffure.config  # noqa: F401  its numbers may be tensors, where derivatives by them are wanted: not checked
+
 check_types = beartype(conf=BeartypeConf(is_pep484_tower=True))
 """An int may stand for a float."""
 

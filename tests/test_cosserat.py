@@ -168,4 +168,4 @@ def test_clamp_resists_a_turn_of_the_whole_strand() -> None:
 def test_unknown_model_is_refused_with_the_names() -> None:
     with pytest.raises(InputError, match="modified_cosserat, cosserat, mass_spring"):
         hair_terms("rubber")
-    assert list(ELASTIC_MODELS) == list(MODELS)
+    assert set(MODELS) < set(ELASTIC_MODELS)

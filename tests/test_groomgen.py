@@ -212,7 +212,7 @@ def test_damaged_folders_of_drapes_are_refused(drapes: DrapeFolder, groom: Groom
 
 
 def test_a_solver_that_fails_leaves_no_drape(drapes: DrapeFolder) -> None:
-    failing = mock.Mock(spec=PosedDraper)
+    failing = mock.Mock(spec=PosedDraper, material=HairMaterial())
     failing.name = "failing"
     failing.drape.return_value = torch.full((1, len(drapes.groom), 24, 3), torch.nan)
     with pytest.raises(InputError, match="failing: expected finite vertices in pose 6"):

@@ -149,7 +149,7 @@ def test_validation_poses_are_from_no_clip(
     tiny_groom_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runs: list[DecoderRecipe] = []
-    monkeypatch.setattr(train_cli, "train", lambda training, report: runs.append(training.recipe))
+    monkeypatch.setattr(train_cli, "run_training", lambda training, *texts, **options: runs.append(training.recipe))
     poses = 0.1 * np.random.default_rng(0).standard_normal((40, 81))
     np.savez(tmp_path / "own.npz", body_pose=poses.astype(np.float32), fps=np.float32(30))
     command = train_command(tmp_path / "run", tiny_groom_file, 1)

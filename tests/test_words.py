@@ -51,7 +51,7 @@ WORDS = {
     r"forecast|foretold|foretells?": "predicted reduction",
     r"is_bent": "negative curvature",
     r"carried": "transported, moved rigidly",
-    r"sag|sags|sagged|sagging": "gravity equilibrium",
+    r"sag(?![-_ ]free)|sags|sagged|sagging": "gravity equilibrium, sag-free",
     r"limit_forces": "gradient clipping",
     r"stubble": "very short hair",
     r"hair_cut|gathering": "trimming, ties",

@@ -5,11 +5,11 @@ oracle of every solver and the start of the network's drape.
 """
 
 from quaffure.energies.gravity import GRAVITY
-from quaffure.types import EdgeVectors, Float, RestLengths, Tensor
+from quaffure.types import EdgeVectors, Float, RestLengths, Scalar, Tensor
 
 
 def equilibrium_vectors(
-    director: EdgeVectors, rest_length: RestLengths, mass_beyond: Float[Tensor, "s e"], k_cosserat: float
+    director: EdgeVectors, rest_length: RestLengths, mass_beyond: Float[Tensor, "s e"], k_cosserat: Scalar
 ) -> EdgeVectors:
     """d3 + (l M / k) g: along the edges at the minimum of Eqs. 6 and 9, dimensionless.
 

@@ -253,7 +253,7 @@ def equilibrium_twist(direction: EdgeVectors, rest: RodRest, rotation: RootRotat
 
 
 def _sum_of_both_joints(value: Twist) -> Twist:
-    """Of each edge, what its joint before and its joint beyond have together; the last edge has none beyond."""
+    """Sum of what the joint before and the joint beyond each edge have; the last edge has none beyond."""
     return value + torch.nn.functional.pad(value[..., 1:], (0, 1))
 
 

@@ -245,8 +245,8 @@ def solve_twist(rest: RodArrays, strand: int, work: RodWorkspace) -> None:
 
 @njit(cache=True, fastmath=True, inline="always")
 def _joint_derivatives(rest: RodArrays, strand: int, work: RodWorkspace, joint: int) -> tuple[Any, Any, Any, Any]:
-    """Of the energy of a joint, by the mean of its two twist angles: half the slope, a quarter of the curvature; and
-    its twist moment and twisting stiffness."""
+    """Half the slope and a quarter of the curvature of a joint's energy by the mean of its two twist angles; its twist
+    moment and twisting stiffness."""
     angle, beyond = work.twist[joint], work.twist[joint + 1]
     middle = _HALF * (angle + beyond)
     cosine, sine = np.cos(middle), np.sin(middle)

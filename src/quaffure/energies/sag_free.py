@@ -1,6 +1,6 @@
 """Sag-free rest shape: the rod whose equilibrium under gravity and contact is the groom as it was designed.
 
-A scan or an artist's groom is hair that hangs already. Read as free of stress it would sag from there; here the rest
+A scan or an artist's groom is hair that hangs already. Read as free of stress it would fall from there; here the rest
 directions, the rest twist and the support by the body are found for which it does not (sag-free initialization: Hsu,
 Wang, Wu and Yuksel 2022; Takahashi and Batty 2024). Once a groom, on the mean body in its rest pose, in float64.
 

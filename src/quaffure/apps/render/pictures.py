@@ -52,7 +52,7 @@ def write_picture(
     """
     check_output(path, ".png")
     centre, extent = frame_hair(seq)
-    frames = np.unique(np.linspace(0, len(seq) - 1, min(MOST_FRAMES, len(seq))).round().astype(int))
+    frames = np.unique(np.linspace(0, len(seq) - 1, min(MOST_FRAMES, len(seq))).round().astype(int)).tolist()
     with StrandRenderer(tile, tile) as renderer:
         rows = []
         for f in frames:

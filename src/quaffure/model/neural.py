@@ -20,7 +20,6 @@ from quaffure.types import Positions, Tensor
 
 
 @runtime_checkable
-@runtime_checkable
 class DrapeBackend(Protocol):
     """The five steps of a drape on one kind of device.
 

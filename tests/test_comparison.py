@@ -1,13 +1,15 @@
 """The evaluation set, drapes that are kept, and the figures that are made of them."""
 
+import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from unittest import mock
 
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 
 from quaffure.baselines.posed import PosedDraper
 from quaffure.benchmark import drape_key, draping
@@ -37,6 +39,7 @@ from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.model.network_config import NetworkConfig
 from quaffure.model.neural import NeuralDraper
+from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.model.quaffure_network import build_network
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import HELD_OUT, STYLES
@@ -389,3 +392,9 @@ def test_refinement_lowers_the_energy_and_keeps_lengths(case: EvaluationCase, bo
     lengths = refined.diff(dim=2).norm(dim=-1)
     torch.testing.assert_close(lengths[0], case.groom.rest_lengths, rtol=1e-4, atol=1e-6)
     torch.testing.assert_close(refined[:, :, 0], scene.posed[:, :, 0])
+
+
+def test_a_material_has_the_fields_that_files_of_earlier_versions_name() -> None:
+    """Runs are resumed, and drapes scored, only if their materials are the same: a field more would refuse them all."""
+    with safe_open(WEIGHTS, "pt") as file:
+        assert json.loads(file.metadata()["material"]).keys() == asdict(HairMaterial()).keys()

@@ -38,9 +38,5 @@ class HairMaterial:
     """Stiffness against density above that at rest, Eq. 11 [J (m^3/kg)^3]."""
     smoothing_length: float = 5e-3
     """Smoothing length h of the density, Eqs. 12-13; the support is 2h [m]."""
-    bending_stiffness: float = 8e-9
-    """EI of a human hair, for the elastic model `rod` [N m^2]."""
-    twisting_stiffness: float = 8e-9 / 1.35
-    """GJ of the same hair, a round rod of Poisson's ratio 0.35 [N m^2]."""
     k_pose_reg: float = 3e-4
     """Stiffness of the pose regularization, Eq. 14 [J/m^2]."""

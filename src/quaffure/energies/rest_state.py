@@ -16,14 +16,14 @@ class RestState:
 
     Attributes:
         rest_strands: vertices of the rest groom [m].
-        material: of the strands.
+        smoothing_length: h of the density [m].
         rest_length: of every edge (l_rest) [m].
         mass: lumped at every vertex (m) [kg]: half of each adjacent edge, the root included.
         collision_margin: distance D that every vertex keeps from the body [m]; zero at the root.
     """
 
     rest_strands: Float[Tensor, "s n 3"]
-    material: HairMaterial
+    smoothing_length: float
     rest_length: RestLengths
     mass: Float[Tensor, "s n"]
     collision_margin: Float[Tensor, "s n"]
@@ -33,7 +33,7 @@ class RestState:
         """Density of hair at every vertex of the rest groom (rho_rest) [kg/m^3]."""
         from quaffure.energies.self_collision import densities  # whose energy term reads this class
 
-        return densities(self.rest_strands[None], self.mass, self.material.smoothing_length)[0]
+        return densities(self.rest_strands[None], self.mass, self.smoothing_length)[0]
 
     @property
     def mass_beyond(self) -> Float[Tensor, "s e"]:
@@ -57,4 +57,4 @@ def rest_state(rest_strands: Float[Tensor, "s n 3"], material: HairMaterial) -> 
     mass = torch.nn.functional.pad(half, (0, 1)) + torch.nn.functional.pad(half, (1, 0))
     from_root = torch.nn.functional.pad(rest_length.cumsum(dim=1), (1, 0))
     margin = (material.collision_ramp * from_root).clamp(max=material.collision_margin)
-    return RestState(rest_strands, material, rest_length, mass, margin)
+    return RestState(rest_strands, material.smoothing_length, rest_length, mass, margin)

@@ -17,16 +17,17 @@ of phi (envelope theorem). A second derivative does, so autograd can't be applie
 This module is the torch form; `quaffure.energies.rod_kernels` is the compiled one.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import torch
 
-from quaffure.config import HairMaterial
+from quaffure.energies.cosserat import RodStiffness
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import directors
 from quaffure.types import EdgeVectors, Energy, Float, Positions, RestLengths, Tensor
 
-BENDING_STIFFNESS, TWISTING_STIFFNESS = HairMaterial.bending_stiffness, HairMaterial.twisting_stiffness
+BENDING_STIFFNESS, TWISTING_STIFFNESS = RodStiffness.bend, RodStiffness.twist
+"""EI and GJ of a human hair [N m^2], those of the full Cosserat rod."""
 SHORTEST_JOINT = 2e-4
 """Least length over which a joint bends [m]: edges of no length must not be infinitely stiff."""
 LEAST_ALIGNMENT = 1e-5
@@ -70,14 +71,6 @@ class RodRest:
     def to(self, device_or_dtype: torch.device | torch.dtype | str) -> "RodRest":
         """The same rest shape on a device or in a float dtype."""
         return RodRest(*(getattr(self, field.name).to(device_or_dtype) for field in fields(self)))
-
-    def stiffer(self, factor: float) -> "RodRest":
-        """The same rest shape of hair that is `factor` times as stiff against bending and twisting."""
-        return replace(
-            self,
-            bending_stiffness=factor * self.bending_stiffness,
-            twisting_stiffness=factor * self.twisting_stiffness,
-        )
 
 
 def joint_lengths(rest_length: RestLengths) -> RestLengths:

@@ -69,9 +69,7 @@ class Rod(EnergyTerm):
 
     def prepare(self, rest: RestState, scene: HairScene) -> PosedRod:
         if self.design is None:
-            material = rest.material
-            stiffness = material.bending_stiffness, material.twisting_stiffness
-            rod = stress_free_rest(rest.rest_strands.double(), None, *stiffness)
+            rod = stress_free_rest(rest.rest_strands.double())
         else:
             rod = self.design.rod
         return PosedRod(rod.to(scene.posed.dtype).to(scene.posed.device), scene.root_rotation.to(scene.posed))

@@ -24,6 +24,8 @@ from quaffure.body.body_model import BodyModel
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.rest_state import rest_state
 from quaffure.energies.rod import (
+    BENDING_STIFFNESS,
+    TWISTING_STIFFNESS,
     RodRest,
     in_frames,
     joint_lengths,
@@ -117,9 +119,7 @@ def sag_free_rest(
     held = torch.zeros_like(joint, dtype=torch.bool) if held is None else held.cpu()
     distance, normal = distances_and_normals(strands, surface or rest_surface(body))
     weight = STANDARD_GRAVITY * state.mass
-    forces = StrandForces.of(
-        strands, weight, normal, held, material.bending_stiffness / joint, material.twisting_stiffness / joint
-    )
+    forces = StrandForces.of(strands, weight, normal, held, BENDING_STIFFNESS / joint, TWISTING_STIFFNESS / joint)
     available = (1 - (distance - SUPPORT_DISTANCE).clamp(min=0) / SUPPORT_FADE).clamp(0, 1)
     available[:, 0] = 0
     available[:, 1:][held] = 0

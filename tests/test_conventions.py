@@ -16,8 +16,6 @@ MOST_LINES_OF_A_FILE, MOST_LINES_OF_A_FUNCTION, MOST_PARAMETERS = 400, 60, 8
 MOST_ASSET_BYTES = 12_000_000
 HEAVY = ("pxr", "moderngl", "av", "anny", "igl", "trimesh", "PIL", "viser")
 
-KERNELS_WITH_MANY_PARAMETERS = {}
-
 
 def functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -31,19 +29,12 @@ def parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> list[str]:
     return names[1:] if names[:1] in (["self"], ["cls"]) else names
 
 
-def is_kernel(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
-    return any("njit" in ast.unparse(decorator) for decorator in function.decorator_list)
-
-
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(SOURCE)))
 def test_files_and_functions_stay_small(path: Path) -> None:
     assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES_OF_A_FILE
-    module = str(path.relative_to(SOURCE))
     for function in functions(path):
         assert (function.end_lineno or 0) - function.lineno < MOST_LINES_OF_A_FUNCTION, function.name
-        allowed = function.name in KERNELS_WITH_MANY_PARAMETERS.get(module, ())
-        assert not allowed or is_kernel(function), f"{function.name} is no kernel: take it off the list"
-        assert allowed or len(parameters(function)) <= MOST_PARAMETERS, function.name
+        assert len(parameters(function)) <= MOST_PARAMETERS, function.name
 
 
 def fields_written(function: ast.FunctionDef | ast.AsyncFunctionDef) -> Iterator[str]:
@@ -68,12 +59,6 @@ def test_assignments_to_fields_are_found() -> None:
     (function,) = ast.parse("@njit(parallel=True)\ndef f(a):\n    a.x[0][1] += 1\n    a.y[2], b = 1, a.z[3]").body
     assert isinstance(function, ast.FunctionDef)
     assert sorted(fields_written(function)) == ["a.x", "a.y"]
-
-
-def test_the_list_of_kernels_is_not_out_of_date() -> None:
-    for module, names in KERNELS_WITH_MANY_PARAMETERS.items():
-        many = {f.name for f in functions(SOURCE / module) if len(parameters(f)) > MOST_PARAMETERS}
-        assert names == many, module
 
 
 def test_assets_stay_light() -> None:

@@ -91,7 +91,7 @@ class Scene:
     @cached_property
     def posed(self) -> Positions:
         """x_posed, the groom moved with its scalp triangles [m, world]."""
-        return posed_strands(self.groom, self.bodies.posed, self.bodies.body)
+        return posed_strands(self.groom, self.bodies.posed, self.bodies.body, self.root_rotation)
 
     @cached_property
     def root_rotation(self) -> Float[Tensor, "b s 3 3"]:

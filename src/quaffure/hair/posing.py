@@ -40,14 +40,17 @@ def rigid_rotations(groom: Groom, posed: Positions) -> Float[Tensor, "b s 3 3"]:
     return (u * sign[..., None, :]) @ vh
 
 
-def posed_strands(groom: Groom, posed: PosedBody, body: BodyModel) -> Positions:
+def posed_strands(
+    groom: Groom, posed: PosedBody, body: BodyModel, rotation: Float[Tensor, "b s 3 3"] | None = None
+) -> Positions:
     """The groom moved rigidly, strand by strand, with its scalp triangles (x_posed) [m, world].
 
     Args:
         groom: registered to `body`.
         posed: a batch of poses and shapes of `body`.
+        rotation: `root_rotations` of the same, where they are known already.
     """
     rest_roots = root_positions(groom, body.rest_vertices[None], body)[0]
     offsets = groom.rest_strands - rest_roots[:, None]
-    rotation = root_rotations(groom, posed, body)
+    rotation = root_rotations(groom, posed, body) if rotation is None else rotation
     return offsets @ rotation.mT + root_positions(groom, posed.vertices, body)[:, :, None]

@@ -1,5 +1,6 @@
 """Files that appear whole or not at all."""
 
+import json
 import os
 import tempfile
 from collections.abc import Iterator
@@ -73,3 +74,13 @@ def made_folder(path: Path, what: str) -> Path:
     except OSError as error:
         raise InputError(path, what, error.strerror or str(error)) from error
     return path
+
+
+def write_json(path: Path, value: object) -> None:
+    """Write plain JSON.
+
+    Raises:
+        InputError: the folder does not exist or is not writable.
+    """
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")

@@ -25,7 +25,7 @@ from quaffure.digest import array_digest
 from quaffure.draper import Draper
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
-from quaffure.io.atomic import made_folder, replacing
+from quaffure.io.atomic import made_folder, replacing, write_json
 from quaffure.io.groom_file import read_groom, write_groom
 from quaffure.npz import Spec, read_arrays
 from quaffure.scene import BodyBatch, Scene
@@ -166,8 +166,7 @@ def started_folder(path: Path, groom: Groom, body: BodyModel, solver: str, drape
     wanted = Manifest(groom.name, groom_digest(groom), body_digest(body), solver, draper.material, seed, code_version())
     if not (path / "manifest.json").is_file():
         write_groom(path / "groom.npz", groom)
-        with replacing(path / "manifest.json") as temporary:
-            temporary.write_text(json.dumps(asdict(wanted), indent=1) + "\n", encoding="utf-8")
+        write_json(path / "manifest.json", asdict(wanted))
     folder = DrapeFolder(path, body)
     for name in ("groom", "solver", "material", "seed"):
         found, expected = getattr(folder.manifest, name), getattr(wanted, name)

@@ -1,7 +1,6 @@
 """The folder of a training run: its settings, its logs, and the checkpoint to resume from."""
 
 import csv
-import json
 import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -15,7 +14,7 @@ import quaffure
 from quaffure.body.body_model import BodyModel
 from quaffure.digest import array_digest
 from quaffure.errors import InputError
-from quaffure.io.atomic import made_folder, replacing
+from quaffure.io.atomic import made_folder, replacing, write_json
 
 CHECKPOINT = "checkpoint.pt"
 RUN = "a folder for the run"
@@ -43,8 +42,7 @@ class RunFolder:
 
     def describe(self, description: Mapping[str, object]) -> None:
         """Write `config.json`: the version of the code, and the settings of the run."""
-        with replacing(self.path / "config.json") as path:
-            path.write_text(json.dumps({"version": self.version, **description}, indent=1) + "\n")
+        write_json(self.path / "config.json", {"version": self.version, **description})
 
     def save(self, state: Mapping[str, Any]) -> None:
         """Replace the checkpoint. `state` holds tensors, numbers and texts, `identity` among them.

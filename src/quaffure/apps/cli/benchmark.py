@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import torch
 import tyro
 
-from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar, write_json
+from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar
 from quaffure.apps.cli.inputs import motion_of
 from quaffure.benchmark import inference_benchmark as inference
 from quaffure.benchmark.solver_benchmark import Budget, Case, Run, budgets, report, run_benchmark
@@ -18,7 +18,7 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
-from quaffure.io.atomic import check_output
+from quaffure.io.atomic import check_output, write_json
 from quaffure.io.load_groom import load_groom
 from quaffure.model.quaffure_model import Quaffure, load_model
 from quaffure.scene import BodyBatch, Scene

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -15,7 +14,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from torch import nn
 
-from quaffure.io.atomic import replacing
 from quaffure.training.loop import Training, train
 
 # If the output is not a terminal, rich would wrap tables at 80 columns. Commands with --json set `quiet`: then only
@@ -105,13 +103,3 @@ def print_rows(rows: Sequence[Mapping[str, object]], title: str) -> None:
 def print_json(value: object) -> None:
     """Print plain JSON, for other programs."""
     print(json.dumps(value, indent=1))
-
-
-def write_json(path: Path, value: object) -> None:
-    """Write plain JSON.
-
-    Raises:
-        InputError: the folder does not exist or is not writable.
-    """
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import tyro
 
-from quaffure.apps.cli.console import Update, console, print_json, print_rows, progress_bar, write_json
+from quaffure.apps.cli.console import Update, console, print_json, print_rows, progress_bar
 from quaffure.apps.cli.inputs import body_shape_of, motion_of
 from quaffure.benchmark.comparison import DrapeFrame, compare
 from quaffure.benchmark.drape_cache import DrapeCache, TimedDrape
@@ -26,7 +26,7 @@ from quaffure.body.motion import Motion
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.io.atomic import check_output, made_folder
+from quaffure.io.atomic import check_output, made_folder, write_json
 from quaffure.io.load_groom import load_groom
 
 OWN_FRAMES = 3

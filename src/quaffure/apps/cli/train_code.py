@@ -10,7 +10,7 @@ from typing import Any
 import tyro
 from rich.console import Console
 
-from quaffure.apps.cli.console import Text, print_json, print_rows, progress_bar, run_training, write_json
+from quaffure.apps.cli.console import Text, print_json, print_rows, progress_bar, run_training
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.benchmark.groom_code_metrics import (
     code_metrics,
@@ -22,7 +22,7 @@ from quaffure.benchmark.groom_code_metrics import (
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
-from quaffure.io.atomic import made_folder
+from quaffure.io.atomic import made_folder, write_json
 from quaffure.io.load_groom import load_groom
 from quaffure.model.groom_autoencoder import GroomAutoencoder
 from quaffure.model.groom_code import load_groom_autoencoder

@@ -65,10 +65,11 @@ class CpuBackend:
             joints = PosedJoints(rest[rows], rotations[rows], positions[rows])
             pose, shape = bodies.body_pose[rows], bodies.body_shape[rows]
             batch = head_frame_body(body, pose, shape, joints, config.initial_shape.body, config.contact)
-            codes, most, begun = [], 0, time.perf_counter()
+            codes, most = [], 0
             for groom in part:
                 codes.append(groom.code)
                 most = max(most, groom.blocks.rows.size)
+            begun = time.perf_counter()
             encoded = self.layout.encode(torch.stack(codes), batch.pose_code)
             self.network_seconds += time.perf_counter() - begun
             memory = empty_shape(1, most, self.layout.columns, self.layout.dtype)

@@ -14,6 +14,7 @@ from quaffure.model.weights_file import MAX_WIDTH
 
 POSE_SIZE, SHAPE_SIZE, MAX_LAYERS = 81, 10, 64
 FILE_KEYS = {"views": "skin_features", "slides": "contact"}
+_KEYS_OF_FIELDS = {name: key for key, name in FILE_KEYS.items()}
 
 
 @dataclass(frozen=True)
@@ -95,16 +96,18 @@ class NetworkConfig:
     def __repr__(self) -> str:
         """By the keys of files, without what is as by default: checkpoints of runs are found by this text."""
         default = {"initial_shape": InitialShapeConfig(), "projection": ProjectionConfig()}
-        keys = {name: key for key, name in FILE_KEYS.items()}
         values = {name: getattr(self, name) for name in (f.name for f in fields(self))}
-        shown = (f"{keys.get(name, name)}={value!r}" for name, value in values.items() if value != default.get(name))
+        shown = (
+            f"{_KEYS_OF_FIELDS.get(name, name)}={value!r}"
+            for name, value in values.items()
+            if value != default.get(name)
+        )
         return f"NetworkConfig({', '.join(shown)})"
 
 
 def to_file_values(config: NetworkConfig) -> dict[str, Any]:
     """Settings by the keys of a weights file, as JSON takes them."""
-    keys = {name: key for key, name in FILE_KEYS.items()}
-    return {keys.get(name, name): value for name, value in asdict(config).items()}
+    return {_KEYS_OF_FIELDS.get(name, name): value for name, value in asdict(config).items()}
 
 
 def from_file_values(values: Mapping[str, Any]) -> NetworkConfig:

@@ -24,22 +24,17 @@ import numpy as np
 import torch
 
 from quaffure.apps.cli.console import print_json, print_rows
-from quaffure.benchmark.evaluation_set import load_evaluation_set
-from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.motion import resample
-from quaffure.body.pose_prior import load_pose_prior
-from quaffure.energies.closed_form import equilibrium_vectors
-from quaffure.energies.hair_energy import HairEnergy
-from quaffure.geometry.occupancy_grid import FREE, FREE_DISTANCE, OUTSIDE, classify
-from quaffure.geometry.polyline import integrate_directions
+from quaffure.benchmark import load_evaluation_set
+from quaffure.body import BodyModel, load_body, load_pose_prior, resample
+from quaffure.energies import HairEnergy, equilibrium_vectors
+from quaffure.geometry import FREE, FREE_DISTANCE, OUTSIDE, Surface, classify, integrate_directions, occupancy_of
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.geometry.surface import Surface, occupancy_of
 from quaffure.io.load_groom import load_groom
 from quaffure.io.read_motion import read_motion
-from quaffure.model.quaffure_model import load_model
-from quaffure.procedural.generator import make_groom
+from quaffure.model import load_model
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
-from quaffure.training.pose_sampler import PoseSampler
+from quaffure.training import PoseSampler
 from quaffure.types import Positions
 
 VERTICES = 2000 * 24

@@ -17,18 +17,12 @@ from unittest import mock
 
 import torch
 
-from quaffure.body.body_model import load_body
-from quaffure.body.pose_prior import load_pose_prior
+from quaffure.body import load_body, load_pose_prior
 from quaffure.energies import hair_energy
 from quaffure.io.load_groom import load_groom
-from quaffure.model.neural import NeuralDraper
+from quaffure.model import NeuralDraper
 from quaffure.scene import BodyBatch
-from quaffure.training.averaged_adam import AveragedAdam
-from quaffure.training.loop import Training
-from quaffure.training.pose_sampler import PoseSampler
-from quaffure.training.train_config import TrainConfig
-from quaffure.training.train_decoder import DecoderRecipe
-from quaffure.training.validation import prior_validation
+from quaffure.training import AveragedAdam, DecoderRecipe, PoseSampler, TrainConfig, Training, prior_validation
 
 WARM_UP, STEPS = 8, 24
 

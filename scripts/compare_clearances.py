@@ -10,13 +10,12 @@ from dataclasses import replace
 
 import torch
 
-from quaffure.body.body_model import load_body
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.body import load_body
+from quaffure.energies import HairEnergy
 from quaffure.io.load_groom import load_groom
-from quaffure.model.neural import NeuralDraper
-from quaffure.model.quaffure_model import load_model
+from quaffure.model import NeuralDraper, load_model
 from quaffure.scene import BodyBatch, Scene
-from quaffure.training.validation import prior_validation, validation_metrics
+from quaffure.training import prior_validation, validation_metrics
 from quaffure.types import Positions
 
 SHARES = (None, 0.0, 0.25, 0.5, 1.0)

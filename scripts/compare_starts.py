@@ -7,22 +7,17 @@ import sys
 
 import torch
 
-from quaffure.benchmark.metrics import intersection_percent
-from quaffure.body.body_model import load_body
+from quaffure.benchmark import intersection_percent
+from quaffure.body import load_body, load_pose_prior
 from quaffure.body.mls_body import mls_body
-from quaffure.body.pose_prior import load_pose_prior
 from quaffure.config import HairMaterial
-from quaffure.energies.closed_form import equilibrium_vectors
-from quaffure.energies.hair_energy import HairEnergy
-from quaffure.geometry.mls_surface import resolve_contact_reference
-from quaffure.geometry.polyline import integrate_directions
-from quaffure.hair.strand_blocks import cluster_representatives
+from quaffure.energies import HairEnergy, equilibrium_vectors
+from quaffure.geometry import integrate_directions, resolve_contact_reference
+from quaffure.hair import cluster_representatives
 from quaffure.io.load_groom import load_groom
-from quaffure.model.initial_shape import resolve_contact_twice
-from quaffure.model.network_config import InitialShapeConfig
-from quaffure.model.prepared_groom import initial_clearance
+from quaffure.model import InitialShapeConfig, initial_clearance, resolve_contact_twice
 from quaffure.scene import BodyBatch, Scene
-from quaffure.training.pose_sampler import PoseSampler
+from quaffure.training import PoseSampler
 
 POSES, SEED = 6, 20_000
 CONFIG = InitialShapeConfig()

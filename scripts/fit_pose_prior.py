@@ -14,12 +14,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm, rankdata
 
-from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.motion import Motion, joint_matrices, without_heading
-from quaffure.body.pose_prior import PRIOR_FILE, PosePrior
+from quaffure.body import PRIOR_FILE, BodyModel, Motion, PosePrior, joint_matrices, load_body, without_heading
 from quaffure.body.retargeting import body_bone
 from quaffure.errors import InputError
-from quaffure.io.atomic import replacing
+from quaffure.io import replacing
 from quaffure.io.read_motion import MOTION_READERS, read_motion
 
 EVALUATION_SET = PRIOR_FILE.with_name("evaluation_set.json")

@@ -3,10 +3,9 @@
 import json
 from pathlib import Path
 
-from quaffure.body.body_model import load_body
-from quaffure.hair.clearance import rest_surface
-from quaffure.procedural.generator import make_groom
-from quaffure.procedural.hair_style import STYLES
+from quaffure.body import load_body
+from quaffure.hair import rest_surface
+from quaffure.procedural import STYLES, make_groom
 
 OUT = Path(__file__).parents[1] / "src" / "quaffure" / "assets" / "style_sizes.json"
 

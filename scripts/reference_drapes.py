@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 import quaffure as qf
-from quaffure.body.clips import bundled_clip
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.body import bundled_clip
+from quaffure.energies import HairEnergy
 from quaffure.energies.hair_terms import hair_terms
 from quaffure.scene import BodyBatch, Scene
 

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from quaffure.benchmark.evaluation_set import DataFolders, load_cases, load_evaluation_set
+from quaffure.benchmark import DataFolders, load_cases, load_evaluation_set
 from quaffure.benchmark.metrics import metrics
 from quaffure.draper import Draper
-from quaffure.energies.hair_energy import HairEnergy
-from quaffure.model.quaffure_model import load_model
+from quaffure.energies import HairEnergy
+from quaffure.model import load_model
 from quaffure.scene import Scene
-from quaffure.solvers.refined import RefinedDraper
+from quaffure.solvers import RefinedDraper
 
 STEPS = (0, 1, 3, 10, 30)
 EVERY = 3

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 if TYPE_CHECKING:
-    from quaffure.body.body_model import BodyModel
-    from quaffure.geometry.surface import Surface
+    from quaffure.body import BodyModel
+    from quaffure.geometry import Surface
 
 if importlib.util.find_spec("beartype") is not None:
     # Shapes are code: every annotated function checks its arrays while the tests run.
@@ -36,7 +36,7 @@ def shared_data() -> Path:
 # Imports wait until after the hook above.
 @pytest.fixture(scope="session")
 def body() -> "BodyModel":
-    from quaffure.body.body_model import load_body
+    from quaffure.body import load_body
 
     return load_body()
 
@@ -44,7 +44,7 @@ def body() -> "BodyModel":
 @pytest.fixture(scope="session")
 def surface(body: "BodyModel") -> "Surface":
     """The body at rest."""
-    from quaffure.hair.clearance import rest_surface
+    from quaffure.hair import rest_surface
 
     return rest_surface(body)
 
@@ -52,7 +52,7 @@ def surface(body: "BodyModel") -> "Surface":
 @pytest.fixture(scope="session")
 def tiny_groom_file(body: "BodyModel", tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A groom that trains in no time."""
-    from quaffure.io.groom_file import write_groom
+    from quaffure.io import write_groom
     from tests.training_runs import tiny_groom
 
     path = tmp_path_factory.mktemp("grooms") / "tiny.npz"

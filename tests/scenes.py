@@ -6,9 +6,8 @@ import numpy as np
 import torch
 from scipy.spatial import ConvexHull
 
-from quaffure.geometry.polyline import directors
-from quaffure.geometry.surface import Surface, posed_surface, surface_topology
-from quaffure.hair.groom import Groom
+from quaffure.geometry import Surface, directors, posed_surface, surface_topology
+from quaffure.hair import Groom
 from quaffure.scene import PosedScene
 
 

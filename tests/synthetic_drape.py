@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair import DrapeSequence
 
 HEAD_CENTRE, HEAD_RADIUS = np.array([0.0, 0.0, 1.6]), 0.1
 

@@ -5,10 +5,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.motion import Motion
+from quaffure.body import BodyModel, Motion, load_body
 from quaffure.errors import InputError
-from quaffure.io.amass import SMPL_JOINTS, read_amass
+from quaffure.io import read_amass
+from quaffure.io.amass import SMPL_JOINTS
 
 NAMES = [name for name, _ in SMPL_JOINTS]
 UPRIGHT = (np.pi / 2, 0.0, 0.0)  # of the pelvis: from SMPL's y up to AMASS's z up, facing -y

@@ -2,7 +2,8 @@ import pytest
 import torch
 
 from quaffure.errors import InputError
-from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
+from quaffure.training import AveragedAdam
+from quaffure.training.averaged_adam import warm_cosine
 
 
 def scalar() -> torch.nn.Linear:

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.body.body_model import FILE_ARRAYS, BodyModel, load_body
+from quaffure.body import BodyModel, load_body
+from quaffure.body.body_model import FILE_ARRAYS
 from quaffure.errors import InputError
-from quaffure.geometry.rotation import matrix_from_axis_angle
+from quaffure.geometry import matrix_from_axis_angle
 
 ASSET = Path(str(files("quaffure") / "assets" / "body.npz"))
 GOLDEN = Path(__file__).parent / "data" / "anny_poses.npz"

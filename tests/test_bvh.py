@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quaffure.errors import InputError
-from quaffure.io.bvh import read_bvh
+from quaffure.io import read_bvh
 
 TWO_JOINTS = """\
 HIERARCHY

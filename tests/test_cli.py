@@ -11,22 +11,15 @@ import torch
 
 from quaffure.apps.cli.drape import duration, with_preparation
 from quaffure.apps.cli.main import main
-from quaffure.body.body_model import BodyModel, PosedBody, load_body
-from quaffure.body.clips import CLIP_NAMES
+from quaffure.body import CLIP_NAMES, BodyModel, PosedBody, load_body
 from quaffure.config import HairMaterial
 from quaffure.drape_motion import FRAMES_AT_ONCE
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
-from quaffure.io.drape_file import read_drape, write_drape
-from quaffure.io.groom_file import write_groom
+from quaffure.hair import Groom
+from quaffure.io import read_drape, write_drape, write_groom, write_usd
 from quaffure.io.read_strands import read_strands
-from quaffure.io.usd import write_usd
-from quaffure.model import quaffure_model
-from quaffure.model.checkpoint import save_network
-from quaffure.model.network_config import NetworkConfig
-from quaffure.model.quaffure_network import build_network
-from quaffure.procedural.generator import make_groom
-from quaffure.procedural.hair_style import STYLES
+from quaffure.model import NetworkConfig, build_network, quaffure_model, save_network
+from quaffure.procedural import STYLES, make_groom
 from tests.synthetic_drape import drape as synthetic_drape
 from tests.synthetic_drape import patch_of_strands
 from tests.test_bvh import TWO_JOINTS

@@ -1,11 +1,9 @@
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.clips import CLIP_NAMES, bundled_clip
-from quaffure.body.motion import Motion, joint_matrices
+from quaffure.body import CLIP_NAMES, BodyModel, Motion, bundled_clip, joint_matrices, load_body
 from quaffure.errors import InputError
-from quaffure.geometry.rotation import axis_angle_from_matrix
+from quaffure.geometry import axis_angle_from_matrix
 
 
 @pytest.fixture(scope="module")

@@ -2,12 +2,9 @@ import torch
 
 from benchmarks.rods.closed_form import equilibrium_edges
 from quaffure.config import HairMaterial
-from quaffure.energies.closed_form import equilibrium_vectors
-from quaffure.energies.gravity import energy_gravity
+from quaffure.energies import energy_gravity, energy_stretch, energy_stretch_shear, equilibrium_vectors
 from quaffure.energies.rest_state import rest_state
-from quaffure.energies.stretch import energy_stretch
-from quaffure.energies.stretch_shear import energy_stretch_shear
-from quaffure.geometry.polyline import directors
+from quaffure.geometry import directors
 from tests.scenes import strands_round_sphere
 
 

@@ -11,42 +11,37 @@ import pytest
 import torch
 from safetensors import safe_open
 
-from quaffure.baselines.posed import PosedDraper
-from quaffure.benchmark import drape_key, draping
-from quaffure.benchmark.comparison import compare, measure_case, summarize
-from quaffure.benchmark.drape_cache import DrapeCache, TimedDrape
-from quaffure.benchmark.drape_key import draper_key
-from quaffure.benchmark.draping import CaseDraper
-from quaffure.benchmark.evaluation_set import (
+from quaffure.baselines import PosedDraper
+from quaffure.benchmark import (
+    CaseDraper,
     CaseEntry,
     DataFolders,
+    DrapeCache,
     EvaluationCase,
+    Method,
+    compare,
+    drape_key,
+    draping,
     load_cases,
     load_evaluation_set,
+    measure,
 )
+from quaffure.benchmark.comparison import measure_case, summarize
+from quaffure.benchmark.drape_cache import TimedDrape
+from quaffure.benchmark.drape_key import draper_key
 from quaffure.benchmark.machine_facts import machine
-from quaffure.benchmark.methods import Method
-from quaffure.benchmark.metrics import measure, metrics, total_energy
-from quaffure.body.body_model import BodyModel
-from quaffure.body.clips import CLIP_NAMES, bundled_clip
-from quaffure.body.motion import Motion
+from quaffure.benchmark.metrics import metrics, total_energy
+from quaffure.body import CLIP_NAMES, BodyModel, Motion, bundled_clip
 from quaffure.config import HairMaterial
 from quaffure.drape_motion import drape_motion
-from quaffure.energies.gravity import Gravity
-from quaffure.energies.hair_energy import HairEnergy
-from quaffure.energies.self_collision import SelfCollision
+from quaffure.energies import Gravity, HairEnergy, SelfCollision
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
-from quaffure.model.network_config import NetworkConfig
-from quaffure.model.neural import NeuralDraper
+from quaffure.hair import Groom
+from quaffure.model import NetworkConfig, NeuralDraper, build_network
 from quaffure.model.quaffure_model import WEIGHTS
-from quaffure.model.quaffure_network import build_network
-from quaffure.procedural.generator import make_groom
-from quaffure.procedural.hair_style import HELD_OUT, STYLES
+from quaffure.procedural import HELD_OUT, STYLES, make_groom
 from quaffure.scene import Scene
-from quaffure.solvers.adam import AdamDraper
-from quaffure.solvers.refined import RefinedDraper
-from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting
+from quaffure.solvers import AdamDraper, RefinedDraper, XpbdDraper, XpbdSetting
 from quaffure.types import Positions
 
 STRANDS = 40

@@ -6,18 +6,15 @@ import pytest
 import torch
 
 from quaffure.config import HairMaterial
-from quaffure.energies.body_collision import energy_body_collision
+from quaffure.energies import HairEnergy, RestState, energy_body_collision
 from quaffure.energies.fused_strand import TERMS, strand_energy
-from quaffure.energies.hair_energy import HairEnergy
-from quaffure.energies.rest_state import RestState, rest_state
+from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
-from quaffure.geometry.polyline import directors
+from quaffure.geometry import Surface, directors, posed_surface, surface_topology
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.geometry.surface import Surface, posed_surface, surface_topology
-from quaffure.solvers.adam import AdamDraper
+from quaffure.solvers import AdamDraper, XpbdDraper, XpbdSetting
 from quaffure.solvers.newton.newton_system import NewtonSystem
-from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting
-from quaffure.training.train_config import TrainConfig
+from quaffure.training import TrainConfig
 from tests.scenes import posed_scene, sphere_groom, sphere_mesh
 
 MARGINS = (0.02, 0.05)

@@ -5,13 +5,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from quaffure.apps.render import contact_sheet
-from quaffure.apps.render.contact_sheet import write_contact_sheet
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.apps.render import contact_sheet, write_contact_sheet
+from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
-from quaffure.procedural.generator import make_groom
-from quaffure.procedural.hair_style import STYLES
+from quaffure.hair import Groom
+from quaffure.procedural import STYLES, make_groom
 
 
 @pytest.fixture(scope="module")

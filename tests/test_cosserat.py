@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from benchmarks.rods.elastic_potentials import MODELS, ElasticPotential, cosserat
+from quaffure.energies import ELASTIC_MODELS, RodStiffness
 from quaffure.energies.cosserat import (
-    RodStiffness,
     bend_twist_strain,
     energy_bend_twist,
     energy_stretch_shear,
@@ -17,10 +17,9 @@ from quaffure.energies.cosserat import (
     third_axis,
     transported_frames,
 )
-from quaffure.energies.hair_terms import ELASTIC_MODELS, hair_terms
+from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
-from quaffure.geometry.polyline import directors
-from quaffure.geometry.rotation import matrix_from_axis_angle, quaternion_from_matrix, quaternion_multiply
+from quaffure.geometry import directors, matrix_from_axis_angle, quaternion_from_matrix, quaternion_multiply
 from tests.scenes import strands_round_sphere
 
 TURN = matrix_from_axis_angle(torch.tensor([1.3, -0.7, 2.0], dtype=torch.float64))

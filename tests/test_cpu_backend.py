@@ -7,33 +7,31 @@ import numba
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel
-from quaffure.body.head_frame import HeadFrameBody, head_frame_body, head_frame_body_reference
-from quaffure.body.pose_features import FEATURE_COUNT
+from quaffure.body import FEATURE_COUNT, BodyModel, HeadFrameBody, head_frame_body, head_frame_body_reference
 from quaffure.config import HairMaterial
 from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
-from quaffure.hair.posing import triangle_frames
-from quaffure.hair.strand_blocks import cluster_representatives, rest_strands
-from quaffure.model import activated_layers
+from quaffure.hair import Groom, cluster_representatives, triangle_frames
+from quaffure.hair.strand_blocks import rest_strands
+from quaffure.model import (
+    DirectionNetwork,
+    InferenceNetwork,
+    InitialShapeConfig,
+    NetworkConfig,
+    NetworkInputs,
+    NeuralDraper,
+    PreparedGroom,
+    Quaffure,
+    activated_layers,
+    build_network,
+    load_model,
+    prepare_groom,
+)
 from quaffure.model.activated_layers import fused
 from quaffure.model.cpu_backend import BATCH
-from quaffure.model.inference_network import (
-    InferenceNetwork,
-    NetworkInputs,
-    StrandTexels,
-    fast_bfloat16,
-    folded_doubling,
-    texture_rows,
-)
+from quaffure.model.inference_network import StrandTexels, fast_bfloat16, folded_doubling, texture_rows
 from quaffure.model.initial_shape import InitialShape, empty_shape, fill_initial_shape, initial_shape_reference
-from quaffure.model.network_config import InitialShapeConfig, NetworkConfig
-from quaffure.model.neural import NeuralDraper
-from quaffure.model.prepared_groom import PreparedGroom, prepare_groom
-from quaffure.model.quaffure_model import Quaffure, load_model
-from quaffure.model.quaffure_network import DirectionNetwork, build_network
-from quaffure.procedural.generator import make_groom
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 
 CONFIG = NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=16, strand_width=32)

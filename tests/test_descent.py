@@ -9,17 +9,21 @@ from benchmarks.rods.closed_form import equilibrium_edges
 from quaffure.backend import Backend
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.draper import Draper
-from quaffure.energies.closed_form import equilibrium_vectors
-from quaffure.energies.cosserat import Cosserat
-from quaffure.energies.energy_term import HairState
-from quaffure.energies.hair_energy import HairEnergy
-from quaffure.energies.hair_terms import ELASTIC_MODELS, hair_terms
+from quaffure.energies import ELASTIC_MODELS, Cosserat, HairEnergy, HairState, equilibrium_vectors
+from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
-from quaffure.geometry.polyline import integrate_directions
-from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
-from quaffure.solvers.by_name import DESCENTS, MODIFIED_ONLY, SOLVERS, solver
-from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
-from quaffure.solvers.stopping import energy_and_gradient, relative_gradient, without_tensions
+from quaffure.geometry import integrate_directions
+from quaffure.solvers import (
+    SOLVERS,
+    AdamDraper,
+    AdamPositionsDraper,
+    LbfgsDraper,
+    LbfgsPositionsDraper,
+    energy_and_gradient,
+    solver,
+)
+from quaffure.solvers.by_name import DESCENTS, MODIFIED_ONLY
+from quaffure.solvers.stopping import relative_gradient, without_tensions
 from tests.scenes import bent_inwards, posed_scene, sphere_groom
 from tests.test_xpbd import strands_by_hand
 

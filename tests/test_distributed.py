@@ -8,12 +8,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel
-from quaffure.body.pose_prior import load_pose_prior
+from quaffure.body import BodyModel, load_pose_prior
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
-from quaffure.training.distributed import Worker, joined_workers
-from quaffure.training.pose_sampler import PoseSampler
+from quaffure.hair import Groom
+from quaffure.training import PoseSampler, Worker
+from quaffure.training.distributed import joined_workers
 from tests.training_runs import LONGEST_WAIT, QUAFFURE, TINY, checkpoint, rows_of, tiny_groom, train_command, training
 
 

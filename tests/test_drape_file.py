@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from quaffure.errors import InputError
-from quaffure.io.drape_file import read_drape, write_drape
+from quaffure.io import read_drape, write_drape
 from tests.synthetic_drape import drape, patch_of_strands
 
 BACK = (0.0, 1.0, 0.0)

@@ -12,18 +12,25 @@ from torch import nn
 import quaffure
 from quaffure.apps.cli.main import main
 from quaffure.backend import Backend
-from quaffure.body import kinematics
-from quaffure.body.body_model import BodyModel
-from quaffure.body.pose_features import FEATURE_COUNT
+from quaffure.body import FEATURE_COUNT, BodyModel, kinematics
 from quaffure.config import HairMaterial
-from quaffure.hair.groom import Groom
-from quaffure.model.checkpoint import load_network, save_network
-from quaffure.model.inference_network import ForwardNetwork, InferenceNetwork, NetworkInputs
-from quaffure.model.network_config import InitialShapeConfig, NetworkConfig, ProjectionConfig, from_file_values
-from quaffure.model.neural import NeuralDraper
-from quaffure.model.quaffure_model import Quaffure, load_model
-from quaffure.model.quaffure_network import DirectionNetwork
-from quaffure.procedural.generator import make_groom
+from quaffure.hair import Groom
+from quaffure.model import (
+    DirectionNetwork,
+    InferenceNetwork,
+    InitialShapeConfig,
+    NetworkConfig,
+    NetworkInputs,
+    NeuralDraper,
+    ProjectionConfig,
+    Quaffure,
+    load_model,
+    load_network,
+    save_network,
+)
+from quaffure.model.inference_network import ForwardNetwork
+from quaffure.model.network_config import from_file_values
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Tensor
 from tests.training_runs import tiny_groom

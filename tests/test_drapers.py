@@ -5,20 +5,19 @@ import pytest
 import torch
 
 from quaffure.backend import Backend
-from quaffure.baselines.posed import PosedDraper
-from quaffure.benchmark.metrics import accelerations, intersection_percent, measure, metrics, vertices_from_head
-from quaffure.body.body_model import load_body
-from quaffure.body.clips import bundled_clip
+from quaffure.baselines import PosedDraper
+from quaffure.benchmark import accelerations, intersection_percent, measure, vertices_from_head
+from quaffure.benchmark.metrics import metrics
+from quaffure.body import bundled_clip, load_body
 from quaffure.config import HairMaterial
 from quaffure.drape_motion import drape_motion
-from quaffure.energies.closed_form import equilibrium_vectors
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies import HairEnergy, equilibrium_vectors
 from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
-from quaffure.geometry.polyline import integrate_directions
-from quaffure.procedural.generator import make_groom
+from quaffure.geometry import integrate_directions
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers.adam import AdamDraper
+from quaffure.solvers import AdamDraper
 
 BODY = load_body()
 GROOM = make_groom("long_straight", BODY).select(torch.arange(0, 2400, 40))

@@ -6,10 +6,9 @@ import torch
 
 from quaffure.backend import Backend
 from quaffure.config import HairMaterial
-from quaffure.energies.body_collision import energy_body_collision
+from quaffure.energies import HairEnergy, energy_body_collision, energy_gravity, energy_stretch, energy_stretch_shear
 from quaffure.energies.force_limit import MAX_FORCE, clip_gradients
-from quaffure.energies.gravity import energy_gravity, energy_gravity_above_root
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.gravity import energy_gravity_above_root
 from quaffure.energies.pose_regularization import energy_pose_regularization
 from quaffure.energies.rest_state import rest_state
 from quaffure.energies.self_collision import (
@@ -19,9 +18,8 @@ from quaffure.energies.self_collision import (
     kernel_volume,
     smoothing_kernel,
 )
-from quaffure.energies.stretch import energy_stretch
-from quaffure.energies.stretch_shear import energy_stretch_shear, orientation_errors
-from quaffure.geometry.polyline import directors
+from quaffure.energies.stretch_shear import orientation_errors
+from quaffure.geometry import directors
 from quaffure.geometry.signed_distance import signed_distance
 from tests.scenes import bent_inwards, posed_scene, sphere_groom, sphere_surface, strands_round_sphere
 

@@ -6,22 +6,15 @@ import pytest
 import torch
 
 from quaffure.backend import Backend, choose_backend
-from quaffure.body.body_model import BodyModel
-from quaffure.body.pose_prior import load_pose_prior
+from quaffure.body import BodyModel, load_pose_prior
 from quaffure.config import HairMaterial
-from quaffure.energies.energy_term import EnergyTerm, HairState
-from quaffure.energies.gravity import Gravity
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies import EnergyTerm, Gravity, HairEnergy, HairState
 from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
 from quaffure.scene import BodyBatch, HairScene, Scene
-from quaffure.solvers.adam import AdamDraper
-from quaffure.solvers.descent import DescentDraper
-from quaffure.solvers.lbfgs import LbfgsDraper
+from quaffure.solvers import AdamDraper, DescentDraper, LbfgsDraper, XpbdDraper
 from quaffure.solvers.newton.newton import NewtonDraper
-from quaffure.solvers.xpbd import XpbdDraper
-from quaffure.training.pose_sampler import PoseSampler
-from quaffure.training.train_decoder import DecoderRecipe
+from quaffure.training import DecoderRecipe, PoseSampler
 from quaffure.types import Energy, Float, Tensor
 from tests.scenes import bent_inwards, posed_scene, sphere_groom
 from tests.training_runs import TINY, tiny_groom, validation

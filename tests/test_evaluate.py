@@ -12,21 +12,16 @@ import pytest
 import torch
 
 from quaffure.apps.cli.main import main
-from quaffure.benchmark.evaluation_set import (
-    CaseEntry,
-    EvaluationSet,
-    GroomSource,
-)
+from quaffure.benchmark import CaseEntry, GroomSource
+from quaffure.benchmark.evaluation_set import EvaluationSet
 from quaffure.benchmark.methods import methods
 from quaffure.benchmark.report import METRICS, PAGE, PICTURE, RATIOS, cell_text, page
-from quaffure.body.body_model import BodyModel
+from quaffure.body import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
-from quaffure.io.groom_file import write_groom
-from quaffure.model.checkpoint import save_network
-from quaffure.model.network_config import NetworkConfig
-from quaffure.model.quaffure_network import build_network
+from quaffure.hair import Groom
+from quaffure.io import write_groom
+from quaffure.model import NetworkConfig, build_network, save_network
 from tests.test_comparison import STRANDS, tiny_groom
 
 MATERIAL = HairMaterial(k_cosserat=1e-7)

@@ -18,22 +18,15 @@ from quaffure.benchmark.groom_code_metrics import (
     scatter_of_styles,
     style_scatter,
 )
-from quaffure.body.body_model import BodyModel
+from quaffure.body import BodyModel
 from quaffure.errors import InputError
-from quaffure.geometry.surface import Surface
-from quaffure.hair.groom import Groom
-from quaffure.hair.scalp_texture import select_guides
-from quaffure.io.groom_file import write_groom
+from quaffure.geometry import Surface
+from quaffure.hair import Groom, select_guides
+from quaffure.io import write_groom
 from quaffure.io.load_groom import load_groom
-from quaffure.model.groom_autoencoder import GroomAutoencoder, decoded_channels, relative_distance
-from quaffure.model.groom_code import (
-    WEIGHTS,
-    groom_code,
-    load_groom_autoencoder,
-    load_groom_encoder,
-    save_autoencoder,
-    save_encoder,
-)
+from quaffure.model import GroomAutoencoder, load_groom_autoencoder, strands_of
+from quaffure.model.groom_autoencoder import decoded_channels, relative_distance
+from quaffure.model.groom_code import WEIGHTS, groom_code, load_groom_encoder, save_autoencoder, save_encoder
 from quaffure.model.groom_texture import (
     SHAPE_CHANNELS,
     GroomSample,
@@ -41,13 +34,11 @@ from quaffure.model.groom_texture import (
     root_frames,
     sample_of,
     strand_features,
-    strands_of,
 )
-from quaffure.procedural.generator import make_groom
-from quaffure.procedural.hair_style import HELD_OUT, STYLES
+from quaffure.procedural import HELD_OUT, STYLES, make_groom
+from quaffure.training import GroomCodeConfig, GroomCodeRecipe, Training, train
 from quaffure.training.groom_batches import batch_of, mean_strands, mirrored, part_of, patch_of, scaled
-from quaffure.training.loop import Training, train
-from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeRecipe, finish
+from quaffure.training.train_groom_code import finish
 
 NARROW = (16, 16, 16, 16)
 TINY = GroomCodeConfig(steps=6, batch=4, warmup=1, widths=NARROW, save_every_seconds=0)

@@ -12,13 +12,11 @@ from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import check_outputs
 from quaffure.apps.cli.style_settings import ABOVE_ZERO, with_settings
 from quaffure.apps.render import pictures, video
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
-from quaffure.io.groom_file import read_groom, write_groom
+from quaffure.io import read_groom, write_groom
 from quaffure.io.read_strands import read_strands
-from quaffure.procedural import hair_style
-from quaffure.procedural.generator import make_groom
-from quaffure.procedural.hair_style import STYLES, HairStyle
+from quaffure.procedural import STYLES, HairStyle, hair_style, make_groom
 from tests.test_groom_files import tfx4_bytes
 
 FEW_ROOTS = "root_rows=14"

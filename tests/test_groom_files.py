@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from quaffure.errors import InputError
-from quaffure.hair.strands import Strands
+from quaffure.hair import Strands
+from quaffure.io import write_npz_strands
 from quaffure.io.hair import write_hair
-from quaffure.io.npz_strands import write_npz_strands
 from quaffure.io.read_strands import read_strands
 
 RAGGED = [np.arange(6.0).reshape(2, 3), 10 + np.arange(12.0).reshape(4, 3), 30 + np.arange(9.0).reshape(3, 3)]

@@ -12,28 +12,26 @@ import pytest
 import torch
 
 from quaffure.apps.cli.main import main
-from quaffure.baselines.groomgen import GroomGenDraper, head_strands, load_groomgen, texel_cells
-from quaffure.baselines.groomgen_network import GroomGenLayers, GroomGenNetwork, save_groomgen
-from quaffure.baselines.posed import PosedDraper
+from quaffure.baselines import (
+    GroomGenDraper,
+    GroomGenLayers,
+    GroomGenNetwork,
+    PosedDraper,
+    load_groomgen,
+    save_groomgen,
+)
+from quaffure.baselines.groomgen import head_strands, texel_cells
 from quaffure.benchmark.methods import methods
-from quaffure.body.body_model import BodyModel
-from quaffure.body.clips import bundled_clip
-from quaffure.body.neck import NECK_SHARES, head_turn, turned_head
+from quaffure.body import BodyModel, bundled_clip, head_turn, turned_head
+from quaffure.body.neck import NECK_SHARES
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
-from quaffure.io.groom_file import write_groom
-from quaffure.procedural.hair_style import HELD_OUT
+from quaffure.hair import Groom
+from quaffure.io import write_groom
+from quaffure.procedural import HELD_OUT
 from quaffure.scene import BodyBatch, Scene
-from quaffure.training.groomgen_data import (
-    LARGEST_TURN,
-    DrapedPoses,
-    DrapeFolder,
-    drawn_turn,
-    started_folder,
-)
-from quaffure.training.loop import Training, train
-from quaffure.training.train_groomgen import GroomGenConfig, GroomGenRecipe
+from quaffure.training import GroomGenConfig, GroomGenRecipe, Training, drawn_turn, train
+from quaffure.training.groomgen_data import LARGEST_TURN, DrapedPoses, DrapeFolder, started_folder
 from quaffure.types import Positions
 from tests.training_runs import rows_of, tiny_groom
 

@@ -8,9 +8,9 @@ from PIL import Image
 from quaffure.apps.cli import groom as command
 from quaffure.apps.cli.main import main
 from quaffure.apps.render import contact_sheet
-from quaffure.body.body_model import BodyModel
-from quaffure.procedural.generator import make_groom
-from quaffure.procedural.hair_style import HELD_OUT, STYLES, style_sizes
+from quaffure.body import BodyModel
+from quaffure.procedural import HELD_OUT, STYLES, make_groom
+from quaffure.procedural.hair_style import style_sizes
 
 
 @pytest.fixture(autouse=True)

@@ -8,22 +8,22 @@ import pytest
 import torch
 from jaxtyping import Float
 
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
-from quaffure.geometry.rotation import matrix_from_axis_angle
+from quaffure.geometry import matrix_from_axis_angle
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.hair.groom import Groom
-from quaffure.hair.guide_interpolation import (
+from quaffure.hair import (
+    DrapeSequence,
+    Groom,
     GuideInterpolation,
-    axis_projection,
     groom_of_drape,
     interpolation_of,
+    register_groom,
+    select_guides,
     with_strands,
 )
+from quaffure.hair.guide_interpolation import axis_projection
 from quaffure.hair.guide_triangles import coherence, sample_roots, triangulate
-from quaffure.hair.registration import register_groom
-from quaffure.hair.scalp_texture import select_guides
 from quaffure.io.read_strands import read_strands
 from quaffure.scene import BodyBatch, Scene
 

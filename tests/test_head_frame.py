@@ -1,9 +1,7 @@
 import torch
 
-from quaffure.body.body_model import BodyModel
-from quaffure.body.head_frame import HeadFrameBody, head_frame_body, head_frame_body_reference
+from quaffure.body import BodyModel, HeadFrameBody, MlsBodyConfig, head_frame_body, head_frame_body_reference
 from quaffure.body.kinematics import pose_joints
-from quaffure.body.mls_body import MlsBodyConfig
 
 CONFIG = MlsBodyConfig()
 

@@ -5,11 +5,9 @@ import pytest
 import torch
 
 from quaffure.apps.cli.main import main
-from quaffure.body.pose_features import FEATURE_COUNT
+from quaffure.body import FEATURE_COUNT
 from quaffure.config import HairMaterial
-from quaffure.model.checkpoint import save_network
-from quaffure.model.network_config import NetworkConfig
-from quaffure.model.quaffure_network import build_network
+from quaffure.model import NetworkConfig, build_network, save_network
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,9 @@
 import torch
 from torch.nn.functional import normalize
 
-from quaffure.geometry.mls_surface import resolve_contact_reference
-from quaffure.model.initial_shape import propagate_contact_force, resolve_contact_twice
+from quaffure.geometry import resolve_contact_reference
+from quaffure.model import resolve_contact_twice
+from quaffure.model.initial_shape import propagate_contact_force
 from tests.test_mls_surface import ball
 
 LENGTH = 0.05

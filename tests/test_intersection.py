@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from quaffure.benchmark.intersection import winding_numbers
-from quaffure.body.body_model import BodyModel
-from quaffure.body.clips import bundled_clip
+from quaffure.body import BodyModel, bundled_clip
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.scene import BodyBatch
 from tests.scenes import sphere_mesh

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
-from quaffure.hair.strands import Strands
-from quaffure.io.groom_file import NUMBERS, is_groom_file, read_groom, write_groom
-from quaffure.io.load_groom import load_groom, read_head
-from quaffure.io.npz_strands import write_npz_strands
-from quaffure.procedural.generator import make_groom
+from quaffure.hair import Groom, Strands
+from quaffure.io import read_groom, read_head, write_groom, write_npz_strands
+from quaffure.io.groom_file import NUMBERS, is_groom_file
+from quaffure.io.load_groom import load_groom
+from quaffure.procedural import make_groom
 
 
 @pytest.fixture(scope="module")

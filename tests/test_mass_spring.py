@@ -3,7 +3,8 @@ import math
 import pytest
 import torch
 
-from quaffure.energies.mass_spring import Springs, SpringStiffness, energy_springs, spring_lengths, with_ghosts
+from quaffure.energies import Springs, SpringStiffness
+from quaffure.energies.mass_spring import energy_springs, spring_lengths, with_ghosts
 
 STIFFNESS = SpringStiffness(k_edge=0.02, k_bend=3e-3, k_torsion=5e-4)
 

@@ -1,17 +1,11 @@
 import torch
 from torch.nn.functional import normalize
 
-from quaffure.body.body_model import BodyModel
-from quaffure.body.mls_body import MlsBodyConfig, mls_body
-from quaffure.geometry.mls_surface import (
-    LEAF,
-    MlsSurface,
-    local_features,
-    local_features_reference,
-    resolve_contact_reference,
-)
+from quaffure.body import BodyModel, MlsBodyConfig
+from quaffure.body.mls_body import mls_body
+from quaffure.geometry import MlsSurface, posed_surface, resolve_contact_reference
+from quaffure.geometry.mls_surface import LEAF, local_features, local_features_reference
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.geometry.surface import posed_surface
 
 RADIUS = 0.3
 

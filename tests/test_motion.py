@@ -3,10 +3,10 @@ import math
 import pytest
 import torch
 
-from quaffure.body.body_model import load_body
-from quaffure.body.motion import AXIAL_JOINTS, Motion, filter_flips, joint_matrices, resample, without_heading
+from quaffure.body import Motion, filter_flips, joint_matrices, load_body, resample, without_heading
+from quaffure.body.motion import AXIAL_JOINTS
 from quaffure.errors import InputError
-from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from quaffure.geometry import axis_angle_from_matrix, matrix_from_axis_angle
 
 LEFT_ARM, NECK = 10, 14
 

@@ -4,28 +4,33 @@ from pathlib import Path
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body import FEATURE_COUNT, BodyModel, Motion, load_body
 from quaffure.body.mls_body import mls_body
-from quaffure.body.motion import Motion
-from quaffure.body.pose_features import FEATURE_COUNT, pose_features
+from quaffure.body.pose_features import pose_features
 from quaffure.config import HairMaterial
-from quaffure.energies.closed_form import equilibrium_vectors
+from quaffure.energies import equilibrium_vectors
 from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
-from quaffure.geometry.mls_surface import resolve_contact_reference
-from quaffure.geometry.polyline import integrate_directions
-from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from quaffure.hair.groom import Groom
-from quaffure.hair.strand_blocks import cluster_representatives
-from quaffure.model import prepared_groom
-from quaffure.model.checkpoint import load_network, save_network
-from quaffure.model.initial_shape import resolve_contact_twice
-from quaffure.model.network_config import InitialShapeConfig, NetworkConfig
-from quaffure.model.neural import NeuralDraper
-from quaffure.model.prepared_groom import initial_clearance
-from quaffure.model.quaffure_model import load_model
-from quaffure.model.quaffure_network import build_network
-from quaffure.procedural.generator import make_groom
+from quaffure.geometry import (
+    axis_angle_from_matrix,
+    integrate_directions,
+    matrix_from_axis_angle,
+    resolve_contact_reference,
+)
+from quaffure.hair import Groom, cluster_representatives
+from quaffure.model import (
+    InitialShapeConfig,
+    NetworkConfig,
+    NeuralDraper,
+    build_network,
+    initial_clearance,
+    load_model,
+    load_network,
+    prepared_groom,
+    resolve_contact_twice,
+    save_network,
+)
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
 

@@ -9,16 +9,14 @@ import pytest
 import torch
 
 from benchmarks.rods.closed_form import equilibrium_edges
-from quaffure.baselines.posed import PosedDraper
+from quaffure.baselines import PosedDraper
 from quaffure.config import HairMaterial
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies import HairEnergy
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.solvers.adam import AdamDraper
-from quaffure.solvers.lbfgs import LbfgsDraper
+from quaffure.solvers import AdamDraper, LbfgsDraper, XpbdDraper
 from quaffure.solvers.newton.newton import ACTIVE_SHARE, HELD_SHARE, LBFGS_EVALUATIONS, PATIENT, NewtonDraper, heaviest
 from quaffure.solvers.newton.newton_descent import MOST_DAMPING, TrustRegionState, conjugate_gradients
 from quaffure.solvers.newton.newton_system import NewtonSystem, Point, QuadraticModel
-from quaffure.solvers.xpbd import XpbdDraper
 from quaffure.types import Positions
 from tests.scenes import bent_inwards, posed_scene, sphere_groom, sphere_surface
 from tests.test_strand_newton import near_the_sphere

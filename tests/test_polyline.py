@@ -1,6 +1,6 @@
 import torch
 
-from quaffure.geometry.polyline import integrate_directions, integrate_directions_reference
+from quaffure.geometry import integrate_directions, integrate_directions_reference
 
 
 def test_edges_keep_their_lengths_and_kernel_agrees_with_its_twin() -> None:

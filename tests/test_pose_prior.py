@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.motion import joint_matrices, without_heading
-from quaffure.body.pose_prior import PRIOR_FILE, PosePrior, load_pose_prior
-from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from quaffure.body import PRIOR_FILE, BodyModel, PosePrior, joint_matrices, load_body, load_pose_prior, without_heading
+from quaffure.geometry import axis_angle_from_matrix, matrix_from_axis_angle
 from scripts.fit_pose_prior import check_prior
 
 

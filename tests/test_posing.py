@@ -3,12 +3,10 @@ import math
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel, PosedBody, load_body
-from quaffure.geometry.rotation import matrix_from_axis_angle
-from quaffure.hair.groom import Groom
-from quaffure.hair.posing import posed_strands, root_positions, root_rotations
-from quaffure.procedural.generator import make_groom
-from quaffure.procedural.hair_style import HairStyle
+from quaffure.body import BodyModel, PosedBody, load_body
+from quaffure.geometry import matrix_from_axis_angle
+from quaffure.hair import Groom, posed_strands, root_positions, root_rotations
+from quaffure.procedural import HairStyle, make_groom
 
 
 @pytest.fixture(scope="module")

@@ -3,22 +3,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel
+from quaffure.body import BodyModel
 from quaffure.errors import InputError
-from quaffure.geometry.surface import Surface
-from quaffure.hair.clearance import (
-    CLEARANCE,
-    CLEARANCE_RAMP,
-    arc_lengths,
-    distances_and_normals,
-    inside_share,
-    pushed_out,
-)
-from quaffure.hair.groom import Groom
-from quaffure.hair.posing import root_positions
-from quaffure.procedural.curls import curl_arc_factor
-from quaffure.procedural.generator import make_groom, resample_evenly
-from quaffure.procedural.hair_style import HELD_OUT, STYLES
+from quaffure.geometry import Surface
+from quaffure.hair import Groom, distances_and_normals, inside_share, pushed_out, root_positions
+from quaffure.hair.clearance import CLEARANCE, CLEARANCE_RAMP, arc_lengths
+from quaffure.procedural import HELD_OUT, STYLES, curl_arc_factor, make_groom
+from quaffure.procedural.generator import resample_evenly
 
 
 @pytest.fixture(scope="module")

@@ -5,16 +5,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel
+from quaffure.body import BodyModel
 from quaffure.body.collision_skin import collision_skin
-from quaffure.energies.rest_state import RestState, rest_state
+from quaffure.energies import RestState
+from quaffure.energies.rest_state import rest_state
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.model.network_config import NetworkConfig, ProjectionConfig
-from quaffure.model.neural import NeuralDraper
-from quaffure.model.projection import project, project_reference
-from quaffure.model.quaffure_model import load_model
-from quaffure.model.quaffure_network import build_network
-from quaffure.procedural.generator import make_groom
+from quaffure.model import NetworkConfig, NeuralDraper, ProjectionConfig, build_network, load_model, project
+from quaffure.model.projection import project_reference
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
 

@@ -6,19 +6,14 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from quaffure.body.body_model import BodyModel
+from quaffure.body import BodyModel
 from quaffure.errors import InputError
-from quaffure.geometry.surface import Surface
-from quaffure.hair.clearance import inside_share
-from quaffure.hair.groom import Groom
-from quaffure.hair.posing import root_positions
-from quaffure.hair.registration import HeadMesh, nearest_on_scalp, register_groom
-from quaffure.hair.resample import concatenate_strands
-from quaffure.hair.strands import Strands
-from quaffure.io.load_groom import read_head
+from quaffure.geometry import Surface
+from quaffure.hair import Groom, HeadMesh, Strands, concatenate_strands, inside_share, register_groom, root_positions
+from quaffure.hair.registration import nearest_on_scalp
+from quaffure.io import read_head
 from quaffure.io.read_strands import read_strands
-from quaffure.procedural.generator import make_groom
-from quaffure.procedural.hair_style import STYLES
+from quaffure.procedural import STYLES, make_groom
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from our axes to a file whose y is up and whose face is +z
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from quaffure.errors import InputError
-from quaffure.hair.resample import concatenate_strands, polyline_lengths, resample_by_arc_length, without_degenerate
-from quaffure.hair.strands import Strands
+from quaffure.hair import Strands, concatenate_strands, polyline_lengths, resample_by_arc_length
+from quaffure.hair.resample import without_degenerate
 
 
 def ragged(*polylines: list[list[float]]) -> Strands:

@@ -5,12 +5,9 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.bvh_clip import BvhClip
-from quaffure.body.motion import Motion
-from quaffure.body.retargeting import retarget_bvh
+from quaffure.body import BodyModel, BvhClip, Motion, load_body, retarget_bvh
 from quaffure.errors import InputError
-from quaffure.io.bvh import read_bvh
+from quaffure.io import read_bvh
 from quaffure.io.read_motion import read_motion
 
 CHANNELS = ("Zrotation", "Xrotation", "Yrotation")

@@ -6,17 +6,10 @@ import pytest
 import torch
 
 from benchmarks.rods.direction_rod import CASES, RIGID, errors_mm, spring_compliance
-from quaffure.energies.rod import (
-    TWISTING_STIFFNESS,
-    RodRest,
-    energy_at_twist,
-    energy_rod,
-    equilibrium_twist,
-    stress_free_rest,
-)
+from quaffure.energies import TWISTING_STIFFNESS, RodRest, energy_at_twist, energy_rod, stress_free_rest
+from quaffure.energies.rod import equilibrium_twist
 from quaffure.energies.rod_kernels import fused_rod, rod_arrays
-from quaffure.geometry.polyline import directors
-from quaffure.geometry.rotation import matrix_from_axis_angle
+from quaffure.geometry import directors, matrix_from_axis_angle
 from quaffure.types import Float, Tensor
 
 STRANDS, EDGES = 6, 9

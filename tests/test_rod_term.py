@@ -3,18 +3,15 @@
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel
-from quaffure.body.clips import bundled_clip
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.body import BodyModel, bundled_clip
+from quaffure.energies import HairEnergy, sag_free_rest, stress_free_rest
 from quaffure.energies.hair_terms import hair_terms
-from quaffure.energies.rod import stress_free_rest
-from quaffure.energies.sag_free import sag_free_rest
 from quaffure.errors import InputError
-from quaffure.geometry.surface import Surface
-from quaffure.hair.groom import Groom
-from quaffure.procedural.generator import make_groom
+from quaffure.geometry import Surface
+from quaffure.hair import Groom
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, PosedScene, Scene
-from quaffure.solvers.lbfgs import LbfgsDraper
+from quaffure.solvers import LbfgsDraper
 from quaffure.types import Float, Tensor
 
 

@@ -8,15 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.rods.rod_validation import matrix_from_quaternion
-from quaffure.geometry.rotation import (
+from quaffure.geometry import (
     axis_angle_from_matrix,
     cross_product_matrix,
-    interpolate_rotations,
     matrix_from_axis_angle,
     quaternion_from_matrix,
     quaternion_multiply,
-    shortest_arc,
 )
+from quaffure.geometry.rotation import interpolate_rotations, shortest_arc
 
 coordinates = st.floats(-1, 1, allow_nan=False).filter(lambda x: x == 0 or abs(x) > 1e-3)
 directions = (

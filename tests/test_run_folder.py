@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from quaffure.errors import InputError
-from quaffure.training.run_folder import RunFolder
+from quaffure.training import RunFolder
 
 
 @pytest.fixture

@@ -5,18 +5,23 @@ from dataclasses import replace
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel
+from quaffure.body import BodyModel
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.energies.body_collision import energy_body_collision
-from quaffure.energies.gravity import energy_gravity
-from quaffure.energies.rest_state import RestState, rest_state
-from quaffure.energies.rod import energy_rod, stress_free_rest
-from quaffure.energies.sag_free import SagFreeRest, residual, sag_free_report, sag_free_rest
-from quaffure.geometry.polyline import integrate_directions_reference
+from quaffure.energies import (
+    RestState,
+    SagFreeRest,
+    energy_body_collision,
+    energy_gravity,
+    energy_rod,
+    sag_free_rest,
+    stress_free_rest,
+)
+from quaffure.energies.rest_state import rest_state
+from quaffure.energies.sag_free import residual, sag_free_report
+from quaffure.geometry import Surface, integrate_directions_reference
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.geometry.surface import Surface
-from quaffure.hair.groom import Groom
-from quaffure.procedural.generator import make_groom
+from quaffure.hair import Groom
+from quaffure.procedural import make_groom
 from quaffure.types import Energy, Float, Tensor
 
 STYLES = ("long_ringlets", "afro", "bob")

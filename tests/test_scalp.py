@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.scalp import ScalpChart, texel_index
+from quaffure.body import BodyModel, ScalpChart, load_body
+from quaffure.body.scalp import texel_index
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from quaffure.hair.groom import Groom
-from quaffure.hair.scalp_texture import decode, encode, select_guides, texel_mask
+from quaffure.hair import Groom, select_guides, texel_mask
+from quaffure.hair.scalp_texture import decode, encode
 
 
 def scattered(count: int = 500, seed: int = 0) -> Groom:

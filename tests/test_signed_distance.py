@@ -5,23 +5,26 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.body.body_model import load_body
-from quaffure.body.pose_prior import load_pose_prior
-from quaffure.geometry.bvh import Bvh, faces_within, nearest_face, search_all, search_workspace
-from quaffure.geometry.mesh import opposite_faces
-from quaffure.geometry.occupancy_grid import FREE, FREE_DISTANCE, OUTSIDE, UNKNOWN, classify
-from quaffure.geometry.signed_distance import closest_points, closest_points_reference, signed_distance
-from quaffure.geometry.surface import (
+from quaffure.body import load_body, load_pose_prior
+from quaffure.geometry import (
+    FREE,
+    FREE_DISTANCE,
+    OUTSIDE,
+    Bvh,
     Surface,
-    bvh_of,
+    classify,
     occupancy_of,
     posed_surface,
-    reference_surface_normals,
     surface_topology,
 )
+from quaffure.geometry.bvh import faces_within, nearest_face, search_all, search_workspace
+from quaffure.geometry.mesh import opposite_faces
+from quaffure.geometry.occupancy_grid import UNKNOWN
+from quaffure.geometry.signed_distance import closest_points, closest_points_reference, signed_distance
+from quaffure.geometry.surface import bvh_of, reference_surface_normals
 from quaffure.geometry.triangle import squared_distance
 from quaffure.scene import BodyBatch
-from quaffure.training.pose_sampler import PoseSampler
+from quaffure.training import PoseSampler
 from tests.scenes import sphere_mesh, sphere_surface
 
 

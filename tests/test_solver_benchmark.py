@@ -6,11 +6,12 @@ import pytest
 import torch
 
 from quaffure.apps.cli.main import main
-from quaffure.baselines.posed import PosedDraper
-from quaffure.benchmark.solver_benchmark import Budget, Case, budgets, run_benchmark
-from quaffure.body.body_model import load_body
+from quaffure.baselines import PosedDraper
+from quaffure.benchmark import run_benchmark
+from quaffure.benchmark.solver_benchmark import Budget, Case, budgets
+from quaffure.body import load_body
 from quaffure.config import HairMaterial
-from quaffure.procedural.generator import make_groom
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 
 

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from quaffure.config import HairMaterial
-from quaffure.energies.hair_energy import HairEnergy
-from quaffure.geometry.surface import Surface, posed_surface, surface_topology
+from quaffure.energies import HairEnergy
+from quaffure.geometry import Surface, posed_surface, surface_topology
 from quaffure.scene import PosedScene
 from quaffure.solvers.newton.block_tridiagonal import factor_strand, solve_strand
 from quaffure.solvers.newton.rounded_contact import ROUNDING_WIDTH, body_arrays, rounded_distance

@@ -2,15 +2,12 @@ from dataclasses import replace
 
 import torch
 
-from quaffure.body.body_model import BodyModel
+from quaffure.body import BodyModel
 from quaffure.config import VERTICES_PER_STRAND
-from quaffure.geometry.surface import Surface
-from quaffure.hair.clearance import inside_share
-from quaffure.hair.groom import Groom
-from quaffure.procedural.curls import curl_arc_factor
-from quaffure.procedural.generator import make_groom
-from quaffure.procedural.hair_style import STYLES, HairStyle
-from quaffure.procedural.style_family import CURL_TYPES, VERTICES_PER_TURN, sample_style
+from quaffure.geometry import Surface
+from quaffure.hair import Groom, inside_share
+from quaffure.procedural import CURL_TYPES, STYLES, HairStyle, curl_arc_factor, make_groom, sample_style
+from quaffure.procedural.style_family import VERTICES_PER_TURN
 
 
 def drawn(count: int, seed: int = 0) -> list[HairStyle]:

@@ -3,7 +3,8 @@ from pathlib import Path
 import pytest
 
 from quaffure.errors import InputError
-from quaffure.procedural.hair_style import Fringe, HairStyle, Tie, read_styles
+from quaffure.procedural import Fringe, HairStyle
+from quaffure.procedural.hair_style import Tie, read_styles
 
 
 def styles_of(text: str, tmp_path: Path) -> dict[str, HairStyle]:

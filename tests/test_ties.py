@@ -3,13 +3,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel
-from quaffure.geometry.surface import Surface
-from quaffure.hair.groom import Groom
-from quaffure.hair.scalp_roots import ScalpRoots, spread_roots
+from quaffure.body import BodyModel
+from quaffure.geometry import Surface
+from quaffure.hair import Groom, ScalpRoots, spread_roots
+from quaffure.procedural import STYLES, HairStyle, make_groom
 from quaffure.procedural.curls import clumped, curled
-from quaffure.procedural.generator import STEPS, make_groom
-from quaffure.procedural.hair_style import STYLES, HairStyle
+from quaffure.procedural.generator import STEPS
 from quaffure.procedural.ties import strand_bundle, tie_of_strand, trace_tied
 
 

@@ -11,15 +11,15 @@ import torch
 
 from quaffure.apps.cli import train as train_cli
 from quaffure.apps.cli.main import main
-from quaffure.benchmark.evaluation_set import load_evaluation_set, refuse_evaluation_data
-from quaffure.body.body_model import BodyModel
+from quaffure.benchmark import load_evaluation_set
+from quaffure.benchmark.evaluation_set import refuse_evaluation_data
+from quaffure.body import BodyModel
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
-from quaffure.io.groom_file import write_groom
-from quaffure.model.checkpoint import load_network
-from quaffure.model.quaffure_model import load_model
-from quaffure.procedural.hair_style import HELD_OUT
-from quaffure.training.train_decoder import DecoderRecipe
+from quaffure.hair import Groom
+from quaffure.io import write_groom
+from quaffure.model import load_model, load_network
+from quaffure.procedural import HELD_OUT
+from quaffure.training import DecoderRecipe
 from tests.training_runs import LONGEST_WAIT, QUAFFURE, TINY_OPTIONS, checkpoint, rows_of, tiny_groom, train_command
 
 

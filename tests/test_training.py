@@ -8,26 +8,24 @@ from typing import Literal
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.clips import bundled_clip
-from quaffure.body.motion import Motion
-from quaffure.body.pose_prior import load_pose_prior
+from quaffure.body import BodyModel, Motion, bundled_clip, load_body, load_pose_prior
 from quaffure.config import HairMaterial
-from quaffure.energies import force_limit
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies import HairEnergy, force_limit
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
-from quaffure.model.checkpoint import load_network, save_network
-from quaffure.model.neural import NeuralDraper
-from quaffure.model.quaffure_network import build_network
-from quaffure.procedural.generator import make_groom
+from quaffure.hair import Groom
+from quaffure.model import NeuralDraper, build_network, load_network, save_network
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
-from quaffure.training import run_folder, train_decoder
-from quaffure.training.distributed import Worker
-from quaffure.training.loop import train
-from quaffure.training.pose_sampler import PoseSampler
-from quaffure.training.train_config import TrainConfig
-from quaffure.training.validation import loss_unit, validation_metrics
+from quaffure.training import (
+    PoseSampler,
+    TrainConfig,
+    Worker,
+    loss_unit,
+    run_folder,
+    train,
+    train_decoder,
+    validation_metrics,
+)
 from tests.scenes import sphere_groom
 from tests.training_runs import TINY, rows_of, tiny_groom, training
 

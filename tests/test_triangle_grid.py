@@ -5,15 +5,15 @@ import pytest
 import torch
 from numba import njit
 
-from quaffure.body.body_model import BodyModel
+from quaffure.body import BodyModel
 from quaffure.body.collision_skin import ABOVE, BELOW, THIN, collision_skin
+from quaffure.geometry import TriangleGrid
 from quaffure.geometry import triangle_grid as module
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.geometry.triangle_grid import (
     IN_BLOCK,
     NONE,
     OUT_OF_BAND,
-    TriangleGrid,
     nearest_triangle_in_band,
     nearest_triangle_in_band_reference,
     triangle_grid,

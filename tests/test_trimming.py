@@ -4,9 +4,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from quaffure.body.body_model import BodyModel, load_body
-from quaffure.hair.scalp_roots import ScalpRoots, spread_roots
-from quaffure.procedural.hair_style import Clipping, Fringe, HairStyle
+from quaffure.body import BodyModel, load_body
+from quaffure.hair import ScalpRoots, spread_roots
+from quaffure.procedural import Clipping, Fringe, HairStyle
 from quaffure.procedural.trimming import (
     SHORTEST,
     clipped_share,

@@ -5,8 +5,8 @@ import pytest
 from pxr import Usd, UsdGeom, UsdValidation
 
 from quaffure.errors import InputError
-from quaffure.geometry.sampling import spread_subset
-from quaffure.io.usd import read_usd_strands, write_usd
+from quaffure.geometry import spread_subset
+from quaffure.io import read_usd_strands, write_usd
 from tests.synthetic_drape import drape, patch_of_strands
 
 STRANDS = patch_of_strands((0.0, 1.0, 0.0))

@@ -24,21 +24,17 @@ from quaffure.apps.viewer.page import Page, check_address
 from quaffure.apps.viewer.playback import Playback
 from quaffure.apps.viewer.session import free_path
 from quaffure.apps.viewer.view_state import Degrees, ViewState
-from quaffure.baselines.posed import PosedDraper
-from quaffure.body.clips import CLIP_FPS, CLIP_NAMES, bundled_clip
-from quaffure.body.motion import joint_matrices
+from quaffure.baselines import PosedDraper
+from quaffure.body import CLIP_FPS, CLIP_NAMES, bundled_clip, joint_matrices
 from quaffure.body.pose_features import HEAD
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
-from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.hair.groom import Groom
-from quaffure.hair.guide_interpolation import GuideInterpolation
-from quaffure.io.drape_file import read_drape
-from quaffure.model.quaffure_model import Quaffure, load_model
-from quaffure.procedural.generator import make_groom
-from quaffure.procedural.hair_style import STYLES
+from quaffure.hair import DrapeSequence, Groom, GuideInterpolation
+from quaffure.io import read_drape
+from quaffure.model import Quaffure, load_model
+from quaffure.procedural import STYLES, make_groom
 from quaffure.scene import Scene
-from quaffure.solvers.by_name import SOLVERS
+from quaffure.solvers import SOLVERS
 from quaffure.types import Positions
 
 if TYPE_CHECKING:

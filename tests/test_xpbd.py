@@ -11,14 +11,13 @@ from scipy.spatial import ConvexHull
 from benchmarks.rods.closed_form import equilibrium_edges
 from quaffure.backend import Backend
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies import HairEnergy
+from quaffure.geometry import Surface, posed_surface, surface_topology
 from quaffure.geometry.polyline import edges
-from quaffure.geometry.surface import Surface, posed_surface, surface_topology
-from quaffure.hair.groom import Groom
+from quaffure.hair import Groom
 from quaffure.scene import PosedScene
-from quaffure.solvers.adam import AdamDraper
-from quaffure.solvers.stopping import energy_and_gradient
-from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting, paper_setting
+from quaffure.solvers import AdamDraper, XpbdDraper, XpbdSetting, energy_and_gradient
+from quaffure.solvers.xpbd import paper_setting
 from tests.scenes import posed_scene, sphere_groom
 
 SOFT = HairMaterial(k_cosserat=5e-8)

@@ -6,18 +6,12 @@ from pathlib import Path
 
 import torch
 
-from quaffure.body.body_model import BodyModel
-from quaffure.body.pose_features import FEATURE_COUNT
-from quaffure.body.pose_prior import load_pose_prior
-from quaffure.hair.groom import Groom
-from quaffure.model.network_config import NetworkConfig
-from quaffure.procedural.generator import make_groom
-from quaffure.training.distributed import SINGLE_PROCESS, Worker
-from quaffure.training.loop import Training
-from quaffure.training.pose_sampler import PoseSampler
-from quaffure.training.train_config import TrainConfig
-from quaffure.training.train_decoder import DecoderRecipe
-from quaffure.training.validation import Validation
+from quaffure.body import FEATURE_COUNT, BodyModel, load_pose_prior
+from quaffure.hair import Groom
+from quaffure.model import NetworkConfig
+from quaffure.procedural import make_groom
+from quaffure.training import DecoderRecipe, PoseSampler, TrainConfig, Training, Validation, Worker
+from quaffure.training.distributed import SINGLE_PROCESS
 
 TINY = TrainConfig(
     network=NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=8, strand_width=16),

@@ -23,9 +23,9 @@ from their import PART_RUN, PEERS, WHOLE_RUN, PeerRun, installed, peer_run
 
 from quaffure.benchmark.machine_facts import machine_facts
 from quaffure.benchmark.metrics import metrics
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies import HairEnergy
 from quaffure.errors import InputError
-from quaffure.io.atomic import replacing
+from quaffure.io import replacing
 from quaffure.scene import Scene
 
 STRANDS, MANY = 100, 2000

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import torch
 from rest import Trace
 
-from quaffure.baselines.posed import PosedDraper
+from quaffure.baselines import PosedDraper
 from quaffure.draper import Draper
 from quaffure.energies.hair_terms import hair_terms
-from quaffure.model.quaffure_model import load_model
+from quaffure.model import load_model
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers.lbfgs import LbfgsDraper
+from quaffure.solvers import LbfgsDraper, XpbdDraper, XpbdSetting
 from quaffure.solvers.newton.newton import NewtonDraper
-from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting
 from quaffure.types import Positions
 
 WARM_UP_STRANDS = 8

@@ -20,11 +20,10 @@ import numpy as np
 import torch
 
 from benchmarks.rods.heavy_rod import HeavyRod
-from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.clips import bundled_clip
+from quaffure.body import BodyModel, bundled_clip, load_body
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.geometry.sampling import spread_subset
-from quaffure.io.atomic import replacing
+from quaffure.geometry import spread_subset
+from quaffure.io import replacing
 from quaffure.io.load_groom import load_groom
 from quaffure.scene import BodyBatch, Scene
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from quaffure.energies.closed_form import equilibrium_vectors
+from quaffure.energies import equilibrium_vectors
 from quaffure.types import EdgeVectors, Float, RestLengths, Tensor
 
 

@@ -9,14 +9,9 @@ import torch
 
 from benchmarks.rods.rod_validation import Case, Curl, Strand, distances_mm, lumped_mass
 from quaffure.config import STANDARD_GRAVITY
-from quaffure.energies.rod import (
-    BENDING_STIFFNESS,
-    TWISTING_STIFFNESS,
-    energy_at_twist,
-    stress_free_rest,
-    transported_normals,
-)
-from quaffure.geometry.rotation import matrix_from_axis_angle
+from quaffure.energies import TWISTING_STIFFNESS, energy_at_twist, stress_free_rest
+from quaffure.energies.rod import BENDING_STIFFNESS, transported_normals
+from quaffure.geometry import matrix_from_axis_angle
 from quaffure.types import Float, Tensor
 
 CASES = {

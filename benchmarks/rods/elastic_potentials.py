@@ -4,11 +4,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from quaffure.config import HairMaterial
-from quaffure.energies.cosserat import CosseratRod, RodStiffness
-from quaffure.energies.mass_spring import Springs, SpringStiffness
-from quaffure.energies.stretch import energy_stretch
-from quaffure.energies.stretch_shear import energy_stretch_shear
-from quaffure.geometry.polyline import directors
+from quaffure.energies import RodStiffness, Springs, SpringStiffness, energy_stretch, energy_stretch_shear
+from quaffure.energies.cosserat import CosseratRod
+from quaffure.geometry import directors
 from quaffure.types import Energy, Float, Positions, RestLengths, Tensor
 
 Unknowns = Float[Tensor, "b s e u"]

@@ -16,11 +16,8 @@ from benchmarks.rods.elastic_potentials import ElasticModel, Unknowns, cosserat,
 from benchmarks.rods.heavy_rod import REAL_HAIR_WEIGHT, HeavyRod
 from benchmarks.rods.rod_newton import Settled, settle
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.energies.body_collision import energy_body_collision
-from quaffure.energies.cosserat import RodStiffness
-from quaffure.energies.gravity import energy_gravity
-from quaffure.geometry.polyline import directors
-from quaffure.geometry.rotation import cross_product_matrix
+from quaffure.energies import RodStiffness, energy_body_collision, energy_gravity
+from quaffure.geometry import cross_product_matrix, directors
 from quaffure.types import Energy, Float, Positions, RestLengths, Tensor
 
 Strand = Float[Tensor, "n 3"]

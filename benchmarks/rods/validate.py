@@ -38,8 +38,8 @@ from benchmarks.rods.rod_validation import (
     stretch_percent,
 )
 from quaffure.config import HairMaterial
-from quaffure.energies.cosserat import RodStiffness
-from quaffure.io.atomic import replacing
+from quaffure.energies import RodStiffness
+from quaffure.io import replacing
 
 mpl.use("Agg")
 N = 24

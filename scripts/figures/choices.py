@@ -11,13 +11,13 @@ from short_training import GROOM, train_shortly
 from tiles import FIGURES, run_figure
 from training_curves import plot_curves, read_curve
 
-from quaffure.body.body_model import load_body
+from quaffure.body import load_body
 from quaffure.config import HairMaterial
-from quaffure.energies.hair_energy import HairEnergy
-from quaffure.procedural.generator import make_groom
+from quaffure.energies import HairEnergy
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers.by_name import solver
-from quaffure.training.validation import loss_unit, prior_validation, validation_metrics
+from quaffure.solvers import solver
+from quaffure.training import loss_unit, prior_validation, validation_metrics
 
 PLOT = FIGURES / "choices.png"
 CHOICES = {

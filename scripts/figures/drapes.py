@@ -11,12 +11,11 @@ import torch
 import tyro
 from tiles import FIGURES, TileRenderer, View, run_figure, save_picture
 
-from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
-from quaffure.body.clips import bundled_clip
-from quaffure.body.motion import resample
+from quaffure.apps.render import NATURAL_COLOURS
+from quaffure.body import bundled_clip, resample
 from quaffure.io.read_motion import read_motion
-from quaffure.model.quaffure_model import load_model
-from quaffure.procedural.generator import make_groom
+from quaffure.model import load_model
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 
 OUT = FIGURES / "drapes.jpg"

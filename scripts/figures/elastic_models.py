@@ -9,12 +9,13 @@ from pathlib import Path
 import torch
 from tiles import FIGURES, Caption, TileRenderer, View, at_rest, grid, run_figure, save_picture
 
-from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
-from quaffure.body.body_model import load_body
-from quaffure.energies.hair_terms import ELASTIC_MODELS, hair_terms
-from quaffure.procedural.generator import make_groom
+from quaffure.apps.render import NATURAL_COLOURS
+from quaffure.body import load_body
+from quaffure.energies import ELASTIC_MODELS
+from quaffure.energies.hair_terms import hair_terms
+from quaffure.procedural import make_groom
 from quaffure.scene import Scene
-from quaffure.solvers.adam import AdamDraper
+from quaffure.solvers import AdamDraper
 from quaffure.types import Positions
 
 OUT = FIGURES / "elastic_models.jpg"

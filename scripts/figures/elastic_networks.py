@@ -11,13 +11,12 @@ from short_training import GROOM, train_shortly
 from tiles import FIGURES, Caption, TileRenderer, grid, run_figure, save_picture
 from training_curves import plot_curves, read_curve
 
-from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
-from quaffure.benchmark.metrics import intersection_percent
-from quaffure.body.body_model import load_body
-from quaffure.body.clips import bundled_clip
-from quaffure.energies.hair_terms import ELASTIC_MODELS
-from quaffure.model.quaffure_model import load_model
-from quaffure.procedural.generator import make_groom
+from quaffure.apps.render import NATURAL_COLOURS
+from quaffure.benchmark import intersection_percent
+from quaffure.body import bundled_clip, load_body
+from quaffure.energies import ELASTIC_MODELS
+from quaffure.model import load_model
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
 

@@ -12,17 +12,13 @@ import tyro
 from PIL import Image, ImageDraw, ImageFont
 from tiles import FIGURES, run_figure
 
-from quaffure.apps.render.camera import Camera
-from quaffure.apps.render.scene import StrandRenderer
-from quaffure.body.body_model import BodyModel, load_body
-from quaffure.geometry.surface import Surface
-from quaffure.hair.clearance import pushed_out, rest_surface
-from quaffure.hair.groom import Groom
-from quaffure.hair.guide_interpolation import interpolation_of
-from quaffure.model.groom_autoencoder import GroomAutoencoder
-from quaffure.model.groom_code import groom_code, load_groom_autoencoder
-from quaffure.model.groom_texture import strands_of
-from quaffure.procedural.generator import make_groom
+from quaffure.apps.render import Camera, StrandRenderer
+from quaffure.body import BodyModel, load_body
+from quaffure.geometry import Surface
+from quaffure.hair import Groom, interpolation_of, pushed_out, rest_surface
+from quaffure.model import GroomAutoencoder, load_groom_autoencoder, strands_of
+from quaffure.model.groom_code import groom_code
+from quaffure.procedural import make_groom
 
 OUT = FIGURES / "groom_code.jpg"
 # The last pair are two styles that no training used.

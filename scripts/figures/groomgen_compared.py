@@ -10,18 +10,17 @@ import numpy as np
 import torch
 from tiles import FIGURES, GAP, PAPER, Caption, Picture, TileRenderer, View, captioned, grid, run_figure, save_picture
 
-from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
-from quaffure.baselines.groomgen import load_groomgen
+from quaffure.apps.render import NATURAL_COLOURS
+from quaffure.baselines import load_groomgen
 from quaffure.benchmark.metrics import inside_body, metrics
-from quaffure.body.body_model import BodyModel
-from quaffure.body.neck import turned_head
+from quaffure.body import BodyModel, turned_head
 from quaffure.draper import Draper
-from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies import HairEnergy
 from quaffure.io.load_groom import load_groom
-from quaffure.model.quaffure_model import load_model
+from quaffure.model import load_model
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers.by_name import solver
-from quaffure.training.groomgen_data import drawn_turn
+from quaffure.solvers import solver
+from quaffure.training import drawn_turn
 from quaffure.types import Positions
 
 OUT = FIGURES / "groomgen_compared.jpg"

@@ -4,12 +4,12 @@ from pathlib import Path
 
 from tiles import FIGURES, TileRenderer, View, at_rest, grid, run_figure, save_picture
 
-from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
-from quaffure.benchmark.evaluation_set import load_evaluation_set
-from quaffure.body.body_model import BodyModel
-from quaffure.hair.groom import Groom
+from quaffure.apps.render import NATURAL_COLOURS
+from quaffure.benchmark import load_evaluation_set
+from quaffure.body import BodyModel
+from quaffure.hair import Groom
 from quaffure.io.load_groom import load_groom
-from quaffure.model.quaffure_model import load_model
+from quaffure.model import load_model
 
 OUT = FIGURES / "guides.jpg"
 GROOM_FOLDER = Path("data/grooms")

@@ -10,11 +10,11 @@ from tempfile import TemporaryDirectory
 from PIL import Image
 from tiles import FIGURES, at_rest, run_figure
 
-from quaffure.apps.render.contact_sheet import write_contact_sheet
-from quaffure.body.body_model import load_body
+from quaffure.apps.render import write_contact_sheet
+from quaffure.body import load_body
 from quaffure.config import HairMaterial
-from quaffure.procedural.generator import make_groom
-from quaffure.solvers.xpbd import XpbdDraper
+from quaffure.procedural import make_groom
+from quaffure.solvers import XpbdDraper
 
 OUT = FIGURES / "material.jpg"
 STYLES = ("long_straight", "long_wavy", "long_ringlets", "ponytail")

@@ -14,20 +14,17 @@ from matplotlib.figure import Figure
 from tiles import FIGURES, Caption, Picture, TileRenderer, View, captioned, grid, run_figure, save_picture
 from torch import Tensor
 
-from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
-from quaffure.apps.render.video import encode_video
-from quaffure.baselines.posed import PosedDraper
-from quaffure.benchmark.metrics import accelerations, vertices_from_head
-from quaffure.body.body_model import BodyModel
-from quaffure.body.clips import bundled_clip
-from quaffure.body.motion import Motion
+from quaffure.apps.render import NATURAL_COLOURS, encode_video
+from quaffure.baselines import PosedDraper
+from quaffure.benchmark import accelerations, vertices_from_head
+from quaffure.body import BodyModel, Motion, bundled_clip
 from quaffure.drape_motion import drape_motion
 from quaffure.draper import Draper
-from quaffure.hair.groom import Groom
-from quaffure.model.quaffure_model import load_model
-from quaffure.procedural.generator import make_groom
+from quaffure.hair import Groom
+from quaffure.model import load_model
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers.refined import RefinedDraper
+from quaffure.solvers import RefinedDraper
 from quaffure.types import Positions
 
 STRIP, VIDEO = FIGURES / "neck_turn.jpg", FIGURES / "neck_turn.mp4"

@@ -11,10 +11,8 @@ import numpy as np
 import torch
 from tiles import FIGURES, Caption, View, captioned, grid, run_figure, save_picture
 
-from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
-from quaffure.apps.render.scene import StrandRenderer
-from quaffure.body.body_model import load_body
-from quaffure.body.clips import bundled_clip
+from quaffure.apps.render import NATURAL_COLOURS, StrandRenderer
+from quaffure.body import bundled_clip, load_body
 from quaffure.scene import BodyBatch
 
 OUT = FIGURES / "peers.jpg"

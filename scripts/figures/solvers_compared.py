@@ -21,14 +21,14 @@ from tiles import (
     save_picture,
 )
 
-from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
-from quaffure.benchmark.evaluation_set import CaseEntry
+from quaffure.apps.render import NATURAL_COLOURS
+from quaffure.benchmark import CaseEntry
 from quaffure.benchmark.methods import methods
 from quaffure.benchmark.metrics import metrics
-from quaffure.body.body_model import load_body
+from quaffure.body import load_body
 from quaffure.draper import Draper
-from quaffure.energies.hair_energy import HairEnergy
-from quaffure.hair.groom import Groom
+from quaffure.energies import HairEnergy
+from quaffure.hair import Groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from tiles import FIGURES, Caption, TileRenderer, View, at_rest, grid, run_figure, save_picture
 
-from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
-from quaffure.body.body_model import load_body
+from quaffure.apps.render import NATURAL_COLOURS
+from quaffure.body import load_body
 from quaffure.config import HairMaterial
-from quaffure.procedural.generator import make_groom
-from quaffure.solvers.adam import AdamDraper
+from quaffure.procedural import make_groom
+from quaffure.solvers import AdamDraper
 
 OUT = FIGURES / "stiffness.jpg"
 GROOM = "long_ringlets"

@@ -15,10 +15,9 @@ from tiles import (
     save_picture,
 )
 
-from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
-from quaffure.benchmark.evaluation_set import CaseEntry
-from quaffure.benchmark.metrics import intersection_percent
-from quaffure.model.quaffure_model import load_model
+from quaffure.apps.render import NATURAL_COLOURS
+from quaffure.benchmark import CaseEntry, intersection_percent
+from quaffure.model import load_model
 
 OUT = FIGURES / "styles_poses_bodies.jpg"
 VIEW = View(20.0)

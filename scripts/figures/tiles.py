@@ -15,15 +15,13 @@ import tyro
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from quaffure.apps.render.camera import Camera
+from quaffure.apps.render import Camera, StrandRenderer
 from quaffure.apps.render.contact_sheet import INK, PALE_INK, PAPER
-from quaffure.apps.render.scene import StrandRenderer
-from quaffure.benchmark.evaluation_set import CaseEntry, DataFolders, GroomSource, load_cases, load_evaluation_set
-from quaffure.body.body_model import BodyModel
+from quaffure.benchmark import CaseEntry, DataFolders, GroomSource, load_cases, load_evaluation_set
+from quaffure.body import BodyModel
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
-from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of
-from quaffure.io.atomic import replacing
+from quaffure.hair import Groom, GuideInterpolation, interpolation_of
+from quaffure.io import replacing
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Float, Positions, Tensor
 

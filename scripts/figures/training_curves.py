@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from tiles import run_figure
 
 from quaffure.errors import InputError
-from quaffure.io.atomic import replacing
+from quaffure.io import replacing
 
 LEAST_SHOWN = 1e-3  # of an energy; smaller differences come and go
 COLUMNS = ("seconds", "energy", "body_intersection_percent")

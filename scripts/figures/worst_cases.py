@@ -20,11 +20,11 @@ from tiles import (
     save_picture,
 )
 
-from quaffure.apps.render.contact_sheet import NATURAL_COLOURS
-from quaffure.benchmark.evaluation_set import DataFolders, load_cases, load_evaluation_set
-from quaffure.model.quaffure_model import load_model
+from quaffure.apps.render import NATURAL_COLOURS
+from quaffure.benchmark import DataFolders, load_cases, load_evaluation_set
+from quaffure.model import load_model
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers.xpbd import XpbdDraper
+from quaffure.solvers import XpbdDraper
 
 OUT = FIGURES / "worst_cases.jpg"
 RESULTS = FIGURES.parent / "evaluation_results.json"

@@ -1,0 +1,17 @@
+"""Files in and out: grooms, strands, motion and drapes."""
+
+from typing import TYPE_CHECKING
+
+from quaffure._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from quaffure.io.amass import read_amass
+    from quaffure.io.atomic import replacing
+    from quaffure.io.bvh import read_bvh
+    from quaffure.io.drape_file import read_drape, write_drape
+    from quaffure.io.groom_file import read_groom, write_groom
+    from quaffure.io.load_groom import read_head
+    from quaffure.io.npz_strands import write_npz_strands
+    from quaffure.io.usd import read_usd_strands, write_usd
+
+__all__, __getattr__, __dir__ = lazy_exports(__name__)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from quaffure._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from quaffure.procedural.curls import curl_arc_factor
     from quaffure.procedural.generator import make_groom
     from quaffure.procedural.hair_style import HELD_OUT, STYLES, Clipping, Fringe, HairStyle
     from quaffure.procedural.style_family import CURL_TYPES, sample_style

@@ -11,6 +11,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import HEAD, world_from_head
 from quaffure.config import HairMaterial
 from quaffure.drape_motion import FRAMES_AT_ONCE, bodies_of, material_of
+from quaffure.energies.energy_term import Terms
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.self_collision import densities, density_excesses
 from quaffure.energies.stretch import length_errors
@@ -27,11 +28,18 @@ PerFrame = dict[str, Float[Tensor, " b"]]
 class DrapeMetrics:
     """Metrics of a drape, and of the groom as it was posed, added up batch by batch of its frames."""
 
-    def __init__(self, groom: Groom, material: HairMaterial, reference: DrapeSequence | None = None) -> None:
+    def __init__(
+        self,
+        groom: Groom,
+        material: HairMaterial,
+        reference: DrapeSequence | None = None,
+        terms: Terms | None = None,
+    ) -> None:
         """
         Args:
             groom: the one that is draped.
             material: of the draped hair.
+            terms: of the energy that is measured; `hair_terms()` where none are given.
             reference: the best solver's drape of the same groom and frames; needed for `excess_energy`, `distance_mm`
                 and `jitter`, which is one number for the clip and repeated, and left out where the reference does not
                 move.
@@ -41,7 +49,7 @@ class DrapeMetrics:
         """
         if reference is not None and material_of(reference) != material:
             raise InputError("reference", f"hair of {material}", f"{material_of(reference)}")
-        self.energy, self.reference = HairEnergy(groom, material), reference
+        self.energy, self.reference = HairEnergy(groom, material, terms), reference
         self._draped: list[PerFrame] = []
         self._posed: list[PerFrame] = []
         self._from_head: list[tuple[Positions, Positions]] = []

@@ -39,6 +39,17 @@ def contact_force(distance: float, margin: float, k_body_collision: float) -> tu
     return -(np.float32(3.0) * k_body_collision * short * short), k_body_collision * short * short * short
 
 
+@njit(cache=True, fastmath=True, inline="always")
+def contact_stiffness(short: float, k_body_collision: float) -> float:
+    """Eq. 10: the second derivative by the signed distance, 6 k_bc (D - d) [N/m].
+
+    Args:
+        short: D - d, not negative [m].
+        k_body_collision: k_bc [J/m^3].
+    """
+    return np.float32(6.0) * k_body_collision * short
+
+
 def distances_to_body(positions: Positions, scene: HairScene) -> Float[Tensor, "b s n"]:
     """d(x) of Eq. 10: exact signed distance of every vertex to the body [m], positive outside."""
     return signed_distance(positions.flatten(1, 2), scene.surface).reshape(positions.shape[:3])

@@ -16,7 +16,7 @@ from quaffure.config import HairMaterial
 from quaffure.energies.rest_state import RestState
 from quaffure.energies.smoothing_kernel import kernel_slope, kernel_value
 from quaffure.geometry.cell_list import cell_columns, check_finite, interleaved, sort_into_cells
-from quaffure.types import Energy, Positions, Tensor
+from quaffure.types import Energy, Float, Positions, Tensor
 
 
 def fused_self_collision(positions: Positions, rest: RestState, material: HairMaterial) -> Energy:
@@ -47,27 +47,32 @@ class Particles(NamedTuple):
 class _SelfCollision(torch.autograd.Function):
     @staticmethod
     def forward(ctx: FunctionCtx, positions: Tensor, rest: RestState, material: HairMaterial) -> Tensor:
-        batch = len(positions)
-        flat = positions.detach().contiguous().reshape(batch, -1, 3).numpy()
-        gradient = np.empty_like(flat)
-        energy = torch.zeros(batch)
-        mass, rest_density = rest.mass.flatten().numpy(), rest.rest_density.flatten().numpy()
-        h = np.float32(material.smoothing_length)
-        for sample in range(batch):
-            order, shape, particles = sort_particles(flat[sample], mass, np.float32(2) * h)
-            excess = np.empty(len(order), np.float32)
-            _excess(particles, shape, rest_density, order, h, get_num_threads(), excess)
-            energy[sample] = material.k_self_collision * float((excess.astype(np.float64) ** 3).sum())
-            slope = np.float32(3 * material.k_self_collision) * excess * excess
-            active = active_particles(particles, slope)
-            density_gradient(particles, active, shape, slope, order, h, get_num_threads(), gradient[sample])
-        ctx.save_for_backward(torch.from_numpy(gradient).reshape(positions.shape))
-        return energy
+        found = [self_collision_and_gradient(sample.detach(), rest, material) for sample in positions]
+        ctx.save_for_backward(torch.stack([gradient for _, gradient in found]))
+        return positions.new_tensor([energy for energy, _ in found])
 
     @staticmethod
     def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor, None, None]:
         (gradient,) = ctx.saved_tensors  # type: ignore[attr-defined]
         return gradient * upstream[0][:, None, None, None], None, None
+
+
+def self_collision_and_gradient(
+    positions: Float[Tensor, "s n 3"], rest: RestState, material: HairMaterial
+) -> tuple[float, Float[Tensor, "s n 3"]]:
+    """Eq. 11 of one sample [J] and its gradient by the vertices [N]; positions are float32 and finite [m]."""
+    flat = positions.contiguous().reshape(-1, 3).numpy()
+    gradient = np.empty_like(flat)
+    mass, rest_density = rest.mass.flatten().numpy(), rest.rest_density.flatten().numpy()
+    h = np.float32(material.smoothing_length)
+    order, shape, particles = sort_particles(flat, mass, np.float32(2) * h)
+    excess = np.empty(len(order), np.float32)
+    _excess(particles, shape, rest_density, order, h, get_num_threads(), excess)
+    slope = np.float32(3 * material.k_self_collision) * excess * excess
+    active = active_particles(particles, slope)
+    density_gradient(particles, active, shape, slope, order, h, get_num_threads(), gradient)
+    energy = material.k_self_collision * float((excess.astype(np.float64) ** 3).sum())
+    return energy, torch.from_numpy(gradient).reshape(positions.shape)
 
 
 @njit(cache=True)

@@ -1,9 +1,7 @@
 """Eqs. 6, 7, 9 and 10 of whole strands in one compiled pass, value and gradient.
 
 The same terms written out in torch are `HairEnergy` on `Backend.TORCH`; a test holds the two together. A strand's 24
-vertices fit in cache, so one pass costs little more than reading them. An occupancy grid tells where a vertex is free
-of the body, or at least outside, where only faces within its margin are searched; where neither is known, the search is
-bounded by the distance to the last face found for the strand.
+vertices fit in cache, so one pass costs little more than reading them.
 """
 
 from typing import NamedTuple
@@ -18,11 +16,10 @@ from quaffure.energies.body_collision import contact_force
 from quaffure.energies.rest_state import RestState
 from quaffure.energies.stretch import stretch_force
 from quaffure.energies.stretch_shear import stretch_shear_force
-from quaffure.geometry.bvh import nearest_face, search_workspace
+from quaffure.geometry.bvh import search_workspace
 from quaffure.geometry.cell_list import check_finite, interleaved
-from quaffure.geometry.occupancy_grid import FREE, FREE_DISTANCE, UNKNOWN, classify
-from quaffure.geometry.surface import Surface, SurfaceArrays, bvh_of, occupancy_of, sample_arrays
-from quaffure.geometry.triangle import closest_on_triangle, signed_distance_from_offset, squared_distance
+from quaffure.geometry.surface import Surface, SurfaceArrays, sample_arrays
+from quaffure.geometry.surface_distance import distance_within
 from quaffure.types import EdgeVectors, Float, Positions, Tensor
 
 TERMS = ("stretch_shear", "stretch", "gravity", "body_collision")
@@ -98,14 +95,14 @@ def _strands(
             continue
         sample = item // runs
         body = sample_arrays(surface, sample)
-        stack, scratch = search_workspace()
+        workspace = search_workspace()
         seed = 0
         for strand in range((item % runs) * _RUN, min(strands, (item % runs + 1) * _RUN)):
             x, out, own_terms = positions[sample, strand], gradient[sample, strand], terms[sample, strand]
             own_terms[0], own_terms[1], own_terms[2] = _elastic_and_gravity(
                 x, hair.director[sample, strand], hair.rest_length[strand], hair.mass[strand], hair.stiffness, out
             )
-            own_terms[3], seed = _contact(x, hair.margin[strand], hair.stiffness[3], body, seed, stack, scratch, out)
+            own_terms[3], seed = _contact(x, hair.margin[strand], hair.stiffness[3], body, seed, workspace, out)
 
 
 @njit(cache=True, fastmath=True, inline="always")
@@ -140,29 +137,19 @@ def _elastic_and_gravity(
 @njit(cache=True, fastmath=True, inline="always")
 def _contact(
     x: np.ndarray, margin: np.ndarray, k_body_collision: float, body: SurfaceArrays, seed: int,
-    stack: np.ndarray, scratch: np.ndarray, gradient: np.ndarray,
+    workspace: tuple[np.ndarray, np.ndarray], gradient: np.ndarray,
 ) -> tuple[float, int]:  # fmt: skip
     """Eq. 10 of a strand, and the first face in contact: a good `seed` for the next strand. Adds to the gradient."""
     energy, leaf, first = 0.0, seed, -1
-    tree, space = bvh_of(body), occupancy_of(body)
     for vertex in range(1, len(x)):
-        px, py, pz = x[vertex, 0], x[vertex, 1], x[vertex, 2]
-        where = classify(px, py, pz, space)
-        if where == FREE and margin[vertex] <= np.float32(FREE_DISTANCE):
+        distance, nx, ny, nz, found = distance_within(
+            x[vertex, 0], x[vertex, 1], x[vertex, 2], margin[vertex], leaf, body, workspace
+        )
+        if found < 0:
             continue
-        if where == UNKNOWN:
-            squared = squared_distance(body.corners[leaf], px, py, pz)
-            found = nearest_face(px, py, pz, leaf, squared, tree, stack, scratch)
-        else:  # outside: faces beyond the margin do not matter
-            found = nearest_face(px, py, pz, -1, margin[vertex] * margin[vertex], tree, stack, scratch)
-            if found < 0:
-                continue
         leaf = found
         if first < 0:
             first = found
-        cx, cy, cz, feature = closest_on_triangle(body.corners[found], px, py, pz)
-        nx, ny, nz = body.normals[found, feature]
-        distance, nx, ny, nz = signed_distance_from_offset(px - cx, py - cy, pz - cz, nx, ny, nz)
         slope, own_energy = contact_force(distance, margin[vertex], k_body_collision)
         energy += own_energy
         gradient[vertex, 0] += slope * nx

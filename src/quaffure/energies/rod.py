@@ -39,6 +39,10 @@ where a joint is far from its own minimum."""
 SAFE_CURVATURE = 0.472
 """Least curvature of -cos(x) that Newton's method assumes, over cos(x / 2): no less than half of sin(x) / x, which is
 the curvature of the parabola that touches -cos at x and lies above it elsewhere. So no step raises the energy."""
+EXACT_BELOW = 0.3
+"""After a step below this, the curvature is the exact one [rad]: safe steps converge linearly, these quadratically."""
+LEAST_PIVOT = 1e-2
+"""Least pivot of an elimination with exact curvatures, in twisting stiffnesses of the joint."""
 
 Twist = Float[Tensor, "b s e"]
 RootRotations = Float[Tensor, "b s 3 3"]
@@ -220,27 +224,33 @@ def equilibrium_twist(direction: EdgeVectors, rest: RodRest, rotation: RootRotat
     """The angles phi that minimise the energy of given directions, by Newton's method from phi = 0 [rad].
 
     The bending energy of joint i is a constant less P_i cos + Q_i sin of the mean twist there, so the second derivative
-    is tridiagonal. Where a joint is more than 67 degrees of twist from its own minimum, its curvature is raised
-    (`SAFE_CURVATURE`); elsewhere these are plain Newton steps.
+    is tridiagonal. At first, where a joint is more than 67 degrees of twist from its own minimum, its curvature is
+    raised (`SAFE_CURVATURE`); the last steps are plain Newton steps (`EXACT_BELOW`).
     """
     cosine_part, sine_part = _bending_by_twist(direction, rest, rotation)
     amplitude = torch.hypot(cosine_part, sine_part)
-    twist = torch.zeros_like(cosine_part)
+    twist, largest = torch.zeros_like(cosine_part), torch.full_like(cosine_part[..., :1], EXACT_BELOW)
     for _ in range(MOST_TWIST_STEPS):
         middle = _joint_twist(twist)
         cosine, sine = middle.cos(), middle.sin()
         bending = cosine_part * cosine + sine_part * sine
         safe = SAFE_CURVATURE * (0.5 * amplitude * (amplitude + bending).clamp(min=0)).sqrt()
-        curvature = 0.25 * torch.maximum(bending, safe)
+        curvature = 0.25 * torch.where(largest < EXACT_BELOW, bending, torch.maximum(bending, safe))
         bent = 0.5 * (cosine_part * sine - sine_part * cosine)
         moment = rest.twisting_stiffness * twist_strain(twist, rest)
-        step = _solve_tridiagonal(
+        step, least_pivot = _solve_tridiagonal(
             _sum_of_both_joints(curvature + rest.twisting_stiffness),
             curvature - rest.twisting_stiffness,
             bent + moment + torch.nn.functional.pad((bent - moment)[..., 1:], (0, 1)),
+            rest.twisting_stiffness,
         )
-        twist = twist - step
-        if float(step.abs().max()) < TWIST_TOLERANCE:
+        is_exact = largest < EXACT_BELOW
+        # Where the exact system is not positive definite, the next step is a safe one.
+        failed = is_exact & (least_pivot < LEAST_PIVOT)
+        step = torch.where(failed | (largest < TWIST_TOLERANCE), 0, step)
+        twist, largest = twist - step, step.abs().amax(dim=-1, keepdim=True)
+        largest = torch.where(failed, EXACT_BELOW, largest)
+        if float(largest.max()) < TWIST_TOLERANCE:
             break
     return twist
 
@@ -260,8 +270,10 @@ def _bending_by_twist(direction: EdgeVectors, rest: RodRest, rotation: RootRotat
     return cosine_part, sine_part
 
 
-def _solve_tridiagonal(diagonal: Twist, before: Twist, right: Twist) -> Twist:
-    """Solves a symmetric positive definite system whose entries between i - 1 and i are `before`[i]."""
+def _solve_tridiagonal(
+    diagonal: Twist, before: Twist, right: Twist, unit: Float[Tensor, "s e"]
+) -> tuple[Twist, Float[Tensor, "b s 1"]]:
+    """Solves a symmetric system whose entries between i - 1 and i are `before`[i]; its least pivot in `unit`."""
     pivots, rights = [diagonal[..., 0]], [right[..., 0]]
     for i in range(1, diagonal.shape[-1]):
         ratio = before[..., i] / pivots[-1]
@@ -270,4 +282,4 @@ def _solve_tridiagonal(diagonal: Twist, before: Twist, right: Twist) -> Twist:
     solution = [rights[-1] / pivots[-1]]
     for i in range(diagonal.shape[-1] - 2, -1, -1):
         solution.append((rights[i] - before[..., i + 1] * solution[-1]) / pivots[i])
-    return torch.stack(solution[::-1], dim=-1)
+    return torch.stack(solution[::-1], dim=-1), (torch.stack(pivots, dim=-1) / unit).amin(dim=-1, keepdim=True)

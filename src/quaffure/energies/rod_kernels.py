@@ -13,7 +13,9 @@ from numba import get_num_threads, njit, prange
 from torch.autograd.function import FunctionCtx
 
 from quaffure.energies.rod import (
+    EXACT_BELOW,
     LEAST_ALIGNMENT,
+    LEAST_PIVOT,
     MOST_TWIST_STEPS,
     SAFE_CURVATURE,
     TWIST_TOLERANCE,
@@ -28,7 +30,8 @@ _RUN = 16  # strands that one thread takes in turn
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _LEAST_ALIGNMENT = np.float32(LEAST_ALIGNMENT)
 _SAFE_CURVATURE = np.float32(SAFE_CURVATURE)
-_TWIST_TOLERANCE = np.float32(TWIST_TOLERANCE)
+_TWIST_TOLERANCE, _EXACT_BELOW = np.float32(TWIST_TOLERANCE), np.float32(EXACT_BELOW)
+_LEAST_PIVOT = np.float32(LEAST_PIVOT)
 _LEAST_LENGTH = np.float32(1e-12)  # of an edge [m]: one without length has no direction and gets no force
 
 
@@ -106,7 +109,7 @@ class _FusedRod(torch.autograd.Function):
         return gradient * upstream[0][:, None, None, None], None, None
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _rods(
     positions: np.ndarray, rotation: np.ndarray, rest: RodArrays, threads: int, energy: np.ndarray, gradient: np.ndarray
 ) -> None:
@@ -140,7 +143,7 @@ def rod_workspace(edges: int, like: np.ndarray) -> RodWorkspace:
     )
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def rod_of_strand(
     x: np.ndarray, rotation: np.ndarray, rest: RodArrays, strand: int, work: RodWorkspace, gradient: np.ndarray
 ) -> np.floating:
@@ -150,17 +153,17 @@ def rod_of_strand(
     return _energy_and_adjoint(rotation, rest, strand, work, gradient)
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def rotate(rotation: np.ndarray, v: np.ndarray) -> Vector:
     """The matrix times the vector."""
     return (
@@ -170,14 +173,14 @@ def rotate(rotation: np.ndarray, v: np.ndarray) -> Vector:
     )
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def transported(a: Vector, start: Vector, end: Vector) -> Vector:
     """A vector `a` across the unit vector `start`, rotated by the smallest rotation from `start` to the unit `end`."""
     w = dot(a, end) / max(_ONE + dot(start, end), _LEAST_ALIGNMENT)
     return a[0] - w * (start[0] + end[0]), a[1] - w * (start[1] + end[1]), a[2] - w * (start[2] + end[2])
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def transported_adjoint(a: Vector, start: Vector, end: Vector, upstream: Vector) -> tuple[Vector, Vector, Vector]:
     """Gradients of upstream . transported(a, start, end) by a, start and end."""
     alignment = _ONE + dot(start, end)
@@ -200,17 +203,17 @@ def transported_adjoint(a: Vector, start: Vector, end: Vector, upstream: Vector)
     return by_a, by_start, by_end
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def _store(array: np.ndarray, row: int, v: Vector) -> None:
     array[row, 0], array[row, 1], array[row, 2] = v[0], v[1], v[2]
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def _load(array: np.ndarray, row: int) -> Vector:
     return array[row, 0], array[row, 1], array[row, 2]
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def transport_frames(x: np.ndarray, rotation: np.ndarray, rest: RodArrays, strand: int, work: RodWorkspace) -> None:
     """Directions of the edges, frames F, and P and Q of the bending energy by twist, -P cos(phi) - Q sin(phi)."""
     t = rotate(rotation, rest.root_frame[strand, 0])
@@ -233,48 +236,58 @@ def transport_frames(x: np.ndarray, rotation: np.ndarray, rest: RodArrays, stran
         _store(work.normal, edge + 1, a)
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def solve_twist(rest: RodArrays, strand: int, work: RodWorkspace) -> None:
     """Newton's method for the twist angles from zero, as in `equilibrium_twist`."""
-    twist = work.twist
-    twist[:] = _ZERO
+    work.twist[:] = _ZERO
+    step = _EXACT_BELOW
     for _ in range(MOST_TWIST_STEPS):
-        if _twist_step(rest, strand, work) < _TWIST_TOLERANCE:
+        step = _twist_step(rest, strand, work, step < _EXACT_BELOW)
+        if step < _TWIST_TOLERANCE:
             break
 
 
-@njit(cache=True, fastmath=True, inline="always")
-def _joint_derivatives(rest: RodArrays, strand: int, work: RodWorkspace, joint: int) -> tuple[Any, Any, Any, Any]:
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _joint_derivatives(
+    rest: RodArrays, strand: int, work: RodWorkspace, joint: int, is_exact: bool
+) -> tuple[Any, Any, Any, Any]:
     """Half the slope and a quarter of the curvature of a joint's energy by the mean of its two twist angles; its twist
-    moment and twisting stiffness."""
+    moment and twisting stiffness. A curvature that is not exact is safe."""
     angle, beyond = work.twist[joint], work.twist[joint + 1]
     middle = _HALF * (angle + beyond)
     cosine, sine = np.cos(middle), np.sin(middle)
     p, q = work.bending_by_twist[joint, 0], work.bending_by_twist[joint, 1]
-    bending, amplitude = p * cosine + q * sine, np.sqrt(p * p + q * q)
-    safe = _SAFE_CURVATURE * np.sqrt(_HALF * amplitude * max(amplitude + bending, _ZERO))
+    curvature = p * cosine + q * sine
+    if not is_exact:
+        amplitude = np.sqrt(p * p + q * q)
+        curvature = max(curvature, _SAFE_CURVATURE * np.sqrt(_HALF * amplitude * max(amplitude + curvature, _ZERO)))
     stiffness = rest.twisting[strand, joint]
     moment = stiffness * (beyond - angle - rest.rest_twist[strand, joint])
-    return _HALF * (p * sine - q * cosine), _HALF * _HALF * max(bending, safe), moment, stiffness
+    return _HALF * (p * sine - q * cosine), _HALF * _HALF * curvature, moment, stiffness
 
 
-@njit(cache=True, fastmath=True, inline="always")
-def _twist_step(rest: RodArrays, strand: int, work: RodWorkspace) -> np.floating:
-    """One step of Newton's method: elimination from root to tip, substitution back. Returns the largest change."""
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _twist_step(rest: RodArrays, strand: int, work: RodWorkspace, is_exact: bool) -> np.floating:
+    """One step of Newton's method: elimination from root to tip, substitution back. Returns the largest change.
+
+    Where the exact system is not positive definite, nothing changes and the next step is a safe one.
+    """
     twist, pivot, right, coupling = work.twist, work.pivot, work.right, work.coupling
     edges = len(pivot)
-    slope, curvature, moment, stiffness = _joint_derivatives(rest, strand, work, 0)
+    slope, curvature, moment, stiffness = _joint_derivatives(rest, strand, work, 0, is_exact)
     pivot_before, right_before = _ONE, _ZERO
     for edge in range(edges):
         # Edge -1 is the root, which has no twist.
         between = curvature - stiffness if edge > 0 else _ZERO
         diagonal, total = curvature + stiffness, slope + moment
         if edge + 1 < edges:
-            slope, curvature, moment, stiffness = _joint_derivatives(rest, strand, work, edge + 1)
+            slope, curvature, moment, stiffness = _joint_derivatives(rest, strand, work, edge + 1, is_exact)
             diagonal += curvature + stiffness
             total += slope - moment
         ratio = between / pivot_before
         pivot_before = diagonal - ratio * between
+        if is_exact and pivot_before < _LEAST_PIVOT * rest.twisting[strand, edge]:
+            return _EXACT_BELOW
         right_before = total - ratio * right_before
         pivot[edge], right[edge], coupling[edge] = pivot_before, right_before, between
     step, largest = _ZERO, _ZERO
@@ -286,7 +299,7 @@ def _twist_step(rest: RodArrays, strand: int, work: RodWorkspace) -> np.floating
     return largest
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def bend_joint(
     t: Vector,
     a: Vector,
@@ -313,7 +326,7 @@ def bend_joint(
     return _HALF * stiffness * (sx * sx + sy * sy + sz * sz), by_t, by_a, f
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def _energy_and_adjoint(
     rotation: np.ndarray, rest: RodArrays, strand: int, work: RodWorkspace, gradient: np.ndarray
 ) -> np.floating:
@@ -344,7 +357,7 @@ def _energy_and_adjoint(
     return energy
 
 
-@njit(cache=True, fastmath=True, inline="always")
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def _add_to_vertices(gradient: np.ndarray, edge: int, u: Vector, by_u: Vector, inverse_length: float) -> None:
     """Gradient by an edge's direction as one by its two ends: only its part across the edge counts."""
     along = dot(u, by_u)

@@ -31,12 +31,13 @@ class PosedRod:
     rotation: RootRotations
 
     @cached_property
-    def _arrays(self) -> RodArrays:
+    def arrays(self) -> RodArrays:
+        """The rest shape as kernels read it."""
         return rod_arrays(self.rest, self.rest.rest_twist.dtype)
 
     def fused_energy(self, positions: Positions) -> Energy:
         """The rods' energy [J] by the compiled kernel, differentiable in the positions [m] alone."""
-        return fused_rod(positions, self._arrays, self.rotation.detach())
+        return fused_rod(positions, self.arrays, self.rotation.detach())
 
 
 @dataclass(frozen=True)

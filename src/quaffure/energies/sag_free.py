@@ -17,6 +17,7 @@ made stiffer.
 """
 
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import torch
 
@@ -207,6 +208,17 @@ def _leaned(direction: Float[Tensor, "s e 3"], moment: Float[Tensor, "s e 3"]) -
     """Unit p with t x p = -moment, on the side of the unit direction t; the moment is across t and below 1."""
     lean = torch.linalg.cross(direction, moment)
     return (1 - lean.square().sum(-1, keepdim=True)).clamp(min=0).sqrt() * direction + lean
+
+
+_DESIGNS: WeakKeyDictionary[Groom, dict[HairMaterial, SagFreeRest]] = WeakKeyDictionary()
+
+
+def design_of(groom: Groom, body: BodyModel, material: HairMaterial) -> SagFreeRest:
+    """`sag_free_rest`, computed once for a groom and a material. Arguments and errors are the same."""
+    designs = _DESIGNS.setdefault(groom, {})
+    if material not in designs:
+        designs[material] = sag_free_rest(groom, body, material)
+    return designs[material]
 
 
 def residual(groom: Groom, rest: SagFreeRest, material: HairMaterial | None = None) -> Float[Tensor, "s e"]:

@@ -6,13 +6,13 @@ from typing import Protocol, runtime_checkable
 from quaffure.baselines.posed import PosedDraper
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper, StoppingReport
-from quaffure.energies.hair_terms import MODIFIED_COSSERAT, hair_terms
-from quaffure.energies.sag_free import SagFreeRest
+from quaffure.energies.energy_term import Terms
 from quaffure.errors import InputError
 from quaffure.scene import Scene
 from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
 from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
 from quaffure.solvers.newton.newton import NewtonDraper
+from quaffure.solvers.strand_newton import StrandNewtonDraper
 from quaffure.solvers.xpbd import XpbdDraper, paper_setting
 from quaffure.types import Positions
 
@@ -26,42 +26,36 @@ class Solver(Draper, Protocol):
         ...
 
 
-_CLASSES = (AdamDraper, AdamPositionsDraper, LbfgsDraper, LbfgsPositionsDraper)
-DESCENTS = {draper.name: draper for draper in _CLASSES}
-"""Solvers that use gradients alone and so accept every energy term."""
-
-MODIFIED_ONLY: dict[str, Callable[[HairMaterial], Draper]] = {
-    "newton": NewtonDraper,
-    "xpbd": XpbdDraper,
-    "xpbd_paper": lambda material: XpbdDraper(material, paper_setting()),
-    "posed": PosedDraper,
+_CLASSES = (
+    StrandNewtonDraper,
+    AdamDraper,
+    AdamPositionsDraper,
+    LbfgsDraper,
+    LbfgsPositionsDraper,
+    NewtonDraper,
+    XpbdDraper,
+)
+_DRAPERS: dict[str, Callable[[HairMaterial, Terms | None], Draper]] = {
+    **{
+        draper.name: lambda material, terms, draper=draper: draper(material, terms=terms)
+        for draper in (StrandNewtonDraper, *_DESCENTS, NewtonDraper, XpbdDraper)
+    },
+    "xpbd_paper": lambda material, terms: XpbdDraper(material, paper_setting(), terms),
+    PosedDraper.name: lambda material, terms: PosedDraper(material),
 }
-"""Drapers for the modified Cosserat model alone."""
-
-SOLVERS = (*DESCENTS, *MODIFIED_ONLY)
+SOLVERS = tuple(_DRAPERS)
 
 
-def solver(
-    name: str,
-    material: HairMaterial | None = None,
-    elastic: str = MODIFIED_COSSERAT,
-    design: SagFreeRest | None = None,
-) -> Draper:
+def solver(name: str, material: HairMaterial | None = None, terms: Terms | None = None) -> Draper:
     """The draper of that name with its default setting.
 
     Args:
-        elastic: name of the elastic model (`quaffure.energies.hair_terms`).
-        design: sag-free rest shape of the one groom to drape, with the rod alone.
+        terms: of the energy (`quaffure.energies.hair_terms`); where none are given, those of the sag-free rod for
+            `strand_newton`, Eqs. 6, 7, 9, 10 and 11 for the others.
 
     Raises:
-        InputError: no draper or elastic model of that name, or a draper that does not accept that model.
+        InputError: no draper of that name, or one that does not accept these terms.
     """
-    material = material or HairMaterial()
-    terms = hair_terms(elastic, design)
-    if name in DESCENTS:
-        return DESCENTS[name](material, terms=terms)
-    if name not in MODIFIED_ONLY:
+    if name not in _DRAPERS:
         raise InputError("draper", f"one of {', '.join(SOLVERS)}", repr(name))
-    if elastic != MODIFIED_COSSERAT:
-        raise InputError(f"elastic model {elastic}", f"one of the drapers {', '.join(DESCENTS)}", name)
-    return MODIFIED_ONLY[name](material)
+    return _DRAPERS[name](material or HairMaterial(), terms)

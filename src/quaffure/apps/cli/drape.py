@@ -12,24 +12,29 @@ from quaffure.apps.cli.inputs import body_shape_of, motion_of
 from quaffure.apps.cli.outputs import check_outputs, write_output
 from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
 from quaffure.benchmark.metrics import DrapeMetrics, PerFrame
-from quaffure.body.body_model import load_body
+from quaffure.body.body_model import BodyModel, load_body
+from quaffure.config import HairMaterial
 from quaffure.drape_motion import FRAMES_AT_ONCE, drape_motion
 from quaffure.draper import Draper
-from quaffure.energies.hair_terms import ELASTIC_MODELS, MODIFIED_COSSERAT, ROD
-from quaffure.energies.sag_free import sag_free_rest
+from quaffure.energies.energy_term import Terms
+from quaffure.energies.hair_terms import ELASTIC_MODELS, MODIFIED_COSSERAT, ROD, hair_terms
+from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import interpolation_of
 from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
 from quaffure.model.quaffure_model import load_model
 from quaffure.scene import Scene
 from quaffure.solvers.by_name import SOLVERS, solver
-from quaffure.solvers.refined import RefinedDraper
+from quaffure.solvers.coherent_clip import CoherentDraper
+from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
 from quaffure.training.pose_sampler import LARGEST_COEFFICIENT
 from quaffure.types import Float, Positions, Tensor
 
 NEURAL, GROOMGEN = "neural", GroomGenDraper.name
+DRAPERS = (*SOLVERS, NEURAL, GROOMGEN)
 
 
 @dataclass(frozen=True)
@@ -48,12 +53,15 @@ class DrapeCommand:
     """Ten body shape coefficients separated by commas, or a file that holds them; without it, the mean body."""
     head: Path | None = None
     """The head mesh (.obj) that a groom file was made on; helps to register it."""
-    draper: Annotated[str, tyro.conf.arg(metavar=f"{{{NEURAL},{GROOMGEN},{','.join(SOLVERS)}}}")] = NEURAL
-    """The method: the network, the supervised baseline (docs/groomgen.md), or one of the solvers (docs/solvers.md)."""
-    refine: int = 0
-    """Steps of Adam from the output of the network; 0 is the network alone."""
-    elastic: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = MODIFIED_COSSERAT
-    """The elastic model, for adam and lbfgs in all their forms. Metrics are those of the default one."""
+    draper: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(DRAPERS)}}}")] = StrandNewtonDraper.name
+    """The method: one of the solvers (docs/solvers.md), the network, or the supervised baseline (docs/groomgen.md)."""
+    coherent: bool = True
+    """With strand_newton: every frame starts from the last one, so that clips do not jump; otherwise each by itself."""
+    settle: int = 0
+    """Passes of strand_newton from the output of another draper; 0 is that draper alone."""
+    elastic: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = None
+    """The elastic model: rod with strand_newton, otherwise modified_cosserat, the paper's; adam and lbfgs in all their
+    forms accept any. Metrics are those of the same model."""
     rest: Literal["design", "stress-free"] | None = None
     """With --elastic rod: the rest shape that keeps hair as designed on the mean body (design, the default), or the
     groom itself, from which gravity bends it."""
@@ -76,22 +84,16 @@ class DrapeCommand:
         if float(body_shape.abs().max()) > LARGEST_COEFFICIENT:
             console.print(f"shape: beyond the trained and measured +-{LARGEST_COEFFICIENT:g} standard deviations")
         reference = None if self.reference is None else read_drape(self.reference)
-        draper = self._draper()
+        self._check_options()
         console.print(f"reading the groom {self.groom}")
         groom = load_groom(self.groom, body, self.head)
-        if self.elastic == ROD and self.rest != "stress-free":
-            design = sag_free_rest(groom, body, draper.material)
-            if bool(design.unstable.any()):
-                console.print(f"{int(design.unstable.sum())} strands will not keep the design")
-            draper = solver(self.draper, draper.material, self.elastic, design)
+        draper, terms = self._draper(groom, body)
         interpolation = None if self.strands is None else interpolation_of(groom, body, self.strands)
         shape = (len(motion), *groom.rest_strands.shape)
         if reference is not None and reference.strands.shape != shape:
             raise InputError(f"{self.reference}", f"strands {shape}", f"{reference.strands.shape}")
-        console.print(f"draping {len(groom)} strands in {_frames(len(motion))} with {self._row}")
-        if self.refine and len(motion) > 1:
-            console.print("refined frame by frame: hair that moves will jitter")
-        measured = DrapeMetrics(groom, draper.material, reference)
+        console.print(f"draping {len(groom)} strands in {_frames(len(motion))} with {draper.name}")
+        measured = DrapeMetrics(groom, draper.material, reference, terms)
         with progress_bar("draping", len(motion), transient=True) as update:
 
             def on_frames(draped: Positions, scene: Scene) -> None:
@@ -99,43 +101,71 @@ class DrapeCommand:
                 update(advance=len(draped))
 
             sequence = drape_motion(draper, groom, body, motion, body_shape, on_frames)
-        if self.draper in SOLVERS:  # `--elastic` does not choose the model that a network was trained with
-            sequence.meta["elastic"] = self.elastic
-        if self.elastic == ROD:
-            sequence.meta["rest"] = self.rest or "design"
+        sequence.meta["elastic"] = self._elastic
+        if self._elastic == ROD:
+            sequence.meta["rest"] = self._rest
         for path in self.out:
             console.print(f"writing {path}")
             write_output(path, sequence, interpolation)
         self._report(sequence, *measured.of_all_frames())
 
     @property
-    def _row(self) -> str:
-        """The name of the draper in `quaffure evaluate`."""
-        return RefinedDraper.name if self.refine else self.draper
+    def _elastic(self) -> str:
+        return self.elastic or (ROD if self.draper == StrandNewtonDraper.name or self.settle else MODIFIED_COSSERAT)
 
-    def _draper(self) -> Draper:
-        """The draper by name; solvers get the material that the weights were trained for, to be comparable."""
-        if self.draper not in (NEURAL, GROOMGEN, *SOLVERS):
-            raise InputError("--draper", f"one of {', '.join((NEURAL, GROOMGEN, *SOLVERS))}", f"'{self.draper}'")
-        if self.refine and self.draper != NEURAL:
-            raise InputError("--refine", f"the draper {NEURAL}", f"'{self.draper}'")
-        if self.refine < 0:
-            raise InputError("--refine", "0 or more", f"{self.refine}")
-        if self.rest is not None and self.elastic != ROD:
-            raise InputError("--rest", f"--elastic {ROD}", f"'{self.elastic}'")
-        if self.draper in SOLVERS:
-            return solver(self.draper, load_model(self.weights).draper.material, self.elastic)
-        if self.elastic != MODIFIED_COSSERAT:
+    @property
+    def _rest(self) -> str:
+        return self.rest or "design"
+
+    def _check_options(self) -> None:
+        """Refuse options before the work."""
+        if self.draper not in DRAPERS:
+            raise InputError("--draper", f"one of {', '.join(DRAPERS)}", f"'{self.draper}'")
+        if self.settle < 0:
+            raise InputError("--settle", "0 or more", f"{self.settle}")
+        if self.settle and (self.draper == StrandNewtonDraper.name or self._elastic != ROD):
+            raise InputError(
+                "--settle", f"a draper other than {StrandNewtonDraper.name} and the rod", f"'{self.draper}'"
+            )
+        if self.rest is not None and self._elastic != ROD:
+            raise InputError("--rest", f"--elastic {ROD}", f"'{self._elastic}'")
+        if self.draper in (NEURAL, GROOMGEN) and self.elastic not in (None, MODIFIED_COSSERAT):
             raise InputError("--elastic", f"{MODIFIED_COSSERAT} with a network", f"'{self.elastic}'")
-        if self.draper == NEURAL:
-            neural = load_model(self.weights).draper
-            return RefinedDraper(neural, self.refine) if self.refine else neural
-        if self.weights is None:
+        if self.draper == GROOMGEN and self.weights is None:
             raise InputError("--weights", f"weights of quaffure train-groomgen with the draper {GROOMGEN}", "none")
-        return load_groomgen(self.weights)[0]
+        if self._elastic in ELASTIC_MODELS and self.draper in SOLVERS:
+            solver(self.draper, terms=hair_terms(self._elastic))  # refuses terms that it does not implement
+
+    def _draper(self, groom: Groom, body: BodyModel) -> tuple[Draper, Terms]:
+        """The draper by name, and the terms of the energy that is measured.
+
+        Solvers get the material that the weights were trained for, to be comparable.
+        """
+        if self.draper == GROOMGEN and self.weights is not None:
+            draper: Draper = load_groomgen(self.weights)[0]
+        else:
+            draper = load_model(self.weights).draper
+        terms = self._terms(groom, body, draper.material)
+        if self.draper in SOLVERS and not self.settle:
+            draper = solver(self.draper, draper.material, terms)
+        elif self.draper in SOLVERS:
+            draper = solver(self.draper, draper.material)
+        if self.settle:
+            draper = SettledDraper(draper, StrandNewtonDraper(draper.material, terms=terms), self.settle)
+        if isinstance(draper, StrandNewtonDraper) and self.coherent:
+            draper = CoherentDraper(draper)
+        return draper, terms
+
+    def _terms(self, groom: Groom, body: BodyModel, material: HairMaterial) -> Terms:
+        if self._elastic != ROD or self._rest == "stress-free":
+            return hair_terms(self._elastic)
+        design = design_of(groom, body, material)
+        if bool(design.unstable.any()):
+            console.print(f"{int(design.unstable.sum())} strands will not keep the design")
+        return hair_terms(ROD, design)
 
     def _report(self, sequence: DrapeSequence, draped: PerFrame, posed: PerFrame) -> None:
-        named = {"posed": posed, self._row: draped}
+        named = {"posed": posed, str(sequence.meta["draper"]): draped}
         if self.json:
             rows = {name: {key: values.tolist() for key, values in row.items()} for name, row in named.items()}
             times = {"milliseconds": sequence.meta["milliseconds"], "with_preparation": with_preparation(sequence)}

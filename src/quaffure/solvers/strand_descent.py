@@ -1,0 +1,248 @@
+"""One groom in one pose, whose strands are moved to rest by Newton's method, each by itself.
+
+A pass minimizes the quadratic model of every strand (`quaffure.solvers.strand_recursion`) and shortens the step of each
+until its own energy falls. Hair on hair comes from the last positions: its force, and on the diagonal a stiffness that
+lets no vertex go far before the force is computed anew.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from quaffure.config import STANDARD_GRAVITY
+from quaffure.energies.fused_density import self_collision_and_gradient
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.rod_term import PosedRod, Rod
+from quaffure.geometry.cell_list import check_finite
+from quaffure.geometry.polyline import directors
+from quaffure.scene import HairScene
+from quaffure.solvers.strand_kernels import (
+    Evaluation,
+    StrandArrays,
+    Surroundings,
+    evaluate_strands,
+    limit_rotations,
+    resolve_strands,
+    rotate_edges,
+)
+from quaffure.solvers.strand_recursion import StrandModel, newton_rotations
+from quaffure.types import Float, Positions, Tensor
+
+
+@dataclass(frozen=True)
+class StepControl:
+    """How far a pass may move hair.
+
+    Attributes:
+        most_turn: of an edge in a pass [rad].
+        backtracks: times that a step is shortened; a strand whose energy has not fallen then stays.
+        shortening: factor of each.
+        yield_distance: over which the force of hair against hair is taken to grow by its own size [m]. Shorter is
+            slower; longer, groups of strands move past each other.
+        most_damping: a pass after which the energy of all hair has risen is undone, and the stiffness against the hair
+            around is raised by this factor at most.
+    """
+
+    most_turn: float = 1.0
+    backtracks: int = 4
+    shortening: float = 0.4
+    yield_distance: float = 2e-3
+    most_damping: float = 1e3
+
+
+class _State(NamedTuple):
+    """A shape of the hair and the energy of all terms [J]."""
+
+    energy: float
+    direction: np.ndarray
+    density_gradient: np.ndarray
+
+
+class StrandDescent:
+    """The strands of one groom in one pose on their way to rest.
+
+    Attributes:
+        direction: unit direction of every edge [strand edge 3].
+        passes: done so far.
+        moved: largest displacement of each strand in the last pass, to first order [m].
+    """
+
+    def __init__(self, energy: HairEnergy, scene: HairScene, control: StepControl | None = None) -> None:
+        """Starts from the posed groom.
+
+        Args:
+            energy: of the rod, Eqs. 7, 9, 10 and 11; lengths are kept, so that Eq. 7 stays 0.
+            scene: of one sample.
+
+        Raises:
+            ValueError: a posed vertex is not finite.
+        """
+        check_finite(scene.posed)
+        self._energy, self._control = energy, control or StepControl()
+        rest = energy.rest
+        posed_rod = _rod_of(energy, scene)
+        self._rod = posed_rod.arrays
+        self._body = scene.surface.sample_arrays(0)
+        rotation, mass = _float32(posed_rod.rotation[0]), _float32(rest.mass)
+        weight = mass[..., None] * np.array([0.0, 0.0, -STANDARD_GRAVITY], np.float32)
+        root, length = _float32(scene.posed[0, :, 0]), _float32(rest.rest_length)
+        self._hair = StrandArrays(rotation, root, length, weight, _float32(rest.collision_margin))
+        self._root_direction = np.einsum("sij,sj->si", rotation, self._rod.root_frame[:, 0]).astype(np.float32)
+        self._k_body_collision = np.float32(energy.material.k_body_collision)
+        strands, vertices = mass.shape
+        self._strands = np.arange(strands)
+        self._anywhere = np.full(strands, 1e6, np.float32)
+        self._own_weight = STANDARD_GRAVITY * mass
+        self._now, self._trial = _evaluation(strands, vertices), _evaluation(strands, vertices)
+        self._around = Surroundings(
+            np.zeros((strands, vertices, 3), np.float32),
+            np.zeros((strands, vertices), np.float32),
+            np.zeros((strands, vertices, 3), np.float32),
+        )
+        self.direction = _float32(directors(scene.posed[0]))
+        self.passes, self.moved = 0, np.zeros(strands, np.float32)
+        self._damping, self._best = 0.0, None  # type: float, _State | None
+        self._evaluate(self._k_body_collision)
+
+    @property
+    def positions(self) -> Positions:
+        """Vertices of the current directions, a batch of one [m]."""
+        return torch.from_numpy(self._now.positions.copy())[None]
+
+    def set_directions(self, direction: Float[Tensor, "s e 3"]) -> None:
+        """Go on from other unit directions."""
+        self.direction[:] = direction.numpy()
+        self._best, self._damping = None, 0.0
+        self._evaluate(self._k_body_collision)
+        self._start = self._now.positions.copy()
+
+    def fall(self, passes: int, most_turn: float = 1.5) -> None:
+        """Passes without contact and without other hair."""
+        self._clear_surroundings()
+        self._evaluate(np.float32(0.0))
+        for _ in range(passes):
+            self._move(np.float32(0.0), most_turn, self._anywhere, backtracks=0)
+
+    def resolve_contact(self, share: float) -> None:
+        """Push vertices that are within `share` of their margins out of the body, from root to tip."""
+        resolve_strands(self.direction, self._hair, self._body, np.float32(share))
+        self._evaluate(self._k_body_collision)
+
+    def touch(self, passes: int) -> None:
+        """Passes with contact and without other hair."""
+        self._clear_surroundings()
+        for _ in range(passes):
+            self._move(self._k_body_collision, self._control.most_turn, self._anywhere, self._control.backtracks)
+
+    def settle(self, passes: int) -> None:
+        """Passes with all terms. The energy of all hair is never higher at the end than at the start."""
+        for _ in range(passes):
+            self._feel_hair()
+            self._move(self._k_body_collision, self._control.most_turn, self._anywhere, self._control.backtracks)
+        self._feel_hair()
+
+    def follow(self, passes: int, most_move: float, most_moved: float) -> None:
+        """Passes with all terms, in each of which no vertex moves by more than `most_move` [m], and in all since
+        `set_directions` by more than `most_moved` [m], both to first order."""
+        for _ in range(passes):
+            self._feel_hair()
+            gone = np.linalg.norm(self._now.positions - self._start, axis=-1).max(axis=-1)
+            limit = np.clip(most_moved - gone, 0.0, most_move)
+            self._move(self._k_body_collision, self._control.most_turn, limit, self._control.backtracks)
+
+    def total(self) -> float:
+        """Energy of all terms at the current directions [J]."""
+        return self._with_density()[0]
+
+    def _evaluate(self, k_body_collision: np.float32) -> None:
+        evaluate_strands(
+            self.direction, self._strands, self._hair, self._rod, self._around, self._body, k_body_collision, self._now
+        )
+
+    def _clear_surroundings(self) -> None:
+        self._around.gradient[:], self._around.stiffness[:] = 0.0, 0.0
+
+    def _feel_hair(self) -> None:
+        """Compute hair against hair anew; where the energy of all has risen, go back and take shorter steps."""
+        total, gradient = self._with_density()
+        if self._best is not None and not total < self._best.energy:
+            self.direction[:] = self._best.direction
+            self._evaluate(self._k_body_collision)
+            self._damping = min(max(4 * self._damping, 0.5), self._control.most_damping)
+        else:
+            self._best = _State(total, self.direction.copy(), gradient)
+            self._damping = 0.5 * self._damping if self._damping > 0.1 else 0.0
+        self._model_surroundings(self._best.density_gradient)
+
+    def _with_density(self) -> tuple[float, np.ndarray]:
+        positions = torch.from_numpy(self._now.positions)
+        density_energy, gradient = self_collision_and_gradient(positions, self._energy.rest, self._energy.material)
+        return float(self._now.energy[:, 0].sum()) + density_energy, gradient.numpy()
+
+    def _model_surroundings(self, gradient: np.ndarray) -> None:
+        self._around.gradient[:] = gradient
+        self._around.positions[:] = self._now.positions
+        force = (1 + self._damping) * np.linalg.norm(gradient, axis=-1) + self._damping * self._own_weight
+        self._around.stiffness[:] = force / self._control.yield_distance
+
+    def _move(self, k_body_collision: np.float32, most_turn: float, most_move: np.ndarray, backtracks: int) -> None:
+        """One pass; without `backtracks` whole steps are taken, whatever they do to the energy."""
+        rotation = np.empty_like(self.direction)
+        newton_rotations(self._model(), k_body_collision, self._strands, rotation)
+        turn = np.float32(most_turn)
+        limit_rotations(self.direction, self._hair.length, self._strands, turn, most_move, rotation)
+        trial, pending, step = np.empty_like(self.direction), self._strands, 1.0
+        for _ in range(max(backtracks, 1)):
+            rotate_edges(self.direction, rotation, np.float32(step), pending, trial)
+            evaluate_strands(
+                trial, pending, self._hair, self._rod, self._around, self._body, k_body_collision, self._trial
+            )
+            has_fallen = self._trial.energy[pending].sum(axis=1) < self._now.energy[pending, 0]
+            taken = pending[has_fallen] if backtracks else pending
+            self._take(taken, trial)
+            pending = pending[~has_fallen] if backtracks else pending[:0]
+            if not len(pending):
+                break
+            step *= self._control.shortening
+        self.passes += 1
+
+    def _take(self, strands: np.ndarray, direction: np.ndarray) -> None:
+        moved = self._trial.positions[strands] - self._now.positions[strands]
+        self.moved[strands] = np.linalg.norm(moved, axis=-1).max(axis=-1, initial=0.0)
+        self.direction[strands] = direction[strands]
+        for kept, found in zip(self._now, self._trial):
+            kept[strands] = found[strands]
+
+    def _model(self) -> StrandModel:
+        return StrandModel(
+            self.direction,
+            self._root_direction,
+            self._hair.length,
+            self._rod.bending,
+            self._rod.twisting,
+            self._rod.goal_weight,
+            self._now.gradient,
+            self._now.contact,
+            self._around.gradient,
+            self._around.stiffness,
+        )
+
+
+def _rod_of(energy: HairEnergy, scene: HairScene) -> PosedRod:
+    (rod,) = (term for term in energy.terms if type(term) is Rod)
+    return rod.prepare(energy.rest, scene)
+
+
+def _float32(values: Tensor) -> np.ndarray:
+    return np.ascontiguousarray(values.detach().numpy(), np.float32)
+
+
+def _evaluation(strands: int, vertices: int) -> Evaluation:
+    return Evaluation(
+        np.zeros((strands, vertices, 3), np.float32),
+        np.zeros((strands, 2)),
+        np.zeros((strands, vertices, 3), np.float32),
+        np.zeros((strands, vertices, 4), np.float32),
+    )

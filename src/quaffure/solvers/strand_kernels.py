@@ -1,0 +1,252 @@
+"""Whole strands that move by themselves, in compiled passes: energy and gradient, rotated edges, resolved contact.
+
+A strand's own energy is the rod, its weight and contact. The hair around it is held, and felt by a quadratic model of
+Eq. 11. The same own energy in torch is `HairEnergy` without that term; a test holds the two together.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from quaffure.energies.body_collision import contact_force
+from quaffure.energies.rod_kernels import RodArrays, rod_of_strand, rod_workspace
+from quaffure.geometry.bvh import search_workspace
+from quaffure.geometry.cell_list import interleaved
+from quaffure.geometry.surface import SurfaceArrays
+from quaffure.geometry.surface_distance import distance_within
+
+_RUN = 16  # strands that one thread takes in turn: near neighbours, each finds a face that the next starts from
+_STRIDE = 16  # runs between one that a thread takes and its next: dense hair is shared by all threads
+_ZERO, _HALF, _ONE, _TINY = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(1e-12)
+_MOST_PUSH = np.float32(3.0)  # lengths of its edge by which a vertex is pushed out at most
+
+
+class StrandArrays(NamedTuple):
+    """A groom in one pose.
+
+    Attributes:
+        rotation: of every scalp triangle from rest [strand 3 3].
+        root: positions of the roots [m], [strand 3].
+        length: of every edge [m], [strand edge].
+        weight: force of gravity on every vertex [N], [strand vertex 3].
+        margin: D of Eq. 10 [m], [strand vertex].
+    """
+
+    rotation: np.ndarray
+    root: np.ndarray
+    length: np.ndarray
+    weight: np.ndarray
+    margin: np.ndarray
+
+
+class Surroundings(NamedTuple):
+    """Quadratic model of the energy of hair against hair, as every vertex feels it.
+
+    Attributes:
+        gradient: [N], [strand vertex 3].
+        stiffness: in all directions [N/m], [strand vertex].
+        positions: where the model was made [m].
+    """
+
+    gradient: np.ndarray
+    stiffness: np.ndarray
+    positions: np.ndarray
+
+
+class Evaluation(NamedTuple):
+    """What `evaluate_strands` fills.
+
+    Attributes:
+        positions: of the vertices [m].
+        energy: own energy of every strand, and the model's of its surroundings, zero where that was made [J];
+            float64 [strand 2].
+        gradient: of the own energy by the vertices [N].
+        contact: unit normal, and how far within its margin every vertex is [m], [strand vertex 4].
+    """
+
+    positions: np.ndarray
+    energy: np.ndarray
+    gradient: np.ndarray
+    contact: np.ndarray
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def evaluate_strands(
+    direction: np.ndarray, strands: np.ndarray, hair: StrandArrays, rest: RodArrays, around: Surroundings,
+    body: SurfaceArrays, k_body_collision: float, out: Evaluation,
+) -> None:  # fmt: skip
+    """Evaluate the `strands` listed, whose edges have the `direction` [strand edge 3]; no contact where its stiffness
+    is 0."""
+    runs = (len(strands) + _RUN - 1) // _RUN
+    for index in prange(runs + _STRIDE):
+        run = interleaved(index, runs, _STRIDE)
+        if run < runs:
+            part = strands[run * _RUN : (run + 1) * _RUN]
+            _evaluate_run(direction, part, hair, rest, around, body, k_body_collision, out)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _evaluate_run(
+    direction: np.ndarray, strands: np.ndarray, hair: StrandArrays, rest: RodArrays, around: Surroundings,
+    body: SurfaceArrays, k_body_collision: float, out: Evaluation,
+) -> None:  # fmt: skip
+    work = rod_workspace(direction.shape[1], direction)
+    workspace = search_workspace()
+    leaf = 0
+    for strand in strands:
+        x, gradient, contact = out.positions[strand], out.gradient[strand], out.contact[strand]
+        _integrate(direction[strand], hair.root[strand], hair.length[strand], x)
+        energy = _weigh(x, hair.weight[strand], gradient)
+        energy += rod_of_strand(x, hair.rotation[strand], rest, strand, work, gradient)
+        contact[:, 3] = _ZERO
+        if k_body_collision > _ZERO:
+            pressed, leaf = _press(x, hair.margin[strand], k_body_collision, body, leaf, workspace, gradient, contact)
+            energy += pressed
+        out.energy[strand, 0] = energy
+        out.energy[strand, 1] = _squeeze(x, around.gradient[strand], around.stiffness[strand], around.positions[strand])
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _integrate(direction: np.ndarray, root: np.ndarray, length: np.ndarray, x: np.ndarray) -> None:
+    px, py, pz = root[0], root[1], root[2]
+    x[0, 0], x[0, 1], x[0, 2] = px, py, pz
+    for edge in range(len(length)):
+        px += length[edge] * direction[edge, 0]
+        py += length[edge] * direction[edge, 1]
+        pz += length[edge] * direction[edge, 2]
+        x[edge + 1, 0], x[edge + 1, 1], x[edge + 1, 2] = px, py, pz
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _weigh(x: np.ndarray, weight: np.ndarray, gradient: np.ndarray) -> float:
+    """Eq. 9 of a strand, from its root; fills the gradient."""
+    energy = 0.0
+    for vertex in range(len(x)):
+        for axis in range(3):
+            gradient[vertex, axis] = -weight[vertex, axis]
+            energy -= weight[vertex, axis] * (x[vertex, axis] - x[0, axis])
+    return energy
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _squeeze(x: np.ndarray, slope: np.ndarray, stiffness: np.ndarray, positions: np.ndarray) -> float:
+    """Energy of the model of a strand's surroundings."""
+    energy = 0.0
+    for vertex in range(len(x)):
+        for axis in range(3):
+            moved = x[vertex, axis] - positions[vertex, axis]
+            energy += (slope[vertex, axis] + _HALF * stiffness[vertex] * moved) * moved
+    return energy
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _press(
+    x: np.ndarray, margin: np.ndarray, k_body_collision: float, body: SurfaceArrays, seed: int,
+    workspace: tuple[np.ndarray, np.ndarray], gradient: np.ndarray, contact: np.ndarray,
+) -> tuple[float, int]:  # fmt: skip
+    """Eq. 10 of a strand, and the first face in contact: a good `seed` for the next strand. Adds to the gradient."""
+    energy, leaf, first = 0.0, seed, -1
+    for vertex in range(1, len(x)):
+        distance, nx, ny, nz, found = distance_within(
+            x[vertex, 0], x[vertex, 1], x[vertex, 2], margin[vertex], leaf, body, workspace
+        )
+        if found < 0:
+            continue
+        leaf = found
+        if first < 0:
+            first = found
+        contact[vertex, 0], contact[vertex, 1], contact[vertex, 2] = nx, ny, nz
+        contact[vertex, 3] = max(margin[vertex] - distance, _ZERO)
+        slope, own_energy = contact_force(distance, margin[vertex], k_body_collision)
+        energy += own_energy
+        gradient[vertex, 0] += slope * nx
+        gradient[vertex, 1] += slope * ny
+        gradient[vertex, 2] += slope * nz
+    return energy, (first if first >= 0 else seed)
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def limit_rotations(
+    direction: np.ndarray, length: np.ndarray, strands: np.ndarray, most_turn: float, most_move: np.ndarray,
+    rotation: np.ndarray,
+) -> None:  # fmt: skip
+    """Take the twist off the rotations of the `strands` listed, and shorten them: no edge turns by more than
+    `most_turn` [rad], and no vertex by more than its strand's `most_move` [m], both to first order."""
+    for index in prange(len(strands)):
+        strand = strands[index]
+        _limit_strand(direction[strand], length[strand], most_turn, most_move[strand], rotation[strand])
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _limit_strand(
+    direction: np.ndarray, length: np.ndarray, most_turn: float, most_move: float, rotation: np.ndarray
+) -> None:
+    ux, uy, uz, farthest = _ZERO, _ZERO, _ZERO, _ZERO
+    for edge in range(len(length)):
+        tx, ty, tz = direction[edge, 0], direction[edge, 1], direction[edge, 2]
+        rx, ry, rz = rotation[edge, 0], rotation[edge, 1], rotation[edge, 2]
+        along = rx * tx + ry * ty + rz * tz
+        rx, ry, rz = rx - along * tx, ry - along * ty, rz - along * tz
+        share = min(_ONE, most_turn / max(np.sqrt(rx * rx + ry * ry + rz * rz), _TINY))
+        rx, ry, rz = share * rx, share * ry, share * rz
+        rotation[edge, 0], rotation[edge, 1], rotation[edge, 2] = rx, ry, rz
+        ux += length[edge] * (ry * tz - rz * ty)
+        uy += length[edge] * (rz * tx - rx * tz)
+        uz += length[edge] * (rx * ty - ry * tx)
+        farthest = max(farthest, ux * ux + uy * uy + uz * uz)
+    rotation *= min(_ONE, most_move / max(np.sqrt(farthest), _TINY))
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def rotate_edges(
+    direction: np.ndarray, rotation: np.ndarray, step: float, strands: np.ndarray, out: np.ndarray
+) -> None:
+    """Directions of the `strands` listed, rotated by `step` times `rotation`, which is across them."""
+    for index in prange(len(strands)):
+        strand = strands[index]
+        for edge in range(direction.shape[1]):
+            tx, ty, tz = direction[strand, edge, 0], direction[strand, edge, 1], direction[strand, edge, 2]
+            rx, ry, rz = rotation[strand, edge, 0], rotation[strand, edge, 1], rotation[strand, edge, 2]
+            angle = np.sqrt(rx * rx + ry * ry + rz * rz)
+            cosine, sine = np.cos(step * angle), np.sin(step * angle) / max(angle, _TINY)
+            vx = cosine * tx + sine * (ry * tz - rz * ty)
+            vy = cosine * ty + sine * (rz * tx - rx * tz)
+            vz = cosine * tz + sine * (rx * ty - ry * tx)
+            inverse = _ONE / max(np.sqrt(vx * vx + vy * vy + vz * vz), _TINY)
+            out[strand, edge, 0], out[strand, edge, 1], out[strand, edge, 2] = inverse * vx, inverse * vy, inverse * vz
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def resolve_strands(direction: np.ndarray, hair: StrandArrays, body: SurfaceArrays, share: float) -> None:
+    """From root to tip, push every vertex that is nearer to the body than `share` of its margin out to there; what
+    hangs on it moves along. Changes the directions [strand edge 3]."""
+    runs = (len(direction) + _RUN - 1) // _RUN
+    for index in prange(runs + _STRIDE):
+        run = interleaved(index, runs, _STRIDE)
+        if run < runs:
+            _resolve_run(run * _RUN, min(len(direction), (run + 1) * _RUN), direction, hair, body, share)
+
+
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _resolve_run(
+    first: int, last: int, direction: np.ndarray, hair: StrandArrays, body: SurfaceArrays, share: float
+) -> None:
+    workspace = search_workspace()
+    leaf = 0
+    for strand in range(first, last):
+        px, py, pz = hair.root[strand, 0], hair.root[strand, 1], hair.root[strand, 2]
+        for edge in range(direction.shape[1]):
+            length, margin = hair.length[strand, edge], share * hair.margin[strand, edge + 1]
+            t = direction[strand, edge]
+            x, y, z = px + length * t[0], py + length * t[1], pz + length * t[2]
+            distance, nx, ny, nz, found = distance_within(x, y, z, margin, leaf, body, workspace)
+            if found >= 0:
+                leaf = found
+                push = min(max(margin - distance, _ZERO), _MOST_PUSH * length)
+                if push > _ZERO:
+                    vx, vy, vz = x + push * nx - px, y + push * ny - py, z + push * nz - pz
+                    inverse = _ONE / max(np.sqrt(vx * vx + vy * vy + vz * vz), _TINY)
+                    t[0], t[1], t[2] = inverse * vx, inverse * vy, inverse * vz
+                    x, y, z = px + length * t[0], py + length * t[1], pz + length * t[2]
+            px, py, pz = x, y, z

@@ -1,0 +1,156 @@
+"""Newton's method on single strands with contact: the draper for the rod, frame by frame.
+
+Hair first falls without contact, is pushed out of the body and touches it; only then does it feel other hair: felt
+while large motion is still to come, hair against hair locks groups of strands.
+"""
+
+import time
+from dataclasses import dataclass, field
+
+import torch
+
+from quaffure.config import HairMaterial
+from quaffure.draper import Draper, StoppingReport
+from quaffure.energies.energy_term import Terms
+from quaffure.energies.hair_energy import HairEnergy
+from quaffure.energies.hair_terms import ROD, hair_terms
+from quaffure.energies.sag_free import design_of
+from quaffure.errors import InputError
+from quaffure.hair.groom import Groom
+from quaffure.scene import HairScene, Scene
+from quaffure.solvers.stopping import stopping_report
+from quaffure.solvers.strand_descent import StepControl, StrandDescent
+from quaffure.solvers.supported_terms import refuse_other_terms
+from quaffure.types import Positions
+
+
+@dataclass(frozen=True)
+class StrandNewtonSetting:
+    """Numbers of passes, and what they may do.
+
+    Attributes:
+        passes: in all.
+        free_passes: without contact.
+        resolved_share: of their margins that vertices are pushed out to after these.
+        contact_passes: without other hair.
+        control: of the steps.
+    """
+
+    passes: int = 20
+    free_passes: int = 3
+    resolved_share: float = 0.9
+    contact_passes: int = 2
+    control: StepControl = field(default_factory=StepControl)
+
+
+class StrandNewtonDraper:
+    """Minimizes the energy of the rod with Eqs. 9, 10 and 11 over directions; lengths are kept exactly.
+
+    Attributes:
+        setting: numbers of passes.
+    """
+
+    name = "strand_newton"
+
+    def __init__(
+        self,
+        material: HairMaterial | None = None,
+        setting: StrandNewtonSetting | None = None,
+        terms: Terms | None = None,
+    ) -> None:
+        """
+        Args:
+            terms: of the energy; where none are given, those of the sag-free rest shape of every groom (`design_of`).
+
+        Raises:
+            InputError: terms other than the rod and Eqs. 7, 9, 10 and 11.
+        """
+        refuse_other_terms(self.name, terms, ROD)
+        self.material = material or HairMaterial()
+        self.setting = setting or StrandNewtonSetting()
+        self._terms = terms
+        self._energy: tuple[Groom, HairEnergy] | None = None
+
+    def drape(self, scene: HairScene) -> Positions:
+        """Draped vertices of every sample [m, world]."""
+        return self.solve(scene)[0]
+
+    def energy_of(self, scene: HairScene) -> HairEnergy:
+        """The energy that is minimized; that of the last groom is kept.
+
+        Raises:
+            InputError: the draper has no terms, and the scene no body on which hair was designed.
+        """
+        if self._energy is None or self._energy[0] is not scene.groom:
+            terms = self._terms
+            if terms is None:
+                if not isinstance(scene, Scene):
+                    raise InputError(f"solver {self.name}", "energy terms for a scene without a body model", "none")
+                terms = hair_terms(ROD, design_of(scene.groom, scene.bodies.body, self.material))
+            self._energy = scene.groom, HairEnergy(scene.groom, self.material, terms)
+        return self._energy[1]
+
+    def solve(self, scene: HairScene) -> tuple[Positions, StoppingReport]:
+        """Draped vertices [m] and where the solver stopped. Every sample is solved by itself."""
+        begin = time.perf_counter()
+        energy = self.energy_of(scene)
+        descents = [self.descend(energy, scene.sample(index)) for index in range(len(scene.posed))]
+        positions = torch.cat([descent.positions for descent in descents])
+        seconds = time.perf_counter() - begin
+        return positions, stopping_report(energy, scene, positions, self.setting.passes, seconds)
+
+    def settle(self, scene: HairScene, start: Positions, passes: int) -> Positions:
+        """More passes with all terms from any drape [m]; lengths become those at rest."""
+        energy = self.energy_of(scene)
+        settled = []
+        for index, shape in enumerate(start):
+            descent = StrandDescent(energy, scene.sample(index), self.setting.control)
+            descent.set_directions(torch.nn.functional.normalize(shape.diff(dim=1), dim=-1))
+            descent.settle(passes)
+            settled.append(descent.positions)
+        return torch.cat(settled)
+
+    def descend(self, energy: HairEnergy, scene: HairScene) -> StrandDescent:
+        """The strands of one sample at rest.
+
+        Where the posed groom has less energy than hair that has fallen and settled, hair settles from it instead:
+        upright it is the design, from which passes without contact push hair into the head.
+        """
+        setting = self.setting
+        passes = setting.passes - setting.free_passes - setting.contact_passes
+        descent = StrandDescent(energy, scene, setting.control)
+        posed = descent.total()
+        descent.fall(setting.free_passes)
+        descent.resolve_contact(setting.resolved_share)
+        descent.touch(setting.contact_passes)
+        descent.settle(passes)
+        if descent.total() < posed:
+            return descent
+        from_posed = StrandDescent(energy, scene, setting.control)
+        from_posed.settle(passes)
+        return from_posed
+
+
+class SettledDraper:
+    """Another draper, and passes of Newton's method from where it ends.
+
+    Attributes:
+        start: the other draper.
+        newton: whose energy is minimized.
+        passes: with all terms.
+    """
+
+    def __init__(self, start: Draper, newton: StrandNewtonDraper, passes: int) -> None:
+        self.start, self.newton, self.passes = start, newton, passes
+
+    @property
+    def name(self) -> str:
+        return f"{self.start.name}_settled"
+
+    @property
+    def material(self) -> HairMaterial:
+        return self.newton.material
+
+    def drape(self, scene: Scene) -> Positions:
+        """Draped vertices of every sample [m, world]."""
+        return self.newton.settle(scene, self.start.drape(scene), self.passes)

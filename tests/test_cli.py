@@ -172,20 +172,16 @@ def test_neural_drapes_with_own_weights(tmp_path: Path, inputs: Path) -> None:
     np.testing.assert_allclose(segments, drape.rest_lengths, rtol=1e-3, atol=1e-6)
 
 
-def test_refining_lowers_the_energy(tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_settling_lowers_the_energy(tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]) -> None:
     energies = []
-    for steps, row in (("0", "neural"), ("5", "neural_refined")):
-        out = str(tmp_path / f"{steps}.npz")
-        main(["drape", str(inputs / "tiny.npz"), "--frames", "40:41", "--refine", steps, "--json", "--out", out])
-        energies += json.loads(capfd.readouterr().out)["per_frame"][row]["energy"]
+    for passes, row in (("0", "neural"), ("5", "neural_settled")):
+        out = str(tmp_path / f"{passes}.npz")
+        arguments = ["--draper", "neural", "--settle", passes, "--frames", "40:41", "--json"]
+        main(["drape", str(inputs / "tiny.npz"), *arguments, "--out", out])
+        report = json.loads(capfd.readouterr().out)
+        energies += report["per_frame"][row]["energy"]
+    assert report["meta"]["elastic"] == "rod"
     assert energies[1] < energies[0]
-
-
-def test_refining_a_clip_warns_of_jitter(tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    for frames, message in (("40:41", False), ("40:42", True)):
-        out = str(tmp_path / "drape.npz")
-        main(["drape", str(inputs / "tiny.npz"), "--frames", frames, "--refine", "1", "--out", out])
-        assert ("jitter" in capfd.readouterr().out) == message
 
 
 def test_grooms_keep_their_contract(capfd: pytest.CaptureFixture[str]) -> None:
@@ -477,7 +473,7 @@ def test_missing_weights(refusal: Refusal) -> None:
     ("arguments", "message"),
     [
         (["drape", "bob", "--draper", "magic"], "--draper: expected one of neural, groomgen, adam"),
-        (["drape", "bob", "--draper", "adam", "--refine", "3"], "--refine: expected the draper neural, found 'adam'"),
+        (["drape", "bob", "--settle", "3"], "--settle: expected another draper than strand_newton"),
         (["drape", "bob", "--colour", "red"], "--colour"),
         (["drape"], "GROOM"),
         (["drape", "bob", "--motion"], "--motion"),

@@ -388,7 +388,7 @@ def test_from_drapes_to_an_evaluation(
     main([*drape, "--weights", str(weights)])
     assert json.loads(str(np.load(draped)["meta"]))["draper"] == "groomgen"
     assert "--weights" in refused(*drape)
-    assert "--refine" in refused(*drape, "--weights", weights, "--refine", "2")
+    assert "--settle" in refused(*drape, "--weights", weights, "--settle", "-2")
     assert "--elastic" in refused(*drape, "--weights", weights, "--elastic", "cosserat")
     assert "expected weights of quaffure train-groomgen" in refused(*drape, "--weights", own)
     assert "expected a checkpoint of this package" in refused(*drape, "--weights", weights, "--draper", "neural")

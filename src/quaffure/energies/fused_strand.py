@@ -11,8 +11,9 @@ import torch
 from numba import get_num_threads, njit, prange
 from torch.autograd.function import FunctionCtx
 
-from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.config import HairMaterial
 from quaffure.energies.body_collision import contact_force
+from quaffure.energies.gravity import GRAVITY, Acceleration
 from quaffure.energies.rest_state import RestState
 from quaffure.energies.stretch import stretch_force
 from quaffure.energies.stretch_shear import stretch_shear_force
@@ -29,7 +30,7 @@ _RUN = 16  # strands that one thread takes in turn: near neighbours, each finds 
 class _Strands(NamedTuple):
     """A groom: unit directors [b, s, e, 3], and by strand rest lengths [m], masses [kg], collision margins [m].
 
-    `stiffness`: k_cosserat, k_stretch, g, k_body_collision.
+    `stiffness`: k_cosserat, k_stretch, k_body_collision. `acceleration`: g [m/s^2].
     """
 
     director: np.ndarray
@@ -37,10 +38,16 @@ class _Strands(NamedTuple):
     mass: np.ndarray
     margin: np.ndarray
     stiffness: np.ndarray
+    acceleration: np.ndarray
 
 
 def strand_energy(
-    positions: Positions, director: EdgeVectors, rest: RestState, material: HairMaterial, surface: Surface
+    positions: Positions,
+    director: EdgeVectors,
+    rest: RestState,
+    material: HairMaterial,
+    surface: Surface,
+    acceleration: Acceleration = GRAVITY,
 ) -> tuple[Float[Tensor, " b"], Float[Tensor, "b 4"]]:
     """Sum of Eqs. 6, 7, 9 and 10 [J], differentiable in the positions alone, and the four `TERMS` without gradient.
 
@@ -49,6 +56,7 @@ def strand_energy(
         director: unit d3 of every edge.
         rest: of the same groom.
         surface: the posed body of every sample.
+        acceleration: g of Eq. 9.
 
     Raises:
         ValueError: a coordinate is not finite, or a gradient is required that is not computed here.
@@ -56,21 +64,29 @@ def strand_energy(
     check_finite(positions)
     if director.requires_grad or surface.vertices.requires_grad:
         raise ValueError("expected directors and a body without gradient: `Backend.TORCH` differentiates those")
-    return _StrandEnergy.apply(positions, director, rest, material, surface)  # type: ignore[no-untyped-call]
+    return _StrandEnergy.apply(positions, director, rest, material, surface, acceleration)  # type: ignore[no-untyped-call]
 
 
 class _StrandEnergy(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: FunctionCtx, positions: Tensor, director: Tensor, rest: RestState, material: HairMaterial, surface: Surface
-    ) -> tuple[Tensor, Tensor]:
+        ctx: FunctionCtx,
+        positions: Tensor,
+        director: Tensor,
+        rest: RestState,
+        material: HairMaterial,
+        surface: Surface,
+        acceleration: Acceleration,
+    ) -> tuple[Tensor, Tensor]:  # fmt: skip
         positions = positions.contiguous()
         gradient = torch.empty_like(positions)
         per_strand = np.empty((*positions.shape[:2], len(TERMS)), np.float64)
-        stiffness = (material.k_cosserat, material.k_stretch, STANDARD_GRAVITY, material.k_body_collision)
+        stiffness = (material.k_cosserat, material.k_stretch, material.k_body_collision)
         fields = (director.detach().contiguous(), rest.rest_length, rest.mass, rest.collision_margin)
         directors, rest_length, mass, margin = (field.numpy() for field in fields)
-        hair = _Strands(directors, rest_length, mass, margin, np.array(stiffness, np.float32))
+        hair = _Strands(
+            directors, rest_length, mass, margin, np.array(stiffness, np.float32), np.array(acceleration, np.float32)
+        )
         _strands(positions.detach().numpy(), hair, surface.arrays, get_num_threads(), per_strand, gradient.numpy())
         ctx.save_for_backward(gradient)
         terms = torch.from_numpy(per_strand.sum(axis=1)).to(positions.dtype)
@@ -78,9 +94,9 @@ class _StrandEnergy(torch.autograd.Function):
         return terms.sum(dim=1), terms
 
     @staticmethod
-    def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor, None, None, None, None]:
+    def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor, None, None, None, None, None]:
         (gradient,) = ctx.saved_tensors  # type: ignore[attr-defined]
-        return gradient * upstream[0][:, None, None, None], None, None, None, None
+        return gradient * upstream[0][:, None, None, None], None, None, None, None, None
 
 
 @njit(cache=True, parallel=True, fastmath=True)
@@ -100,23 +116,29 @@ def _strands(
         for strand in range((item % runs) * _RUN, min(strands, (item % runs + 1) * _RUN)):
             x, out, own_terms = positions[sample, strand], gradient[sample, strand], terms[sample, strand]
             own_terms[0], own_terms[1], own_terms[2] = _elastic_and_gravity(
-                x, hair.director[sample, strand], hair.rest_length[strand], hair.mass[strand], hair.stiffness, out
+                x,
+                hair.director[sample, strand],
+                hair.rest_length[strand],
+                hair.mass[strand],
+                hair.stiffness,
+                hair.acceleration,
+                out,
             )
-            own_terms[3], seed = _contact(x, hair.margin[strand], hair.stiffness[3], body, seed, workspace, out)
+            own_terms[3], seed = _contact(x, hair.margin[strand], hair.stiffness[2], body, seed, workspace, out)
 
 
 @njit(cache=True, fastmath=True, inline="always")
 def _elastic_and_gravity(
     x: np.ndarray, director: np.ndarray, rest_length: np.ndarray, mass: np.ndarray, stiffness: np.ndarray,
-    gradient: np.ndarray,
+    acceleration: np.ndarray, gradient: np.ndarray,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Eqs. 6, 7 and 9 of a strand; fills its gradient."""
-    k_cosserat, k_stretch, gravity = stiffness[0], stiffness[1], stiffness[2]
-    shear, stretch, height = 0.0, 0.0, 0.0
-    gradient[:] = 0.0
+    k_cosserat, k_stretch = stiffness[0], stiffness[1]
+    shear, stretch, weight = 0.0, 0.0, 0.0
     for vertex in range(len(mass)):
-        gradient[vertex, 2] = mass[vertex] * gravity
-        height += mass[vertex] * gravity * (x[vertex, 2] - x[0, 2])
+        for axis in range(3):
+            gradient[vertex, axis] = -mass[vertex] * acceleration[axis]
+            weight -= mass[vertex] * acceleration[axis] * (x[vertex, axis] - x[0, axis])
     for edge in range(len(rest_length)):
         ex, ey, ez = x[edge + 1, 0] - x[edge, 0], x[edge + 1, 1] - x[edge, 1], x[edge + 1, 2] - x[edge, 2]
         inverse = np.float32(1.0) / rest_length[edge]
@@ -131,7 +153,7 @@ def _elastic_and_gravity(
             force += along * component
             gradient[edge, axis] -= force
             gradient[edge + 1, axis] += force
-    return shear, stretch, height
+    return shear, stretch, weight
 
 
 @njit(cache=True, fastmath=True, inline="always")

@@ -14,7 +14,7 @@ from quaffure.energies.body_collision import BodyCollision
 from quaffure.energies.energy_term import HairState, Terms
 from quaffure.energies.fused_density import fused_self_collision
 from quaffure.energies.fused_strand import TERMS, strand_energy
-from quaffure.energies.gravity import Gravity
+from quaffure.energies.gravity import NO_ACCELERATION, Gravity
 from quaffure.energies.hair_terms import hair_terms
 from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.energies.rod_term import Rod
@@ -40,6 +40,7 @@ class HairEnergy:
         rest: rest quantities of the groom.
         material: physical parameters.
         terms: the terms of the sum.
+        acceleration: of Eq. 9 [m/s^2]; zero without that term.
     """
 
     def __init__(
@@ -141,6 +142,7 @@ class HairEnergy:
         self._on_rod = kinds & {Rod}
         fused = self._on_strands | self._on_density | self._on_rod
         self._in_torch = [term for term in terms if type(term) not in fused]
+        self.acceleration = next((term.acceleration for term in terms if isinstance(term, Gravity)), NO_ACCELERATION)
         stiffness = {"k_cosserat": StretchShear, "k_stretch": Stretch, "k_body_collision": BodyCollision}
         absent = {name: 0.0 for name, kind in stiffness.items() if kind not in self._on_strands}
         self._strand_material = replace(self.material, **absent)
@@ -148,7 +150,9 @@ class HairEnergy:
         return self
 
     def _strand_kernel(self, positions: Positions, scene: HairScene) -> tuple[Energy, Float[Tensor, "b 4"]]:
-        return strand_energy(positions, scene.director, self.rest, self._strand_material, scene.surface)
+        return strand_energy(
+            positions, scene.director, self.rest, self._strand_material, scene.surface, self.acceleration
+        )
 
     def _state(self, positions: Positions, scene: HairScene, variables: Variables | None) -> HairState:
         if scene not in self._prepared:

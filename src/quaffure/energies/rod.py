@@ -17,7 +17,7 @@ of phi (envelope theorem). A second derivative does, so autograd can't be applie
 This module is the torch form; `quaffure.energies.rod_kernels` is the compiled one.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 
@@ -75,6 +75,15 @@ class RodRest:
     def to(self, device_or_dtype: torch.device | torch.dtype | str) -> "RodRest":
         """The same rest shape on a device or in a float dtype."""
         return RodRest(*(getattr(self, field.name).to(device_or_dtype) for field in fields(self)))
+
+    def stiffened(self, factor: float | Float[Tensor, "s e"]) -> "RodRest":
+        """The same rest shape of hair that is stiffer by a factor, of all edges or of each; goals are not."""
+        return replace(
+            self,
+            bending_stiffness=factor * self.bending_stiffness,
+            twisting_stiffness=factor * self.twisting_stiffness,
+            stiffness_scale=factor * self.stiffness_scale,
+        )
 
 
 def joint_lengths(rest_length: RestLengths) -> RestLengths:

@@ -47,12 +47,14 @@ class Rod(EnergyTerm):
     Attributes:
         design: rest shape of one groom that keeps it as designed (`sag_free_rest`), with the collision margins that
             belong to it; without it, every groom is free of stress as it is, and gravity bends it from there.
+        stiffness: multiple of the bending and twisting stiffness, of all edges or of each [s e]. The rest shape stays.
     """
 
     name = "elastic"
     equation = "Bergou et al. 2008"
     metric_unit = "deg"
     design: SagFreeRest | None = None
+    stiffness: float | Float[Tensor, "s e"] = 1.0
 
     def adapt_rest(self, rest: RestState) -> RestState:
         """With the collision margins of the design.
@@ -73,6 +75,7 @@ class Rod(EnergyTerm):
             rod = stress_free_rest(rest.rest_strands.double())
         else:
             rod = self.design.rod
+        rod = rod.stiffened(self.stiffness)
         return PosedRod(rod.to(scene.posed.dtype).to(scene.posed.device), scene.root_rotation.to(scene.posed))
 
     def energy(self, hair: HairState, scene: HairScene) -> Energy:

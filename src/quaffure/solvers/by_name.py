@@ -26,20 +26,15 @@ class Solver(Draper, Protocol):
         ...
 
 
+def _with_terms(kind: Callable[..., Draper]) -> Callable[[HairMaterial, Terms | None], Draper]:
+    return lambda material, terms: kind(material, terms=terms)
+
+
 _CLASSES = (
-    StrandNewtonDraper,
-    AdamDraper,
-    AdamPositionsDraper,
-    LbfgsDraper,
-    LbfgsPositionsDraper,
-    NewtonDraper,
-    XpbdDraper,
-)
+    StrandNewtonDraper, AdamDraper, AdamPositionsDraper, LbfgsDraper, LbfgsPositionsDraper, NewtonDraper, XpbdDraper,
+)  # fmt: skip
 _DRAPERS: dict[str, Callable[[HairMaterial, Terms | None], Draper]] = {
-    **{
-        draper.name: lambda material, terms, draper=draper: draper(material, terms=terms)
-        for draper in (StrandNewtonDraper, *_DESCENTS, NewtonDraper, XpbdDraper)
-    },
+    **{kind.name: _with_terms(kind) for kind in _CLASSES},
     "xpbd_paper": lambda material, terms: XpbdDraper(material, paper_setting(), terms),
     PosedDraper.name: lambda material, terms: PosedDraper(material),
 }

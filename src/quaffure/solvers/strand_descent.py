@@ -86,7 +86,7 @@ class StrandDescent:
         self._rod = posed_rod.arrays
         self._body = scene.surface.sample_arrays(0)
         rotation, mass = _float32(posed_rod.rotation[0]), _float32(rest.mass)
-        weight = mass[..., None] * np.array([0.0, 0.0, -STANDARD_GRAVITY], np.float32)
+        weight = mass[..., None] * np.array(energy.acceleration, np.float32)
         root, length = _float32(scene.posed[0, :, 0]), _float32(rest.rest_length)
         self._hair = StrandArrays(rotation, root, length, weight, _float32(rest.collision_margin))
         self._root_direction = np.einsum("sij,sj->si", rotation, self._rod.root_frame[:, 0]).astype(np.float32)
@@ -145,9 +145,10 @@ class StrandDescent:
 
     def follow(self, passes: int, most_move: float, most_moved: float) -> None:
         """Passes with all terms, in each of which no vertex moves by more than `most_move` [m], and in all since
-        `set_directions` by more than `most_moved` [m], both to first order."""
+        `set_directions` by more than `most_moved` [m], both to first order. The energy may rise: hair that follows a
+        head is on its way."""
         for _ in range(passes):
-            self._feel_hair()
+            self._model_surroundings(self._with_density()[1])
             gone = np.linalg.norm(self._now.positions - self._start, axis=-1).max(axis=-1)
             limit = np.clip(most_moved - gone, 0.0, most_move)
             self._move(self._k_body_collision, self._control.most_turn, limit, self._control.backtracks)

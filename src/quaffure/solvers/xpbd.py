@@ -42,7 +42,6 @@ from quaffure.draper import StoppingReport
 from quaffure.energies.body_collision import contact_force
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.fused_density import active_particles, density_gradient, sort_particles
-from quaffure.energies.gravity import GRAVITY
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.rest_state import RestState
 from quaffure.energies.stretch import stretch_force
@@ -124,6 +123,7 @@ class XpbdDraper:
         refuse_other_terms(self.name, terms)
         self.material = material or HairMaterial()
         self.setting = setting or XpbdSetting()
+        self._terms = terms
 
     def drape(self, scene: HairScene) -> Positions:
         return self.solve(scene)[0]
@@ -131,10 +131,10 @@ class XpbdDraper:
     def solve(self, scene: HairScene) -> tuple[Positions, StoppingReport]:
         """Draped vertices [m] and where the solver stopped; its iterations are the sweeps of one sample."""
         begin = time.perf_counter()
-        energy = HairEnergy(scene.groom, self.material)
+        energy = HairEnergy(scene.groom, self.material, self._terms)
         draped = torch.empty_like(scene.posed)
         for sample in range(len(draped)):
-            hair = HairInMotion(scene, sample, energy.rest, self.material)
+            hair = HairInMotion(scene, sample, energy)
             for step in range(self.setting.steps):
                 hair.step(self.setting.time_step(step), self.setting)
             draped[sample] = torch.from_numpy(hair.world())
@@ -149,7 +149,8 @@ class HairInMotion:
     Multipliers carry the factor dt^2 / m_ref, m_ref the mean mass, which makes metres of them.
     """
 
-    def __init__(self, scene: HairScene, sample: int, rest: RestState, material: HairMaterial) -> None:
+    def __init__(self, scene: HairScene, sample: int, energy: HairEnergy) -> None:
+        rest, material = energy.rest, energy.material
         self.material = material
         self.edges = EdgeConstants(scene.director[sample].numpy(), rest, material)
         posed = scene.posed[sample].detach().numpy()
@@ -157,7 +158,9 @@ class HairInMotion:
         self.x = packed(posed - self.roots[:, None].astype(np.float64))
         self.before = self.x
         self.time_step = 1.0
-        self.tension = packed(rest.mass_beyond.numpy()[..., None] / self.edges.mass_unit * np.array(GRAVITY))
+        self.tension = packed(
+            rest.mass_beyond.numpy()[..., None] / self.edges.mass_unit * np.array(energy.acceleration)
+        )
         self.contact = np.zeros_like(self.x)
         self.pushed = np.zeros_like(self.x)
         self.margin, self.surface = rest.collision_margin.numpy(), scene.surface.sample_arrays(sample)

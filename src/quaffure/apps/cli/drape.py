@@ -1,14 +1,15 @@
 """`quaffure drape`: drape a groom on a moving body, and write draped hair, pictures, video or USD."""
 
 from collections.abc import Sized
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import tyro
 
 from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar
-from quaffure.apps.cli.inputs import body_shape_of, motion_of
+from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, motion_of
 from quaffure.apps.cli.outputs import check_outputs, write_output
 from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
 from quaffure.benchmark.metrics import DrapeMetrics, PerFrame
@@ -17,6 +18,7 @@ from quaffure.config import HairMaterial
 from quaffure.drape_motion import FRAMES_AT_ONCE, drape_motion
 from quaffure.draper import Draper
 from quaffure.energies.energy_term import Terms
+from quaffure.energies.gravity import GRAVITY, Acceleration
 from quaffure.energies.hair_terms import ELASTIC_MODELS, MODIFIED_COSSERAT, ROD, hair_terms
 from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
@@ -35,6 +37,8 @@ from quaffure.types import Float, Positions, Tensor
 
 NEURAL, GROOMGEN = "neural", GroomGenDraper.name
 DRAPERS = (*SOLVERS, NEURAL, GROOMGEN)
+MOST_SCALE = 100.0
+"""Largest factor of stiffness and weight."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,14 @@ class DrapeCommand:
     rest: Literal["design", "stress-free"] | None = None
     """With --elastic rod: the rest shape that keeps hair as designed on the mean body (design, the default), or the
     groom itself, from which gravity bends it."""
+    stiffness: float = 1.0
+    """Multiple of the hair's bending and twisting stiffness: 0.3 is fine, 3 is coarse hair."""
+    weight: float = 1.0
+    """Multiple of the hair's weight."""
+    gravity: str = "0,0,-9.81"
+    """Acceleration X,Y,Z of gravity in the world, z up [m/s^2]."""
+    wind: str = "0,0,0"
+    """Acceleration X,Y,Z by a wind that pulls all hair alike [m/s^2]."""
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones; those of `quaffure train-groomgen` for groomgen."""
     reference: Path | None = None
@@ -104,6 +116,7 @@ class DrapeCommand:
         sequence.meta["elastic"] = self._elastic
         if self._elastic == ROD:
             sequence.meta["rest"] = self._rest
+        sequence.meta |= {"stiffness": self.stiffness, "acceleration": self._acceleration}
         for path in self.out:
             console.print(f"writing {path}")
             write_output(path, sequence, interpolation)
@@ -124,13 +137,18 @@ class DrapeCommand:
         if self.settle < 0:
             raise InputError("--settle", "0 or more", f"{self.settle}")
         if self.settle and (self.draper == StrandNewtonDraper.name or self._elastic != ROD):
-            raise InputError(
-                "--settle", f"a draper other than {StrandNewtonDraper.name} and the rod", f"'{self.draper}'"
-            )
+            expected = f"another draper than {StrandNewtonDraper.name}, and the elastic model {ROD}"
+            raise InputError("--settle", expected, f"'{self.draper}' and '{self._elastic}'")
         if self.rest is not None and self._elastic != ROD:
             raise InputError("--rest", f"--elastic {ROD}", f"'{self._elastic}'")
         if self.draper in (NEURAL, GROOMGEN) and self.elastic not in (None, MODIFIED_COSSERAT):
             raise InputError("--elastic", f"{MODIFIED_COSSERAT} with a network", f"'{self.elastic}'")
+        if min(self.stiffness, self.weight) <= 0 or max(self.stiffness, self.weight) > MOST_SCALE:
+            found = f"{self.stiffness:g} and {self.weight:g}"
+            raise InputError("--stiffness and --weight", f"factors above 0, at most {MOST_SCALE:g}", found)
+        if self.draper in (NEURAL, GROOMGEN) and not self.settle and not self._has_default_loads:
+            expected = f"a solver, or --settle after the draper {self.draper}, which knows one hair and one gravity"
+            raise InputError("--stiffness, --weight, --gravity, --wind", expected, f"'{self.draper}'")
         if self.draper == GROOMGEN and self.weights is None:
             raise InputError("--weights", f"weights of quaffure train-groomgen with the draper {GROOMGEN}", "none")
         if self._elastic in ELASTIC_MODELS and self.draper in SOLVERS:
@@ -145,24 +163,37 @@ class DrapeCommand:
             draper: Draper = load_groomgen(self.weights)[0]
         else:
             draper = load_model(self.weights).draper
-        terms = self._terms(groom, body, draper.material)
-        if self.draper in SOLVERS and not self.settle:
-            draper = solver(self.draper, draper.material, terms)
-        elif self.draper in SOLVERS:
-            draper = solver(self.draper, draper.material)
+        material = draper.material
+        if self._elastic == MODIFIED_COSSERAT:
+            material = replace(material, k_cosserat=self.stiffness * material.k_cosserat)
+        terms = self._terms(groom, body, material)
+        if self.draper in SOLVERS:
+            draper = solver(self.draper, material, None if self.settle else terms)
         if self.settle:
-            draper = SettledDraper(draper, StrandNewtonDraper(draper.material, terms=terms), self.settle)
+            draper = SettledDraper(draper, StrandNewtonDraper(material, terms=terms), self.settle)
         if isinstance(draper, StrandNewtonDraper) and self.coherent:
             draper = CoherentDraper(draper)
         return draper, terms
 
+    @property
+    def _acceleration(self) -> Acceleration:
+        pairs = zip(acceleration_of(self.gravity, "--gravity"), acceleration_of(self.wind, "--wind"))
+        x, y, z = (self.weight * gravity + wind for gravity, wind in pairs)
+        return x, y, z
+
+    @property
+    def _has_default_loads(self) -> bool:
+        return self.stiffness == 1 and np.allclose(self._acceleration, GRAVITY)
+
     def _terms(self, groom: Groom, body: BodyModel, material: HairMaterial) -> Terms:
-        if self._elastic != ROD or self._rest == "stress-free":
-            return hair_terms(self._elastic)
+        if self._elastic != ROD:
+            return hair_terms(self._elastic, acceleration=self._acceleration)
+        if self._rest == "stress-free":
+            return hair_terms(ROD, None, self.stiffness, self._acceleration)
         design = design_of(groom, body, material)
         if bool(design.unstable.any()):
             console.print(f"{int(design.unstable.sum())} strands will not keep the design")
-        return hair_terms(ROD, design)
+        return hair_terms(ROD, design, self.stiffness, self._acceleration)
 
     def _report(self, sequence: DrapeSequence, draped: PerFrame, posed: PerFrame) -> None:
         named = {"posed": posed, str(sequence.meta["draper"]): draped}

@@ -9,6 +9,7 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.body.clips import CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion, resample
+from quaffure.energies.gravity import Acceleration
 from quaffure.errors import InputError
 from quaffure.io.read_motion import read_motion
 from quaffure.npz import read_numbers
@@ -16,6 +17,7 @@ from quaffure.training.pose_sampler import FPS
 from quaffure.types import Float, Tensor
 
 SHAPE_SUFFIXES = (".csv", ".npz", ".txt")
+MAX_ACCELERATION = 100.0  # m/s^2; ten times gravity
 MAX_COEFFICIENT = 10.0  # standard deviations; beyond it nothing human is left
 
 
@@ -49,6 +51,19 @@ def body_shape_of(text: str) -> Float[Tensor, "10"]:
     if not (np.abs(values) <= MAX_COEFFICIENT).all():
         raise InputError(source, f"coefficients within +-{MAX_COEFFICIENT:g}", f"{values.tolist()}")
     return torch.tensor(values, dtype=torch.float32)
+
+
+def acceleration_of(text: str, option: str) -> Acceleration:
+    """An acceleration X,Y,Z in the world's axes, z up [m/s^2].
+
+    Raises:
+        InputError: not three finite numbers of ordinary size.
+    """
+    values = _numbers(text, option)
+    if values.shape != (3,) or not (np.abs(values) <= MAX_ACCELERATION).all():
+        raise InputError(option, f"three numbers X,Y,Z within +-{MAX_ACCELERATION:g} m/s^2", f"'{text}'")
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 def _file_numbers(path: Path) -> Float[np.ndarray, " n"]:

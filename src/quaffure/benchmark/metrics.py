@@ -6,6 +6,7 @@ Intersections are those of `quaffure.benchmark.intersection`, which no loss and 
 import numpy as np
 import torch
 
+from quaffure.benchmark.appearance import JUMP, in_the_air, jumps, off_vertical
 from quaffure.benchmark.intersection import winding_numbers
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import HEAD, world_from_head
@@ -53,10 +54,12 @@ class DrapeMetrics:
         self._draped: list[PerFrame] = []
         self._posed: list[PerFrame] = []
         self._from_head: list[tuple[Positions, Positions]] = []
+        self._jumps: list[Float[Tensor, "f s"]] = []
+        self._last: tuple[Positions, Positions] | None = None
         self._frames = 0
 
     def add(self, draped: Positions, scene: Scene) -> None:
-        """Measure the next frames.
+        """Measure the next frames, which follow those added before.
 
         Raises:
             InputError: the reference holds other frames, bodies or strands.
@@ -71,10 +74,18 @@ class DrapeMetrics:
         self._draped.append(metrics(draped, scene, self.energy, reference))
         self._posed.append(metrics(scene.posed, scene, self.energy, reference))
         self._frames += len(draped)
+        hair = draped, scene.posed
+        consecutive = hair if self._last is None else [torch.cat(parts) for parts in zip(self._last, hair)]
+        self._jumps.append(jumps(*consecutive))
+        self._last = draped[-1:], scene.posed[-1:]
 
     def of_all_frames(self) -> tuple[PerFrame, PerFrame]:
         """Metrics of every frame of the drape, and of the posed groom."""
         whole = _joined(self._draped)
+        if self._frames >= 2:
+            moved = torch.cat(self._jumps)
+            moved = torch.cat([torch.zeros_like(moved[:1]), moved])  # none leads to the first frame
+            whole |= {"jumps": (moved > JUMP).sum(dim=1).to(moved), "largest_jump_mm": 1000 * moved.amax(dim=1)}
         if self._from_head and self._frames >= 3:
             own, of_reference = (accelerations(torch.cat(part)).mean() for part in zip(*self._from_head))
             if of_reference > 0:
@@ -124,6 +135,8 @@ def metrics(draped: Positions, scene: HairScene, energy: HairEnergy, reference: 
         "length_error_percent_max": lengths.amax(dim=(1, 2)),
         "orientation_error_deg": orientation_errors(draped, scene.director).mean(dim=(1, 2)),
         "density_excess_percent": density_excesses(density, rest.rest_density).mean(dim=(1, 2)),
+        "off_vertical_deg": off_vertical(draped),
+        "in_the_air_percent": 100 * in_the_air(draped, scene).float().mean(dim=(1, 2)),
         "energy": total_energy(draped, scene, energy),
     }
     if reference is not None:

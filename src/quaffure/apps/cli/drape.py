@@ -116,7 +116,7 @@ class DrapeCommand:
         sequence.meta["elastic"] = self._elastic
         if self._elastic == ROD:
             sequence.meta["rest"] = self._rest
-        sequence.meta |= {"stiffness": self.stiffness, "acceleration": self._acceleration}
+        sequence.meta["stiffness"], sequence.meta["acceleration"] = self.stiffness, self._acceleration
         for path in self.out:
             console.print(f"writing {path}")
             write_output(path, sequence, interpolation)

@@ -13,10 +13,12 @@ from quaffure.model.quaffure_model import Quaffure
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import STYLES
 from quaffure.solvers.by_name import SOLVERS, solver
+from quaffure.solvers.coherent_clip import CoherentDraper
+from quaffure.solvers.strand_newton import StrandNewtonDraper
 
 NEURAL = "neural"
 REST = "rest"
-LIVE = (NEURAL, PosedDraper.name)
+LIVE = (NEURAL, StrandNewtonDraper.name, PosedDraper.name)
 """Drapers that follow every change; all others take seconds to minutes."""
 
 
@@ -58,12 +60,16 @@ class Catalogue:
         return self._motions[name]
 
     def draper(self, name: str) -> Draper:
-        """With the material that the weights were trained for, so that drapes can be compared.
+        """With the material that the weights were trained for, so that drapes can be compared; one that follows from
+        frame to frame where there is one.
 
         Raises:
             InputError: no draper of that name.
         """
-        return self._model.draper if name == NEURAL else solver(name, self._model.draper.material)
+        if name == NEURAL:
+            return self._model.draper
+        draper = solver(name, self._model.draper.material)
+        return CoherentDraper(draper) if isinstance(draper, StrandNewtonDraper) else draper
 
     def interpolation(self, groom: Groom, strands: int) -> GuideInterpolation:
         """Interpolation of strands between the guides of a groom; the last one is kept."""

@@ -1,0 +1,78 @@
+"""Metrics of what one sees: whether hair hangs, floats above what it should lie on, or jumps from frame to frame."""
+
+import numpy as np
+import torch
+from numba import njit, prange
+
+from quaffure.geometry.cell_list import cell_columns, check_finite, sort_into_cells
+from quaffure.geometry.signed_distance import signed_distance
+from quaffure.scene import HairScene
+from quaffure.types import Bool, Float, Positions, Tensor
+
+OUTER_EDGES = slice(11, 22)
+"""Edges 12 to 22 of 23, whose direction shows how hair hangs: the inner half follows the head, the last may curl."""
+GAP = 8e-3
+"""Hair farther than this from the skin and from the nearest hair below it is in the air [m]."""
+JUMP = 0.05
+"""A tip jumps where it moves more than this beyond its root and its posed tip in a frame at 30 per second [m]."""
+
+
+def off_vertical(draped: Positions) -> Float[Tensor, " b"]:
+    """Median angle of the outer edges to gravity [deg]."""
+    direction = torch.nn.functional.normalize(draped.diff(dim=2)[:, :, OUTER_EDGES], dim=-1)
+    angle = torch.rad2deg(torch.arccos((-direction[..., 2]).clamp(-1, 1)))
+    return angle.flatten(1).median(dim=1).values
+
+
+def in_the_air(draped: Positions, scene: HairScene) -> Bool[Tensor, "b s m"]:
+    """Which vertices, roots left out, neither the skin nor hair carries.
+
+    They are farther than `GAP` from the skin, and have no vertex of another strand that is nearer to it within `GAP`.
+
+    Raises:
+        ValueError: a coordinate is not finite.
+    """
+    check_finite(draped)
+    distance = signed_distance(draped.flatten(1, 2), scene.surface).reshape(draped.shape[:3])
+    found = torch.empty_like(distance, dtype=torch.bool)
+    for sample in range(len(draped)):
+        points = draped[sample].reshape(-1, 3).detach().numpy()
+        order, start, shape = sort_into_cells(points, np.float32(GAP))
+        above = distance[sample].flatten().detach().numpy()
+        carried = np.zeros(len(points), np.bool_)
+        _mark_carried(points[order], above[order], order // draped.shape[2], start, shape, carried)
+        lone = np.empty_like(carried)
+        lone[order] = ~carried
+        found[sample] = torch.from_numpy(lone).view(draped.shape[1:3])
+    return (found & (distance > GAP))[:, :, 1:]
+
+
+@njit(cache=True, parallel=True)
+def _mark_carried(
+    points: np.ndarray, distance: np.ndarray, strand: np.ndarray, start: np.ndarray, shape: tuple[int, int, int],
+    carried: np.ndarray,
+) -> None:  # fmt: skip
+    """Mark the points that have one of another strand within `GAP` which is nearer to the skin. Points are sorted into
+    cells of that side."""
+    for cell in prange(len(start) - 1):
+        ranges = np.empty((9, 2), np.int64)
+        columns = cell_columns(cell, shape, start, ranges) if start[cell] < start[cell + 1] else 0
+        for row in range(start[cell], start[cell + 1]):
+            for column in range(columns):
+                for other in range(ranges[column, 0], ranges[column, 1]):
+                    if carried[row] or strand[other] == strand[row] or distance[other] >= distance[row]:
+                        continue
+                    offset = points[other] - points[row]
+                    carried[row] = (offset * offset).sum() < GAP * GAP
+
+
+def jumps(draped: Positions, posed: Positions) -> Float[Tensor, "f s"]:
+    """How far every tip moves from each frame to the next, beyond what its root and its posed tip move [m].
+
+    Args:
+        draped, posed: of consecutive frames [m, world].
+    """
+    tip, root, posed_tip = (
+        hair.diff(dim=0).norm(dim=-1) for hair in (draped[:, :, -1], draped[:, :, 0], posed[:, :, -1])
+    )
+    return (tip - torch.maximum(root, posed_tip)).clamp(min=0)

@@ -162,6 +162,29 @@ def test_adam_settles_one_frame_and_serves_as_reference(
     assert metrics["distance_mm"][0] > 1
 
 
+def test_the_rod_keeps_the_design_or_gravity_bends_it(tmp_path: Path, groom: Groom) -> None:
+    path, moved = tmp_path / "few.npz", {}
+    write_groom(path, groom.select(torch.arange(0, STRANDS, 10)))
+    # In the first frame the body is nearly upright, as it was when the hair was designed.
+    options = ("--draper", "lbfgs", "--elastic", "rod", "--frames", "0:1")
+    for rest, chosen in (("design", ()), ("stress-free", ("--rest", "stress-free"))):
+        out = tmp_path / f"{rest}.npz"
+        main(["drape", str(path), *options, *chosen, "--out", str(out)])
+        drape = read_drape(out)
+        assert (drape.meta["elastic"], drape.meta["rest"]) == ("rod", rest)
+        moved[rest] = np.linalg.norm(drape.strands - drape.posed, axis=-1).mean()
+    assert 5 * moved["design"] < moved["stress-free"]
+    assert moved["design"] < 2e-3  # m
+
+
+def test_a_rest_shape_needs_the_rod_and_the_rod_a_solver(refusal: Refusal, inputs: Path) -> None:
+    tiny = inputs / "tiny.npz"
+    line = refusal("drape", tiny, "--draper", "lbfgs", "--rest", "design")
+    assert "--rest: expected --elastic rod" in line
+    assert "--elastic: expected modified_cosserat" in refusal("drape", tiny, "--elastic", "rod")
+    assert "--rest" in refusal("drape", tiny, "--draper", "lbfgs", "--elastic", "rod", "--rest", "stiff")
+
+
 def test_neural_drapes_with_own_weights(tmp_path: Path, inputs: Path) -> None:
     out = tmp_path / "hair.npz"
     weights = str(inputs / "tiny.safetensors")

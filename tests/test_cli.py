@@ -2,6 +2,8 @@
 
 import json
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -238,11 +240,15 @@ def test_shipped_weights_load() -> None:
     assert quaffure_model.load_model().notes
 
 
-def test_help_is_no_error(capfd: pytest.CaptureFixture[str]) -> None:
+def test_help_of_the_command_and_of_the_module_is_no_error(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main(["drape", "--help"])
     assert not stop.value.code
     assert "--motion" in capfd.readouterr().out
+    words = [sys.executable, "-m", "quaffure", "evaluate", "--help"]
+    run = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert run.stdout.startswith("usage: quaffure evaluate")
+    assert "shared options" in run.stdout
 
 
 # --- grooms ----------------------------------------------------------------------------------------------------------

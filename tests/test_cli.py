@@ -413,7 +413,7 @@ def test_bad_shape_vectors(refusal: Refusal, shape: str, expected: str) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
-        ("missing.txt", None, "No such file"),
+        ("missing.txt", None, "no such file"),
         ("missing.npz", None, "no such file"),
         ("three.txt", b"1 2 3\n", "expected 10 coefficients, found 3"),
         ("words.csv", b"a,b,c", "expected numbers separated by commas, found 'a'"),

@@ -22,7 +22,7 @@ import torch
 from torch import nn
 
 from quaffure.config import TEXTURE_SIZE, VERTICES_PER_STRAND, HairMaterial
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.model.groom_autoencoder import GAIN, Widths
 from quaffure.model.network_config import known_fields
@@ -137,7 +137,7 @@ def load_groomgen_network(path: str | Path) -> tuple[GroomGenNetwork, HairMateri
     weights, notes = read_weights(path, f"{expected} (.safetensors)")
     if "groomgen" not in notes:
         raise InputError(path, expected, "weights of another network")
-    try:
+    with refused(path, expected, KeyError, TypeError, ValueError, RuntimeError):
         layers = known_fields(json.loads(notes.pop("groomgen")), GroomGenLayers)
         config = GroomGenLayers(**layers | {"widths": tuple(layers["widths"])})  # JSON has lists alone
         material = HairMaterial(**known_fields(json.loads(notes.pop("material")), HairMaterial))
@@ -146,7 +146,4 @@ def load_groomgen_network(path: str | Path) -> tuple[GroomGenNetwork, HairMateri
             raise ValueError("another groom's strands")
         network = GroomGenNetwork(config, rest, cells)
         network.load_state_dict(weights)
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        first_line = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(path, expected, first_line) from error
     return network.eval(), material, notes

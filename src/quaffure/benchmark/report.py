@@ -7,8 +7,7 @@ from typing import Any
 from quaffure.benchmark.comparison import TIME
 from quaffure.benchmark.paper_table import ratio_rows
 from quaffure.benchmark.results import Results
-from quaffure.errors import InputError
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import made_folder, replacing
 
 PAGE = "evaluation_results.md"
 PICTURE = "figures/evaluation_results.png"
@@ -39,10 +38,7 @@ def write_report(folder: Path, results: Results) -> list[Path]:
         InputError: the folder cannot be made or written to.
     """
     picture = folder / PICTURE
-    try:
-        picture.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(folder, "a folder for the report", error.strerror or str(error)) from error
+    made_folder(picture.parent, "a folder for the report")
     drawn = []
     if importlib.util.find_spec("matplotlib") is not None:
         from quaffure.benchmark.plots import plot_results

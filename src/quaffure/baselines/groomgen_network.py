@@ -24,7 +24,7 @@ from torch import nn
 from quaffure.config import TEXTURE_SIZE, VERTICES_PER_STRAND, HairMaterial
 from quaffure.errors import InputError, refused
 from quaffure.model.deformation_decoder import DeformationDecoder
-from quaffure.model.groom_autoencoder import GAIN, Widths
+from quaffure.model.groom_autoencoder import Widths, start_layers
 from quaffure.model.network_config import known_fields
 from quaffure.model.weights_file import MAX_WIDTH, read_weights, save_weights
 from quaffure.types import Float, Int, Positions, Tensor
@@ -89,14 +89,7 @@ class GroomGenNetwork(nn.Module):
             *(nn.Linear(width, width), nn.SiLU()),
             nn.Linear(width, 3 * _MOVED),
         )
-        self._start()
-
-    def _start(self) -> None:
-        # Torch's own start shrinks the signal at every layer: ten of them on, the output hardly depends on the input.
-        for layer in self.modules():
-            if isinstance(layer, nn.Conv2d | nn.Linear):
-                nn.init.normal_(layer.weight, std=GAIN / math.sqrt(layer.weight[0].numel()))
-                nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
+        start_layers(self)
         for parameter in self.strand[-1].parameters():
             nn.init.zeros_(parameter)  # an untrained network predicts the mean
 

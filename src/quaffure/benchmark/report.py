@@ -12,17 +12,9 @@ from quaffure.io.atomic import made_folder, replacing
 PAGE = "evaluation_results.md"
 PICTURE = "figures/evaluation_results.png"
 METRICS = (
-    "body_intersection_percent",
-    "length_error_percent",
-    "length_error_percent_max",
-    "orientation_error_deg",
-    "density_excess_percent",
-    "energy",
-    "excess_energy",
-    "distance_mm",
-    "jitter",
-    "milliseconds",
-)
+    "body_intersection_percent", "length_error_percent", "length_error_percent_max", "orientation_error_deg",
+    "density_excess_percent", "energy", "excess_energy", "distance_mm", "jitter", TIME,
+)  # fmt: skip
 """Metrics in the order of the columns; docs/metrics.md explains them."""
 RATIOS = "Table 1 of the paper: over the network"
 BY_GROUP = ("body_intersection_percent", "excess_energy", "distance_mm")

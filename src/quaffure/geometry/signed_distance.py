@@ -112,14 +112,7 @@ def closest_barycentric(
 
 
 def signed_distance(points: Float[Tensor, "b p 3"], surface: Surface) -> Float[Tensor, "b p"]:
-    """Exact distance to the surface [m], positive outside, differentiable in `points` and the surface's vertices."""
-    return distance_and_direction(points, surface)[0]
-
-
-def distance_and_direction(
-    points: Float[Tensor, "b p 3"], surface: Surface
-) -> tuple[Float[Tensor, "b p"], Float[Tensor, "b p 3"]]:
-    """`signed_distance` [m] and its gradient by the points, a unit vector that points outwards.
+    """Exact distance to the surface [m], positive outside, differentiable in `points` and the surface's vertices.
 
     The gradient holds the foot point's weights fixed, which is exact to first order (envelope theorem); at distance
     zero, where the norm has no gradient, it is the feature's normal.
@@ -133,4 +126,4 @@ def distance_and_direction(
         length = offset.norm(dim=-1, keepdim=True)
         outward = torch.nn.functional.normalize(foot.normals, dim=-1)
         direction = torch.where(length > 1e-7, sign * offset / length.clamp(min=1e-12), outward)
-    return (offset * direction).sum(-1), direction
+    return (offset * direction).sum(-1)

@@ -2,6 +2,8 @@
 
 import json
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -162,6 +164,29 @@ def test_adam_settles_one_frame_and_serves_as_reference(
     assert metrics["distance_mm"][0] > 1
 
 
+def test_the_rod_keeps_the_design_or_gravity_bends_it(tmp_path: Path, groom: Groom) -> None:
+    path, moved = tmp_path / "few.npz", {}
+    write_groom(path, groom.select(torch.arange(0, STRANDS, 10)))
+    # In the first frame the body is nearly upright, as it was when the hair was designed.
+    options = ("--draper", "lbfgs", "--elastic", "rod", "--frames", "0:1")
+    for rest, chosen in (("design", ()), ("stress-free", ("--rest", "stress-free"))):
+        out = tmp_path / f"{rest}.npz"
+        main(["drape", str(path), *options, *chosen, "--out", str(out)])
+        drape = read_drape(out)
+        assert (drape.meta["elastic"], drape.meta["rest"]) == ("rod", rest)
+        moved[rest] = np.linalg.norm(drape.strands - drape.posed, axis=-1).mean()
+    assert 5 * moved["design"] < moved["stress-free"]
+    assert moved["design"] < 2e-3  # m
+
+
+def test_a_rest_shape_needs_the_rod_and_the_rod_a_solver(refusal: Refusal, inputs: Path) -> None:
+    tiny = inputs / "tiny.npz"
+    line = refusal("drape", tiny, "--draper", "lbfgs", "--rest", "design")
+    assert "--rest: expected --elastic rod" in line
+    assert "--elastic: expected modified_cosserat" in refusal("drape", tiny, "--elastic", "rod")
+    assert "--rest" in refusal("drape", tiny, "--draper", "lbfgs", "--elastic", "rod", "--rest", "stiff")
+
+
 def test_neural_drapes_with_own_weights(tmp_path: Path, inputs: Path) -> None:
     out = tmp_path / "hair.npz"
     weights = str(inputs / "tiny.safetensors")
@@ -211,11 +236,15 @@ def test_shipped_weights_load() -> None:
     assert quaffure_model.load_model().notes
 
 
-def test_help_is_no_error(capfd: pytest.CaptureFixture[str]) -> None:
+def test_help_of_the_command_and_of_the_module_is_no_error(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main(["drape", "--help"])
     assert not stop.value.code
     assert "--motion" in capfd.readouterr().out
+    words = [sys.executable, "-m", "quaffure", "evaluate", "--help"]
+    run = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert run.stdout.startswith("usage: quaffure evaluate")
+    assert "shared options" in run.stdout
 
 
 # --- grooms ----------------------------------------------------------------------------------------------------------
@@ -380,7 +409,7 @@ def test_bad_shape_vectors(refusal: Refusal, shape: str, expected: str) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
-        ("missing.txt", None, "No such file"),
+        ("missing.txt", None, "no such file"),
         ("missing.npz", None, "no such file"),
         ("three.txt", b"1 2 3\n", "expected 10 coefficients, found 3"),
         ("words.csv", b"a,b,c", "expected numbers separated by commas, found 'a'"),
@@ -472,7 +501,7 @@ def test_missing_weights(refusal: Refusal) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["drape", "bob", "--draper", "magic"], "--draper: expected one of neural, groomgen, adam"),
+        (["drape", "bob", "--draper", "magic"], "--draper: expected one of strand_newton, adam"),
         (["drape", "bob", "--settle", "3"], "--settle: expected another draper than strand_newton"),
         (["drape", "bob", "--colour", "red"], "--colour"),
         (["drape"], "GROOM"),

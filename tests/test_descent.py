@@ -17,6 +17,7 @@ from quaffure.solvers import (
     SOLVERS,
     AdamDraper,
     AdamPositionsDraper,
+    DescentDraper,
     LbfgsDraper,
     LbfgsPositionsDraper,
     energy_and_gradient,
@@ -29,6 +30,7 @@ from tests.test_xpbd import strands_by_hand
 SOFT = HairMaterial(k_cosserat=5e-8)
 """Strands of 10 cm sag a good deal."""
 FREE = replace(SOFT, k_body_collision=0.0, k_self_collision=0.0)
+CROWDED = HairMaterial(k_self_collision=1e-4)
 
 
 def horizontal_strand(length: float = 0.25) -> torch.Tensor:
@@ -75,6 +77,21 @@ def test_lbfgs_on_directions_pushes_the_sag_out_of_the_body_and_keeps_lengths() 
     assert after < before - 0.1
     assert torch.allclose(draped.diff(dim=2).norm(dim=-1), rest.rest_length.expand(1, -1, -1), rtol=1e-4)
     assert torch.equal(draped[:, :, 0], scene.posed[:, :, 0])
+
+
+@pytest.mark.parametrize("draper", [AdamDraper(CROWDED, steps=150), LbfgsDraper(CROWDED)], ids=["adam", "lbfgs"])
+def test_strands_pressed_together_part_until_forces_balance(draper: DescentDraper) -> None:
+    drop = torch.linspace(0, 0.05, 8)[:, None] * torch.tensor([0.0, 0.0, -1.0])
+    rest = torch.stack([drop + torch.tensor([side, 0.0, 0.5]) for side in (-0.005, 0.005)])
+    scene = posed_scene(strands_by_hand(rest), (rest * torch.tensor([0.2, 1.0, 1.0]))[None])
+    reference = HairEnergy(scene.groom, CROWDED, backend=Backend.TORCH)
+    draped = draper.drape(scene)
+    before, after = (
+        relative_gradient(reference, x, energy_and_gradient(reference, scene, x)[1]) for x in (scene.posed, draped)
+    )
+    assert float(draped[0, 1, -1, 0] - draped[0, 0, -1, 0]) > 0.006
+    assert float(before) > 100
+    assert float(after) < 0.05
 
 
 def test_every_name_makes_a_draper_that_knows_its_name() -> None:

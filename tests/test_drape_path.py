@@ -175,14 +175,14 @@ def test_frames_are_posed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         kinematics, "_forward_kinematics", lambda pose, *rest: (posed.append(len(pose)), compiled(pose, *rest))[1]
     )
     # The network's groom is prepared at the rest pose, once, and not here.
-    in_torch = BodyModel._forward_kinematics
+    in_torch = BodyModel.forward_kinematics
     at_rest: list[bool] = []
 
     def torch_kinematics(body: BodyModel, pose: Tensor, joints: Tensor) -> tuple[Tensor, Tensor]:
         at_rest.append(bool((pose == 0).all()))
         return in_torch(body, pose, joints)
 
-    monkeypatch.setattr(BodyModel, "_forward_kinematics", torch_kinematics)
+    monkeypatch.setattr(BodyModel, "forward_kinematics", torch_kinematics)
     outs = [str(tmp_path / name) for name in ("hair.npz", "hair.usda")]
     frames = FRAMES_AT_ONCE + 3
     main(["drape", "crew_cut", "--frames", f"0:{frames}", "--out", outs[0], "--out", outs[1], "--json"])

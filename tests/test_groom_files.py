@@ -18,8 +18,7 @@ from hypothesis.extra.numpy import arrays
 
 from quaffure.errors import InputError
 from quaffure.hair import Strands
-from quaffure.io import write_npz_strands
-from quaffure.io.hair import write_hair
+from quaffure.io import replacing
 from quaffure.io.read_strands import read_strands
 
 RAGGED = [np.arange(6.0).reshape(2, 3), 10 + np.arange(12.0).reshape(4, 3), 30 + np.arange(9.0).reshape(3, 3)]
@@ -308,62 +307,41 @@ def test_missing_folder_and_unknown_suffix_name_what_is_supported(tmp_path):
 
 
 finite = st.floats(width=32, allow_nan=False, allow_infinity=False)
+ragged_strands = st.lists(
+    st.integers(2, 7).flatmap(lambda count: arrays(np.float32, (count, 3), elements=finite)), min_size=1, max_size=6
+)
 
 
-@st.composite
-def ragged_strands(draw) -> Strands:
-    counts = np.array(draw(st.lists(st.integers(2, 7), min_size=1, max_size=6)), dtype=np.int64)
-    return Strands(draw(arrays(np.float32, (int(counts.sum()), 3), elements=finite)), counts, "hypothesis")
-
-
-@pytest.mark.parametrize(("suffix", "write"), [(".hair", write_hair), (".npz", write_npz_strands)])
+@pytest.mark.parametrize(
+    ("suffix", "content_of"),
+    [
+        (".hair", lambda strands: hair_bytes(strands, 3)),
+        (".npz", lambda strands: npz_bytes(points=np.concatenate(strands), counts=np.array(list(map(len, strands))))),
+    ],
+)
 @settings(deadline=None, max_examples=40)
-@given(strands=ragged_strands())
-def test_what_is_written_is_read_back(suffix, write, strands):
+@given(strands=ragged_strands)
+def test_what_is_written_is_read_back(suffix, content_of, strands):
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"groom{suffix}"
-        write(path, strands)
-        found = read_strands(path)
-    assert found.points.tobytes() == strands.points.tobytes()
-    np.testing.assert_array_equal(found.counts, strands.counts)
+        found = read_strands(saved(Path(folder), suffix, content_of(strands)))
+    assert found.points.tobytes() == np.concatenate(strands).tobytes()
+    assert found.counts.tolist() == list(map(len, strands))
 
 
-def test_written_hair_is_the_documented_layout(tmp_path):
-    strands = Strands(np.concatenate(RAGGED).astype(np.float32), np.array([2, 4, 3]), "test")
-    write_hair(tmp_path / "groom.hair", strands)
-    content, expected = (tmp_path / "groom.hair").read_bytes(), hair_bytes(RAGGED, 3, default_segments=1)
-    assert content[:20] == expected[:20]
-    assert content[128:] == expected[128:]
+def test_a_failed_write_leaves_the_file_as_it_was(tmp_path):
+    path = saved(tmp_path, ".npz", b"before")
 
+    def fill_the_disk() -> None:
+        with replacing(path) as temporary:
+            temporary.write_bytes(b"half")
+            raise OSError(28, "No space left on device")
 
-def test_hair_longer_than_the_format_holds_is_refused_and_leaves_the_file(tmp_path):
-    longest = Strands(np.ones((65536, 3), dtype=np.float32), np.array([65536]), "long")
-    write_hair(tmp_path / "groom.hair", longest)
-    before = (tmp_path / "groom.hair").read_bytes()
-    with pytest.raises(InputError, match="at most 65535 segments"):
-        write_hair(tmp_path / "groom.hair", Strands(np.ones((65537, 3), dtype=np.float32), np.array([65537]), "longer"))
-    assert (tmp_path / "groom.hair").read_bytes() == before
-    assert read_strands(tmp_path / "groom.hair").counts.tolist() == [65536]
-
-
-@pytest.mark.parametrize(("suffix", "write"), [(".hair", write_hair), (".npz", write_npz_strands)])
-def test_a_failed_write_leaves_the_file_as_it_was(tmp_path, monkeypatch, suffix, write):
-    path = saved(tmp_path, suffix, b"before")
-    strands = Strands(np.concatenate(EVEN).astype(np.float32), np.array([2, 2, 2]), "test")
-
-    def fills_the_disk(target, *_, **__) -> None:
-        with target.open("wb") if isinstance(target, Path) else target as file:
-            file.write(b"half")
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", fills_the_disk)
-    monkeypatch.setattr(np, "savez", fills_the_disk)
     with pytest.raises(OSError, match="No space left"):
-        write(path, strands)
+        fill_the_disk()
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]
-    with pytest.raises(InputError, match="existing folder"):
-        write(tmp_path / "none" / f"groom{suffix}", strands)
+    with pytest.raises(InputError, match="existing folder"), replacing(tmp_path / "none" / "groom.npz"):
+        pass
 
 
 GROOMS = Path(__file__).parents[2] / "shared" / "data" / "grooms"

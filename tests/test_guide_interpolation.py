@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
@@ -23,12 +23,37 @@ from quaffure.hair import (
     with_strands,
 )
 from quaffure.hair.guide_interpolation import axis_projection
-from quaffure.hair.guide_triangles import coherence, sample_roots, triangulate
+from quaffure.hair.guide_triangles import (
+    COHERENT,
+    DIVERGED,
+    coherence,
+    first_direction_vertex,
+    sample_roots,
+    triangulate,
+)
 from quaffure.io.read_strands import read_strands
 from quaffure.scene import BodyBatch, Scene
 
 ROWS, LENGTH, VERTICES = 24, 0.2, 24
 SHARE = torch.linspace(0, 1, VERTICES)
+
+
+def coherence_reference(
+    axes: Float[np.ndarray, "s n 3"], lengths: Float[np.ndarray, " s"], pairs: Int[np.ndarray, "*p 2"]
+) -> Float[np.ndarray, "*p"]:
+    """Twin of `coherence` for pairs of guides, in the precision of its input.
+
+    Args:
+        axes: guides without their curls, relative to their roots [m].
+        lengths: of the guides at rest [m].
+    """
+    first = first_direction_vertex(axes.shape[1])
+    share = np.linspace(0, 1, axes.shape[1])[first:]
+    gap = np.linalg.norm(np.diff(axes[pairs][..., first:, :], axis=-3)[..., 0, :, :], axis=-1)
+    length_along = lengths[pairs].mean(axis=-1)[..., None] * share
+    apart = ((gap / length_along).max(axis=-1) - COHERENT) / (DIVERGED - COHERENT)
+    apart = np.clip(apart, 0, 1)
+    return 1 - apart * apart * (3 - 2 * apart)
 
 
 def strands_reference(
@@ -41,7 +66,7 @@ def strands_reference(
     shares = interpolation.weights.astype(guides.dtype)
     first, others = interpolation.guides[:, :1], interpolation.guides[:, 1:]
     pairs = np.stack([np.repeat(first, 2, axis=1), others], axis=-1)
-    shares[:, 1:] *= coherence(axes, interpolation.guide_lengths, pairs)
+    shares[:, 1:] *= coherence_reference(axes, interpolation.guide_lengths, pairs)
     shares /= shares.sum(1, keepdims=True)
     mixed = (shares[..., None, None] * axes[interpolation.guides]).sum(1)
     roots = (interpolation.root_weights[..., None] * body_vertices[interpolation.carriers]).sum(1)
@@ -215,7 +240,9 @@ def test_coherence_falls_with_the_angle() -> None:
     angles = np.radians([0, 10, 15, 20, 25, 40])
     axes = LENGTH * SHARE.numpy()[:, None] * np.stack([np.sin(angles), 0 * angles, -np.cos(angles)], -1)[:, None]
     pairs = np.stack([np.zeros(6, np.int64), np.arange(6)], -1)
-    together = coherence(axes, np.full(6, LENGTH), pairs)
+    together = coherence_reference(axes, np.full(6, LENGTH), pairs)
+    found = [coherence(axes[0], axis, 2 * LENGTH, first_direction_vertex(VERTICES)) for axis in axes]
+    np.testing.assert_allclose(found, together, atol=1e-5)
     assert together[:2].tolist() == [1, 1]
     assert together[-1] == 0
     assert (np.diff(together[1:]) < 0).all()

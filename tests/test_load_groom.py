@@ -6,8 +6,8 @@ import torch
 
 from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
-from quaffure.hair import Groom, Strands
-from quaffure.io import read_groom, read_head, write_groom, write_npz_strands
+from quaffure.hair import Groom
+from quaffure.io import read_groom, read_head, write_groom
 from quaffure.io.groom_file import NUMBERS, is_groom_file
 from quaffure.io.load_groom import load_groom
 from quaffure.procedural import make_groom
@@ -47,7 +47,7 @@ def test_strand_files_are_registered_and_thinned_to_one_strand_a_texel(
 ) -> None:
     path = tmp_path / "wild.npz"
     points = 100 * groom.rest_strands.repeat(2, 1, 1)[:, ::2].reshape(-1, 3).numpy()
-    write_npz_strands(path, Strands(points, np.full(2 * len(groom), 12), "wild"))
+    np.savez(path, points=points, counts=np.full(2 * len(groom), 12))
     assert not is_groom_file(path)
     loaded = load_groom(str(path), body)
     assert loaded.name == "wild"

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -15,7 +16,7 @@ from quaffure.geometry import (
     quaternion_from_matrix,
     quaternion_multiply,
 )
-from quaffure.geometry.rotation import interpolate_rotations, shortest_arc
+from quaffure.geometry.rotation import interpolate_rotations, shortest_arc, write_rotation
 
 coordinates = st.floats(-1, 1, allow_nan=False).filter(lambda x: x == 0 or abs(x) > 1e-3)
 directions = (
@@ -50,6 +51,23 @@ def test_a_rotation_turns_right_handed_about_its_axis(axis: torch.Tensor, angle:
     turned = matrix_from_axis_angle(axis * angle) @ across
     expected = math.cos(angle) * across + math.sin(angle) * torch.linalg.cross(axis, across)
     torch.testing.assert_close(turned, expected, atol=1e-9, rtol=0)
+
+
+@few
+@given(axis_angles)
+def test_compiled_rotation_is_that_of_the_reference(axis_angle: torch.Tensor) -> None:
+    assert_rotation_is_compiled_alike(axis_angle, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [1e-5, 9e-4, 1.1e-3])
+def test_compiled_rotation_of_a_small_angle_is_that_of_the_reference(angle: float) -> None:
+    assert_rotation_is_compiled_alike(torch.tensor([2.0, -1.0, 2.0], dtype=torch.float64) * (angle / 3), atol=1e-15)
+
+
+def assert_rotation_is_compiled_alike(axis_angle: torch.Tensor, atol: float) -> None:
+    matrix = np.empty((3, 3))
+    write_rotation(axis_angle.numpy(), matrix)
+    np.testing.assert_allclose(matrix, matrix_from_axis_angle(axis_angle).numpy(), rtol=0, atol=atol)
 
 
 @few

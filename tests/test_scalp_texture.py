@@ -1,8 +1,6 @@
-import pytest
 import torch
 
-from quaffure.hair import Groom, select_guides, texel_mask
-from quaffure.hair.scalp_texture import decode, encode
+from quaffure.hair import Groom, select_guides
 
 
 def scattered(count: int = 500, seed: int = 0) -> Groom:
@@ -35,36 +33,3 @@ def test_choice_does_not_depend_on_the_order_even_in_ties() -> None:
     first, second = select_guides(twins, 8), select_guides(shuffled, 8)
     assert torch.equal(first.rest_strands, second.rest_strands)
     assert torch.equal(first.root_faces, second.root_faces)
-
-
-def test_textures_come_back_exactly() -> None:
-    guides = select_guides(scattered())
-    features = torch.randn(2, 3, len(guides), 5)
-    texture, mask = encode(guides, features)
-    assert texture.shape == (2, 3, 64, 64, 5)
-    assert mask.sum() == len(guides)
-    assert torch.equal(mask, texel_mask(guides))
-    assert torch.equal(decode(texture, guides), features)
-    assert (texture[:, :, ~mask] == 0).all()
-
-
-def test_rows_follow_v_and_columns_u() -> None:
-    groom = scattered(1)
-    groom.root_uv[:] = torch.tensor([[0.1, 0.9]])
-    texture, _ = encode(groom, torch.ones(1, 1), size=10)
-    assert texture[9, 1, 0] == 1
-
-
-def test_gradients_reach_the_features() -> None:
-    guides = select_guides(scattered())
-    features = torch.randn(len(guides), 2, requires_grad=True)
-    texture, _ = encode(guides, features)
-    weights = torch.randn(len(guides), 2)
-    (decode(texture, guides) * weights).sum().backward()
-    assert torch.equal(features.grad, weights)
-
-
-def test_two_strands_in_a_texel_are_refused() -> None:
-    groom = scattered()
-    with pytest.raises(ValueError, match="one strand in a texel"):
-        encode(groom, torch.zeros(len(groom), 1), size=8)

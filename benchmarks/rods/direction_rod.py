@@ -1,6 +1,6 @@
 """The rod in edge directions (`quaffure.energies.rod`) against the heavy rod and against the theory of springs.
 
-`python -m benchmarks.rods.direction_rod` prints the tables of `docs/validation.md`.
+`python -m benchmarks.rods.direction_rod` prints its two tables of `docs/validation.md`.
 """
 
 import math

@@ -1,6 +1,6 @@
 """Compare the elastic models with theory: `python -m benchmarks.rods.validate` writes docs/validation.md and its plots.
 
-To be run from the root of the repository. Every number of the page comes from this run, about a minute on one core.
+To be run from the root of the repository. Every number of the page comes from this run, about five minutes on one core.
 Needs the `docs` extra (matplotlib).
 """
 
@@ -15,6 +15,7 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from PIL import Image
 
+from benchmarks.rods.direction_rod import heavy_rod_table, settle_directions, spring_table
 from benchmarks.rods.elastic_potentials import cosserat, mass_spring, modified_cosserat
 from benchmarks.rods.heavy_rod import REAL_HAIR_WEIGHT, HeavyRod
 from benchmarks.rods.rod_newton import Settled
@@ -69,7 +70,8 @@ def main() -> None:
     docs = parser.parse_args().out
     figures = docs / "figures"
     figures.mkdir(parents=True, exist_ok=True)
-    sections = (convergence, helix_spring, closed_form, stick_out, situations, models, contact, deflection, stretch)
+    rods, forces = (convergence, helix_spring, direction_rod), (contact, deflection, stretch)
+    sections = (*rods, closed_form, stick_out, situations, models, *forces)
     page = "\n".join([INTRODUCTION, *(section(figures) for section in sections)])
     with replacing(docs / "validation.md") as path:
         path.write_text(page, encoding="utf-8")
@@ -129,6 +131,17 @@ def helix_spring(_: Path) -> str:
         " (cos^2/GJ"
         " + sin^2/EI) for small forces, the length without the last half edge, which no pair bends.\n\n"
         + table(["N", "stretch per force [m/N]", "theory", "error"], rows)
+    )
+
+
+def direction_rod(_: Path) -> str:
+    return (
+        "## The rod in edge directions (`rod`) converges too\n\nThe elastic model `rod` (`quaffure.energies.rod`), with"
+        " the same EI and GJ. Errors [mm] at the tip / at the worst vertex; order is that of the worst vertex. The last"
+        " column is a rod whose frames can't twist. `python -m benchmarks.rods.direction_rod` prints both tables.\n\n"
+        + "\n".join(heavy_rod_table())
+        + "\n\nThe helix under a force along its axis: with few vertices the rod is too stiff a spring, and without"
+        " twist it is at every number of vertices.\n\n" + "\n".join(spring_table()) + "\n"
     )
 
 
@@ -244,11 +257,12 @@ def models(_: Path) -> str:
             settle_under_weight(modified_cosserat(MATERIAL), strand),
             settle_under_weight(mass_spring(), strand, reach=3),
         )
-        cells = [f"{point(s.positions.numpy())}, {rms_mm(s.positions, truth):.1f}" for s in settled]
+        shapes = (settled[0].positions, settle_directions(strand), *(s.positions for s in settled[1:]))
+        cells = [f"{point(shape.numpy())}, {rms_mm(shape, truth):.1f}" for shape in shapes]
         rows.append([name, point(truth), *cells])
-    header = ["strand", "truth", "`cosserat`", "`modified_cosserat`", "`mass_spring`"]
+    header = ["strand", "truth", "`cosserat`", "`rod`", "`modified_cosserat`", "`mass_spring`"]
     return (
-        "## The three elastic models on the same strands\n\nTip [mm], error over the strand [mm]; each with its default"
+        "## The elastic models on the same strands\n\nTip [mm], error over the strand [mm]; each with its default"
         " stiffness. Springs resist the bending of straight hair with the cube of the angle only: short hair droops too"
         " much, long hair would hang anyway. Curls open.\n\n" + table(header, rows)
     )

@@ -1,5 +1,7 @@
 """The one error that a user's mistake raises."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -15,3 +17,23 @@ class InputError(ValueError):
     def __init__(self, source: str | Path, expected: str, found: str) -> None:
         super().__init__(f"{source}: expected {expected}, found {found}")
         self.source, self.expected, self.found = str(source), expected, found
+
+
+@contextmanager
+def refused(source: str | Path, expected: str, *kinds: type[Exception]) -> Iterator[None]:
+    """Turn errors of these kinds into an `InputError` that holds the first line of what they say."""
+    try:
+        yield
+    except InputError:
+        raise
+    except kinds as error:
+        raise InputError(source, expected, _found(error)) from error
+
+
+def _found(error: Exception) -> str:
+    if isinstance(error, FileNotFoundError):
+        return "no such file"
+    if isinstance(error, UnicodeDecodeError):
+        return "bytes that are not text"
+    said: str = getattr(error, "strerror", None) or str(error).strip() or type(error).__name__
+    return said.splitlines()[0]

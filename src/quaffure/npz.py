@@ -9,7 +9,7 @@ from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 
 NumberType = type[np.generic]
 Spec = Mapping[str, tuple[tuple[int | str, ...], tuple[NumberType, ...]]]
@@ -89,18 +89,9 @@ def check_arrays(arrays: Mapping[str, np.ndarray], spec: Spec, source: Path, wha
 
 @contextmanager
 def _opened(path: Path, what: str) -> Iterator[ZipFile]:
-    try:
-        with ZipFile(path) as archive:
-            yield archive
-    except InputError:
-        raise
-    except FileNotFoundError as error:
-        raise InputError(path, what, "no such file") from error
-    except OSError as error:
-        raise InputError(path, what, error.strerror or str(error)) from error
     # On damaged bytes zipfile, zlib and numpy's header parser raise some ten unrelated types between them.
-    except Exception as error:
-        raise InputError(path, what, str(error) or type(error).__name__) from error
+    with refused(path, what, Exception), ZipFile(path) as archive:
+        yield archive
 
 
 def _header(archive: ZipFile, name: str, path: Path) -> Header:

@@ -4,7 +4,7 @@
 `k` face of a mesh, `j` joint, `f` frame of a motion. Shapes are checked at run time under pytest only.
 """
 
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int  # noqa: F401  imported from here with the others
 from torch import Tensor
 
 Scalar = float | Float[Tensor, ""]
@@ -16,19 +16,3 @@ BodyPose = Float[Tensor, "b 81"]
 BodyShape = Float[Tensor, "b 10"]
 MeshVertices = Float[Tensor, "b v 3"]
 MeshFaces = Int[Tensor, "k 3"]
-
-__all__ = [
-    "BodyPose",
-    "BodyShape",
-    "Bool",
-    "EdgeVectors",
-    "Energy",
-    "Float",
-    "Int",
-    "MeshFaces",
-    "MeshVertices",
-    "Positions",
-    "RestLengths",
-    "Scalar",
-    "Tensor",
-]

@@ -22,9 +22,9 @@ import torch
 from torch import nn
 
 from quaffure.config import TEXTURE_SIZE, VERTICES_PER_STRAND, HairMaterial
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 from quaffure.model.deformation_decoder import DeformationDecoder
-from quaffure.model.groom_autoencoder import GAIN, Widths
+from quaffure.model.groom_autoencoder import Widths, start_layers
 from quaffure.model.network_config import known_fields
 from quaffure.model.weights_file import MAX_WIDTH, read_weights, save_weights
 from quaffure.types import Float, Int, Positions, Tensor
@@ -89,14 +89,7 @@ class GroomGenNetwork(nn.Module):
             *(nn.Linear(width, width), nn.SiLU()),
             nn.Linear(width, 3 * _MOVED),
         )
-        self._start()
-
-    def _start(self) -> None:
-        # Torch's own start shrinks the signal at every layer: ten of them on, the output hardly depends on the input.
-        for layer in self.modules():
-            if isinstance(layer, nn.Conv2d | nn.Linear):
-                nn.init.normal_(layer.weight, std=GAIN / math.sqrt(layer.weight[0].numel()))
-                nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
+        start_layers(self)
         for parameter in self.strand[-1].parameters():
             nn.init.zeros_(parameter)  # an untrained network predicts the mean
 
@@ -137,7 +130,7 @@ def load_groomgen_network(path: str | Path) -> tuple[GroomGenNetwork, HairMateri
     weights, notes = read_weights(path, f"{expected} (.safetensors)")
     if "groomgen" not in notes:
         raise InputError(path, expected, "weights of another network")
-    try:
+    with refused(path, expected, KeyError, TypeError, ValueError, RuntimeError):
         layers = known_fields(json.loads(notes.pop("groomgen")), GroomGenLayers)
         config = GroomGenLayers(**layers | {"widths": tuple(layers["widths"])})  # JSON has lists alone
         material = HairMaterial(**known_fields(json.loads(notes.pop("material")), HairMaterial))
@@ -146,7 +139,4 @@ def load_groomgen_network(path: str | Path) -> tuple[GroomGenNetwork, HairMateri
             raise ValueError("another groom's strands")
         network = GroomGenNetwork(config, rest, cells)
         network.load_state_dict(weights)
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        first_line = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(path, expected, first_line) from error
     return network.eval(), material, notes

@@ -15,11 +15,7 @@ from quaffure.types import Float, Tensor
 
 SAME_GROOM = 1e-5
 """Grooms are the same where no vertex [m] and no root [in the scalp's chart] differs by more."""
-DRAPE: Spec = {
-    "strands": (("S", "N", 3), (np.float32,)),
-    "milliseconds": ((), REAL),
-    "machine": ((), TEXT),
-}
+DRAPE: Spec = {"strands": (("S", "N", 3), (np.float32,)), "milliseconds": ((), REAL), "machine": ((), TEXT)}
 """Times below zero are unknown."""
 GROOM: Spec = {"rest_strands": (("S", "N", 3), REAL), "root_uv": (("S", 2), REAL)}
 

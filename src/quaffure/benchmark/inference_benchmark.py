@@ -100,23 +100,17 @@ def time_strands(model: Quaffure, groom: Groom, shares: Sequence[float] = (0.25,
     return timings
 
 
-def inference_layout(model: Quaffure) -> InferenceNetwork | None:
-    """The network as it is laid out for speed on the CPU; None for another network."""
-    backend = model.draper.backend()
-    layout = backend.layout if isinstance(backend, CpuBackend) else None
-    return layout if isinstance(layout, InferenceNetwork) else None
-
-
-def model_dtype(model: Quaffure) -> torch.dtype:
-    """Type of the network's weights and activations.
+def inference_layout(model: Quaffure) -> InferenceNetwork:
+    """The network as it is laid out for speed on the CPU.
 
     Raises:
-        InputError: the network is not laid out for speed.
+        InputError: it is not laid out for speed.
     """
-    layout = inference_layout(model)
-    if layout is None:
+    backend = model.draper.backend()
+    layout = backend.layout if isinstance(backend, CpuBackend) else None
+    if not isinstance(layout, InferenceNetwork):
         raise InputError("weights", "a network that is compiled to drape", "another configuration")
-    return layout.dtype
+    return layout
 
 
 def time_parts(model: Quaffure, groom: Groom) -> dict[str, float]:
@@ -156,7 +150,6 @@ def time_fitting(model: Quaffure, groom: Groom) -> float:
 def floor(model: Quaffure, groom: Groom) -> Floor:
     """See `Floor`; of one groom, which stands for all."""
     network = inference_layout(model)
-    assert network is not None
     prepared = model.draper.prepared(groom, model.body)
     rows = prepared.blocks.rows.size
     left, right = torch.randn(2, _MATRIX, _MATRIX, dtype=network.dtype)
@@ -183,7 +176,7 @@ def report(
     """What `bench.json` holds."""
     return {
         "version": version("quaffure"),
-        "machine": machine_facts() | {"precision": str(model_dtype(model)).removeprefix("torch.")},
+        "machine": machine_facts() | {"precision": str(inference_layout(model).dtype).removeprefix("torch.")},
         "grooms": [asdict(timing) for timing in timings],
         "strands": [asdict(timing) for timing in strands],
         "parts_cpu_milliseconds": {name: 1000 * seconds for name, seconds in parts.items()},

@@ -7,23 +7,14 @@ from typing import Any
 from quaffure.benchmark.comparison import TIME
 from quaffure.benchmark.paper_table import ratio_rows
 from quaffure.benchmark.results import Results
-from quaffure.errors import InputError
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import made_folder, replacing
 
 PAGE = "evaluation_results.md"
 PICTURE = "figures/evaluation_results.png"
 METRICS = (
-    "body_intersection_percent",
-    "length_error_percent",
-    "length_error_percent_max",
-    "orientation_error_deg",
-    "density_excess_percent",
-    "energy",
-    "excess_energy",
-    "distance_mm",
-    "jitter",
-    "milliseconds",
-)
+    "body_intersection_percent", "length_error_percent", "length_error_percent_max", "orientation_error_deg",
+    "density_excess_percent", "energy", "excess_energy", "distance_mm", "jitter", TIME,
+)  # fmt: skip
 """Metrics in the order of the columns; docs/metrics.md explains them."""
 RATIOS = "Table 1 of the paper: over the network"
 BY_GROUP = ("body_intersection_percent", "excess_energy", "distance_mm")
@@ -39,10 +30,7 @@ def write_report(folder: Path, results: Results) -> list[Path]:
         InputError: the folder cannot be made or written to.
     """
     picture = folder / PICTURE
-    try:
-        picture.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(folder, "a folder for the report", error.strerror or str(error)) from error
+    made_folder(picture.parent, "a folder for the report")
     drawn = []
     if importlib.util.find_spec("matplotlib") is not None:
         from quaffure.benchmark.plots import plot_results

@@ -17,10 +17,7 @@ DIGITS = 6
 
 
 def results_of(
-    results: Sequence[CaseResult],
-    rows: Sequence[Method],
-    material: HairMaterial,
-    about: Mapping[str, object],
+    results: Sequence[CaseResult], rows: Sequence[Method], material: HairMaterial, about: Mapping[str, object]
 ) -> Results:
     """The whole file, ready for JSON.
 

@@ -100,15 +100,18 @@ class BodyModel:
         """Surface and joints of shaped bodies in the rest pose [m]."""
         count = len(body_shape)
         vertices = torch.addmm(self.rest_vertices.flatten(), body_shape, self.shape_directions.flatten(1))
+        return vertices.view(count, -1, 3), self.shaped_joints(body_shape)
+
+    def shaped_joints(self, body_shape: BodyShape) -> Float[Tensor, "b j 3"]:
+        """Joints of shaped bodies in the rest pose [m]."""
         joints = torch.addmm(self.rest_joints.flatten(), body_shape, self.joint_shape_directions.flatten(1))
-        return vertices.view(count, -1, 3), joints.view(count, -1, 3)
+        return joints.view(len(body_shape), -1, 3)
 
     def posed_joints(
         self, body_pose: BodyPose, body_shape: BodyShape
     ) -> tuple[Float[Tensor, "b j 3 3"], Float[Tensor, "b j 3"]]:
         """Forward kinematics alone: `world_from_joint` rotations and joint positions [m]."""
-        joints = torch.addmm(self.rest_joints.flatten(), body_shape, self.joint_shape_directions.flatten(1))
-        return self._forward_kinematics(body_pose, joints.view(len(body_shape), -1, 3))
+        return self.forward_kinematics(body_pose, self.shaped_joints(body_shape))
 
     def pose(self, body_pose: BodyPose, body_shape: BodyShape) -> PosedBody:
         """Bodies of shape beta [standard deviations] in pose theta [rad]; differentiable in both."""
@@ -127,9 +130,10 @@ class BodyModel:
         turned = (blended[:, :, :3] * rest_vertices.transpose(1, 2)[:, None]).sum(2)
         return PosedBody((turned + blended[:, :, 3]).transpose(1, 2).contiguous(), rotations, positions)
 
-    def _forward_kinematics(
+    def forward_kinematics(
         self, body_pose: BodyPose, rest_joints: Float[Tensor, "b j 3"]
     ) -> tuple[Float[Tensor, "b j 3 3"], Float[Tensor, "b j 3"]]:
+        """`posed_joints` of bodies whose joints at rest are known [m]."""
         local = matrix_from_axis_angle(body_pose.unflatten(-1, (JOINT_COUNT, 3)))
         bones = rest_joints - rest_joints[:, self._parent_index]
         steps = torch.cat([local, bones[..., None]], dim=-1).unbind(1)

@@ -40,8 +40,8 @@ def pose_joints(body: BodyModel, body_pose: BodyPose, body_shape: BodyShape) -> 
     skeleton = _skeleton(body)
     differentiable = torch.is_grad_enabled() and (body_pose.requires_grad or body_shape.requires_grad)
     if differentiable or skeleton is None:
-        rest = body.rest_joints + torch.einsum("bc,cjd->bjd", body_shape, body.joint_shape_directions)
-        return PosedJoints(rest, *body.posed_joints(body_pose, body_shape))
+        rest = body.shaped_joints(body_shape)
+        return PosedJoints(rest, *body.forward_kinematics(body_pose, rest))
     batch, count = len(body_pose), len(body.joint_parents)
     joints = PosedJoints(
         torch.empty(batch, count, 3, dtype=torch.float64),

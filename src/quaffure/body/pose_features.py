@@ -7,18 +7,8 @@ from quaffure.types import Float, Tensor
 
 HEAD = "Head"
 NEAR_HAIR = (
-    "Neck1",
-    "Neck",
-    "Spine1",
-    "Spine",
-    "LeftShoulder",
-    "RightShoulder",
-    "LeftArm",
-    "RightArm",
-    "LeftForeArm",
-    "RightForeArm",
-    "LeftHand",
-    "RightHand",
+    *("Neck1", "Neck", "Spine1", "Spine"),
+    *(f"{side}{part}" for part in ("Shoulder", "Arm", "ForeArm", "Hand") for side in ("Left", "Right")),
 )
 """Joints whose frames relative to the head are features; hair never reaches the legs."""
 

@@ -61,17 +61,9 @@ class SurfaceArrays(NamedTuple):
 def sample_arrays(arrays: SurfaceArrays, sample: int) -> SurfaceArrays:
     """One of a batch, without a copy."""
     return SurfaceArrays(
-        arrays.corners[sample],
-        arrays.normals[sample],
-        arrays.blocks[sample],
-        arrays.boxes[sample],
-        arrays.levels,
-        arrays.origin[sample],
-        arrays.clear[sample],
-        arrays.slot[sample],
-        arrays.outside[sample],
-        arrays.free[sample],
-    )
+        arrays.corners[sample], arrays.normals[sample], arrays.blocks[sample], arrays.boxes[sample], arrays.levels,
+        arrays.origin[sample], arrays.clear[sample], arrays.slot[sample], arrays.outside[sample], arrays.free[sample],
+    )  # fmt: skip
 
 
 @njit(cache=True, inline="always")

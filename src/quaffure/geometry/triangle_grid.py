@@ -89,10 +89,7 @@ def triangle_grid(
 
 
 def nearest_triangle_in_band_reference(
-    points: Float[Tensor, "p 3"],
-    vertices: Float[Tensor, "v 3"],
-    faces: Int[Tensor, "k 3"],
-    band: Float[Tensor, "k 2"],
+    points: Float[Tensor, "p 3"], vertices: Float[Tensor, "v 3"], faces: Int[Tensor, "k 3"], band: Float[Tensor, "k 2"]
 ) -> tuple[Float[Tensor, " p"], Int[Tensor, " p"]]:
     """Torch twin of `nearest_triangle_in_band`: every point against every face.
 

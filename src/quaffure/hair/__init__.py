@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from quaffure.hair.registration import HeadMesh, register_groom
     from quaffure.hair.resample import concatenate_strands, polyline_lengths, resample_by_arc_length
     from quaffure.hair.scalp_roots import ScalpRoots, spread_roots
-    from quaffure.hair.scalp_texture import select_guides, texel_mask
+    from quaffure.hair.scalp_texture import select_guides
     from quaffure.hair.strand_blocks import cluster_representatives
     from quaffure.hair.strands import Strands
 

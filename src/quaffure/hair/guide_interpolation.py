@@ -21,14 +21,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
-from quaffure.hair.guide_triangles import (
-    COHERENT,
-    DIVERGED,
-    coherence,
-    first_direction_vertex,
-    sample_roots,
-    triangulate,
-)
+from quaffure.hair.guide_triangles import coherence, first_direction_vertex, sample_roots, triangulate
 from quaffure.hair.posing import triangle_frames
 from quaffure.hair.registration import nearest_on_scalp
 
@@ -113,9 +106,8 @@ def interpolation_of(groom: Groom, body: BodyModel, count: int, seed: int = 0) -
     guides, shares = np.take_along_axis(guides, order, 1), np.take_along_axis(shares, order, 1)
     faces, root_weights = _roots(groom, body, guides, shares)
     axes = axis_projection(rest.shape[1]) @ (rest - rest[:, :1])
-    pairs = np.stack([np.repeat(guides[:, :1], 2, axis=1), guides[:, 1:]], axis=-1)
     lengths = groom.strand_lengths.numpy()
-    shares[:, 1:] *= coherence(axes, lengths, pairs)
+    shares[:, 1:] *= _coherences(axes, lengths, guides, first_direction_vertex(rest.shape[1]))
     weights = shares / shares.sum(axis=1, keepdims=True)
     return GuideInterpolation(
         guides=guides.astype(np.int32),
@@ -220,8 +212,8 @@ def _mix(
     count = strands.shape[1]
     for strand in prange(len(strands)):
         a, b, c = guides[strand]
-        share_b = weights[strand, 1] * _coherence(axes[a], axes[b], lengths[a] + lengths[b], first)
-        share_c = weights[strand, 2] * _coherence(axes[a], axes[c], lengths[a] + lengths[c], first)
+        share_b = weights[strand, 1] * coherence(axes[a], axes[b], lengths[a] + lengths[b], first)
+        share_c = weights[strand, 2] * coherence(axes[a], axes[c], lengths[a] + lengths[c], first)
         total = weights[strand, 0] + share_b + share_c
         share_b, share_c = share_b / total, share_c / total
         for axis in range(3):
@@ -239,14 +231,11 @@ def _mix(
                 )
 
 
-@njit(cache=True, fastmath=True)
-def _coherence(a: np.ndarray, b: np.ndarray, both_lengths: float, first: int) -> float:
-    """`coherence` of two guides' axes."""
-    last = len(a) - 1
-    largest = np.float32(0.0)
-    for vertex in range(first, last + 1):
-        x, y, z = a[vertex, 0] - b[vertex, 0], a[vertex, 1] - b[vertex, 1], a[vertex, 2] - b[vertex, 2]
-        largest = max(largest, (x * x + y * y + z * z) / np.float32(vertex * vertex))
-    ratio = np.sqrt(largest) * np.float32(2 * last) / both_lengths
-    apart = min(max((ratio - np.float32(COHERENT)) / np.float32(DIVERGED - COHERENT), np.float32(0.0)), np.float32(1.0))
-    return np.float32(1.0) - apart * apart * (np.float32(3.0) - np.float32(2.0) * apart)
+@njit(cache=True)
+def _coherences(axes: np.ndarray, lengths: np.ndarray, guides: np.ndarray, first: int) -> np.ndarray:
+    """`coherence` of each strand's first guide with its two others."""
+    found = np.empty((len(guides), 2), np.float32)
+    for strand, (a, b, c) in enumerate(guides):
+        found[strand, 0] = coherence(axes[a], axes[b], lengths[a] + lengths[b], first)
+        found[strand, 1] = coherence(axes[a], axes[c], lengths[a] + lengths[c], first)
+    return found

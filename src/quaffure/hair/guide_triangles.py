@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 from jaxtyping import Float, Int
+from numba import njit
 from scipy.spatial import Delaunay, QhullError
 
 from quaffure.errors import InputError
@@ -69,22 +70,23 @@ def sample_roots(
     return triangle, np.concatenate([1 - square.sum(axis=1, keepdims=True), square], axis=1)
 
 
-def coherence(
-    axes: Float[np.ndarray, "s n 3"], lengths: Float[np.ndarray, " s"], pairs: Int[np.ndarray, "*p 2"]
-) -> Float[np.ndarray, "*p"]:
+@njit(cache=True, fastmath=True)
+def coherence(a: np.ndarray, b: np.ndarray, both_lengths: float, first: int) -> float:
     """1 for two guides of similar shape, 0 for two that diverge, as at a parting, an ear or a shoulder.
 
     Args:
-        axes: guides without their curls, relative to their roots [m].
-        lengths: of the guides at rest [m].
+        a, b: the guides [n, 3] without their curls, relative to their roots [m].
+        both_lengths: sum of their lengths at rest [m].
+        first: see `first_direction_vertex`.
     """
-    first = first_direction_vertex(axes.shape[1])
-    share = np.linspace(0, 1, axes.shape[1])[first:]
-    gap = np.linalg.norm(np.diff(axes[pairs][..., first:, :], axis=-3)[..., 0, :, :], axis=-1)
-    length_along = lengths[pairs].mean(axis=-1)[..., None] * share
-    apart = ((gap / length_along).max(axis=-1) - COHERENT) / (DIVERGED - COHERENT)
-    apart = np.clip(apart, 0, 1)
-    return 1 - apart * apart * (3 - 2 * apart)
+    last = len(a) - 1
+    largest = np.float32(0.0)
+    for vertex in range(first, last + 1):
+        x, y, z = a[vertex, 0] - b[vertex, 0], a[vertex, 1] - b[vertex, 1], a[vertex, 2] - b[vertex, 2]
+        largest = max(largest, (x * x + y * y + z * z) / np.float32(vertex * vertex))
+    ratio = np.sqrt(largest) * np.float32(2 * last) / both_lengths
+    apart = min(max((ratio - np.float32(COHERENT)) / np.float32(DIVERGED - COHERENT), np.float32(0.0)), np.float32(1.0))
+    return np.float32(1.0) - apart * apart * (np.float32(3.0) - np.float32(2.0) * apart)
 
 
 def first_direction_vertex(vertices: int) -> int:

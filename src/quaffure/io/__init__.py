@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from quaffure.io.drape_file import read_drape, write_drape
     from quaffure.io.groom_file import read_groom, write_groom
     from quaffure.io.load_groom import read_head
-    from quaffure.io.npz_strands import write_npz_strands
     from quaffure.io.usd import read_usd_strands, write_usd
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__)

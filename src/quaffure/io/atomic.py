@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 
 
 @contextmanager
@@ -20,10 +20,8 @@ def replacing(path: Path) -> Iterator[Path]:
         InputError: the folder of `path` does not exist or is not writable.
     """
     check_folder_of(path)
-    try:
+    with refused(path, "a writable folder", OSError):
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    except OSError as error:
-        raise InputError(path, "a writable folder", error.strerror or str(error)) from error
     os.close(handle)
     temporary = Path(name)
     try:
@@ -69,10 +67,8 @@ def made_folder(path: Path, what: str) -> Path:
     Raises:
         InputError: it cannot be made.
     """
-    try:
+    with refused(path, what, OSError):
         path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(path, what, error.strerror or str(error)) from error
     return path
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 
 
 class BinaryCursor:
@@ -18,10 +18,8 @@ class BinaryCursor:
     """
 
     def __init__(self, path: Path) -> None:
-        try:
+        with refused(path, "a readable file", OSError):
             self.content = path.read_bytes()
-        except OSError as error:
-            raise InputError(path, "a readable file", error.strerror or str(error)) from error
         self.path, self.offset = path, 0
 
     def require(self, count: int, bytes_each: int, what: str) -> None:

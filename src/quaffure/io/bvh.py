@@ -11,7 +11,7 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 
 from quaffure.body.bvh_clip import CHANNEL_NAMES, BvhClip
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 
 _CANONICAL_CHANNEL = {name.lower(): name for name in CHANNEL_NAMES}
 
@@ -76,12 +76,8 @@ def read_bvh(path: Path) -> BvhClip:
 
 
 def _read_lines(path: Path) -> _Lines:
-    try:
+    with refused(path, "a BVH text file", OSError, UnicodeDecodeError):
         text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(path, "a BVH text file", "bytes that are not text") from error
-    except OSError as error:
-        raise InputError(path, "a readable BVH file", error.strerror or str(error)) from error
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
     return _Lines(path, [(number, line) for number, line in lines if line], last=max(len(lines), 1))
 

@@ -13,13 +13,11 @@ import numpy as np
 
 from quaffure.errors import InputError
 from quaffure.hair.strands import Strands, checked_strands
-from quaffure.io.atomic import replacing
 from quaffure.io.binary import BinaryCursor
 
 HEADER = struct.Struct("<4s4I5f88s")
 SEGMENTS, POINTS, THICKNESS, TRANSPARENCY, COLOURS = 1, 2, 4, 8, 16
 FIRST_RESERVED_FLAG = 32
-MOST_SEGMENTS = np.iinfo("<u2").max
 
 
 def read_hair(path: Path) -> Strands:
@@ -56,20 +54,3 @@ def read_hair(path: Path) -> Strands:
     if flags < FIRST_RESERVED_FLAG:  # a later version's arrays would follow
         cursor.finish()
     return checked_strands(xyz, counts, path)
-
-
-def write_hair(path: Path, strands: Strands) -> None:
-    """Write strands as they are, with the segments of each and no thickness, transparency or colour of their own.
-
-    Raises:
-        InputError: a strand has more than 65,535 segments, the most that the format can hold, or the folder of
-            `path` is missing or not writable.
-    """
-    segments = strands.counts - 1
-    if segments.max() > MOST_SEGMENTS:
-        raise InputError(strands.source, f"at most {MOST_SEGMENTS} segments a strand in .hair", f"{segments.max()}")
-    appearance = (1.0, 0.0, 1.0, 1.0, 1.0)  # thickness, transparency, colour
-    sizes = (len(strands), len(strands.points), SEGMENTS | POINTS, int(segments[0]))
-    header = HEADER.pack(b"HAIR", *sizes, *appearance, b"quaffure")
-    with replacing(path) as temporary:
-        temporary.write_bytes(header + segments.astype("<u2").tobytes() + strands.points.astype("<f4").tobytes())

@@ -6,7 +6,7 @@ import numpy as np
 
 from quaffure.body.body_model import BodyModel, shipped_body
 from quaffure.config import VERTICES_PER_STRAND
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 from quaffure.hair.groom import Groom
 from quaffure.hair.registration import HeadMesh, register_groom
 from quaffure.hair.scalp_texture import select_guides
@@ -49,10 +49,8 @@ def read_head(path: Path) -> HeadMesh:
     Raises:
         InputError: no such file, or no mesh in it.
     """
-    try:
+    with refused(path, "a head mesh (.obj)", OSError):
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(path, "a head mesh (.obj)", error.strerror or str(error)) from error
     vertices: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
     try:

@@ -7,7 +7,6 @@ from jaxtyping import Float, Int
 
 from quaffure.errors import InputError
 from quaffure.hair.strands import Strands, checked_strands
-from quaffure.io.atomic import replacing
 from quaffure.npz import read_numbers
 
 
@@ -29,16 +28,6 @@ def read_npz_strands(path: Path) -> Strands:
     else:
         raise InputError(path, "arrays points and counts, or an array strands", ", ".join(arrays) or "none of them")
     return checked_strands(points, counts, path)
-
-
-def write_npz_strands(path: Path, strands: Strands) -> None:
-    """Write `points` [P,3] float32 and `counts` [S] int64, in the strands' own units and axes.
-
-    Raises:
-        InputError: the folder of `path` is missing or not writable.
-    """
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, points=strands.points, counts=strands.counts)
 
 
 def _points(path: Path, name: str, array: np.ndarray, dimensions: int) -> Float[np.ndarray, "... 3"]:

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from quaffure.config import HairMaterial
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 from quaffure.model.network_config import from_file_values, known_fields, to_file_values
 from quaffure.model.quaffure_network import QuaffureNetwork, build_network
 from quaffure.model.weights_file import read_weights, save_weights
@@ -33,12 +33,9 @@ def load_network(path: str | Path) -> tuple[QuaffureNetwork, HairMaterial, dict[
     found = notes.pop("format", "1")
     if "network" in notes and found != FORMAT:
         raise InputError(path, f"weights of format {FORMAT}", f"format {found}, of another version of this package")
-    try:
+    with refused(path, "a checkpoint of this package", KeyError, TypeError, ValueError, RuntimeError):
         config = from_file_values(json.loads(notes.pop("network")))
         material = HairMaterial(**known_fields(json.loads(notes.pop("material")), HairMaterial))
         network = build_network(config)
         network.load_state_dict(weights)
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        first_line = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(path, "a checkpoint of this package", first_line) from error
     return network.eval(), material, notes

@@ -64,13 +64,7 @@ class GroomAutoencoder(nn.Module):
         self.widths = widths
         self.encoder = GroomEncoder(TEXTURE_CHANNELS)
         self.decoder = GroomDecoder(widths)
-        # Torch's own start shrinks the signal at every layer: ten of them on, the output hardly depends on the input.
-        for name, layer in self.named_modules():
-            if isinstance(layer, nn.Conv2d | nn.Linear):
-                is_output = name.endswith(("to_code", "to_texels.0"))
-                fan_in = layer.weight[0].numel()
-                nn.init.normal_(layer.weight, std=(OUTPUT_GAIN if is_output else GAIN) / math.sqrt(fan_in))
-                nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
+        start_layers(self, outputs=("to_code", "to_texels.0"))
 
     @torch.no_grad()
     def standardise(self, codes: Float[Tensor, "b 16"]) -> None:
@@ -81,6 +75,18 @@ class GroomAutoencoder(nn.Module):
         to_code.bias.copy_((to_code.bias - mean) / scale)
         from_code.bias += from_code.weight @ mean  # type: ignore[operator]
         from_code.weight *= scale  # type: ignore[operator]
+
+
+def start_layers(network: nn.Module, outputs: tuple[str, ...] = ()) -> None:
+    """Draw weights that keep the size of the signal from layer to layer, and in layers of these names halve it.
+
+    Torch's own shrink it at every layer: ten of them on, the output hardly depends on the input.
+    """
+    for name, layer in network.named_modules():
+        if isinstance(layer, nn.Conv2d | nn.Linear):
+            gain = OUTPUT_GAIN if outputs and name.endswith(outputs) else GAIN
+            nn.init.normal_(layer.weight, std=gain / math.sqrt(layer.weight[0].numel()))
+            nn.init.zeros_(layer.bias)  # type: ignore[arg-type]
 
 
 def decoded_channels(features: Float[Tensor, "s channels"]) -> Float[Tensor, "s decoded_channels"]:

@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from quaffure.body.body_model import BodyModel, shipped_body
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 from quaffure.hair.groom import Groom
 from quaffure.model.groom_autoencoder import GroomAutoencoder, Widths
 from quaffure.model.groom_encoder import GroomEncoder
@@ -78,10 +78,8 @@ def _widths(path: Path, text: str) -> Widths:
 
 
 def _filled(network: Network, weights: dict[str, Tensor], path: Path) -> Network:
-    try:
+    with refused(path, f"weights of a {type(network).__name__}", RuntimeError):
         network.load_state_dict(weights)
-    except RuntimeError as error:
-        raise InputError(path, f"weights of a {type(network).__name__}", str(error).splitlines()[0]) from error
     return network.eval().requires_grad_(False)
 
 

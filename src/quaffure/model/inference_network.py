@@ -12,12 +12,7 @@ import torch
 from torch import nn
 from torch.nn.functional import interpolate, linear, silu
 
-from quaffure.model.activated_layers import (
-    ActivatedLayer,
-    activated_convolution,
-    activated_doubling,
-    activated_linear,
-)
+from quaffure.model.activated_layers import ActivatedLayer, activated_convolution, activated_doubling, activated_linear
 from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.types import Float, Int, Tensor
 

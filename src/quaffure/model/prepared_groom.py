@@ -13,13 +13,7 @@ from quaffure.config import TEXTURE_SIZE, HairMaterial
 from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.geometry.mls_surface import local_features
 from quaffure.hair.groom import Groom
-from quaffure.hair.strand_blocks import (
-    RestStrands,
-    StrandBlocks,
-    cluster_representatives,
-    rest_strands,
-    strand_blocks,
-)
+from quaffure.hair.strand_blocks import RestStrands, StrandBlocks, cluster_representatives, rest_strands, strand_blocks
 from quaffure.model.groom_code import groom_code
 from quaffure.model.groom_encoder import GroomEncoder
 from quaffure.model.inference_network import StrandTexels, texture_rows

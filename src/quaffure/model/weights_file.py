@@ -7,7 +7,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import nn
 
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 from quaffure.types import Tensor
 
 MAX_WIDTH = 4096
@@ -29,14 +29,9 @@ def read_weights(path: Path, expected: str) -> tuple[dict[str, Tensor], dict[str
     Raises:
         InputError: no such file, a broken one, or weights that are not finite.
     """
-    if not path.is_file():
-        raise InputError(path, expected, "no such file")
-    try:
-        with safe_open(path, framework="pt") as file:
-            weights = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
-            notes = dict(file.metadata() or {})
-    except (OSError, SafetensorError) as error:
-        raise InputError(path, expected, str(error).splitlines()[0]) from error
+    with refused(path, expected, OSError, SafetensorError), safe_open(path, framework="pt") as file:
+        weights = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+        notes = dict(file.metadata() or {})
     if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
         raise InputError(path, "finite weights", "NaN or infinity")
     return weights, notes

@@ -7,7 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 
 ASSETS = Path(str(files("quaffure") / "assets"))
 
@@ -156,10 +156,8 @@ def read_styles(path: Path) -> dict[str, HairStyle]:
     Raises:
         InputError: the file is not TOML, or has an unknown control or a value of the wrong type.
     """
-    try:
+    with refused(path, "a TOML file", tomllib.TOMLDecodeError):
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(path, "a TOML file", str(error)) from error
     return {name: _style_part(HairStyle, table, f"{path.name}: {name}") for name, table in tables.items()}
 
 

@@ -30,11 +30,7 @@ FRINGE_LIFT = 0.5
 
 
 def root_directions(
-    controls: HairStyle,
-    roots: ScalpRoots,
-    fringe: Bool[Tensor, " s"],
-    body: BodyModel,
-    generator: torch.Generator,
+    controls: HairStyle, roots: ScalpRoots, fringe: Bool[Tensor, " s"], body: BodyModel, generator: torch.Generator
 ) -> Float[Tensor, "s 3"]:
     """Unit directions at the roots: combed tangents, lifted off the scalp."""
     tangents = torch.where(fringe[:, None], _fringe_tangents(controls, roots), root_tangents(controls, roots, body))

@@ -23,7 +23,7 @@ from quaffure.body.pose_features import world_from_head
 from quaffure.config import HairMaterial
 from quaffure.digest import array_digest
 from quaffure.draper import Draper
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import made_folder, replacing, write_json
 from quaffure.io.groom_file import read_groom, write_groom
@@ -195,11 +195,6 @@ def _same_groom(one: Groom, other: Groom) -> bool:
 
 
 def _read_manifest(path: Path) -> Manifest:
-    expected = "the manifest of quaffure groomgen-data"
-    try:
+    with refused(path, "the manifest of quaffure groomgen-data", OSError, ValueError, TypeError, KeyError):
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         return Manifest(**content | {"material": HairMaterial(**content["material"])})
-    except FileNotFoundError as error:
-        raise InputError(path, expected, "no such file") from error
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise InputError(path, expected, str(error).splitlines()[0]) from error

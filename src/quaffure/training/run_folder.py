@@ -2,8 +2,8 @@
 
 import csv
 import subprocess
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -13,7 +13,7 @@ import torch
 import quaffure
 from quaffure.body.body_model import BodyModel
 from quaffure.digest import array_digest
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 from quaffure.io.atomic import made_folder, replacing, write_json
 
 CHECKPOINT = "checkpoint.pt"
@@ -76,21 +76,14 @@ class RunFolder:
                 raise InputError(self.path, f"a run of {expected}", f"{state[name]}")
         return state
 
-    @contextmanager
-    def reading(self) -> Iterator[None]:
+    def reading(self) -> AbstractContextManager[None]:
         """What goes wrong while the checkpoint's contents are taken over is the checkpoint's fault.
 
         Raises:
             InputError: it is damaged, or made by another version of the code.
         """
-        try:
-            yield
-        except InputError:
-            raise
         # On damaged bytes torch's unpickler raises many unrelated types.
-        except Exception as error:
-            reason = (str(error) or type(error).__name__).splitlines()[0]
-            raise InputError(self.path / CHECKPOINT, "a checkpoint of this training", reason) from error
+        return refused(self.path / CHECKPOINT, "a checkpoint of this training", Exception)
 
     def log(self, name: Table, row: Mapping[str, object]) -> None:
         """Append a row to a table, `<name>.csv`; columns that it does not have yet are added to it, empty so far."""

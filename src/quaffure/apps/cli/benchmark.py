@@ -118,8 +118,7 @@ class InferenceCommand:
         console.quiet = self.json
         _check_files(self.out)
         model = load_model(self.weights)
-        if inference.inference_layout(model) is None:
-            raise InputError(self.weights or "weights", "a network that is compiled to drape", "another configuration")
+        inference.inference_layout(model)  # refused before the work
         grooms = [load_groom(name, model.body) for name in self.groom or ("long_straight",)]
         counts = inference.QUICK_COUNTS if self.quick else inference.COUNTS
         with progress_bar("preparing", len(counts), transient=True) as update:
@@ -206,7 +205,7 @@ def _run_row(run: Run) -> dict[str, object]:
 def _print_timings(
     model: Quaffure, timings: Sequence[inference.Timing], parts: dict[str, float], least: inference.Floor
 ) -> None:
-    print_rows([_timing_row(timing) for timing in timings], f"drapes in {inference.model_dtype(model)}")
+    print_rows([_timing_row(timing) for timing in timings], f"drapes in {inference.inference_layout(model).dtype}")
     whole = sum(parts.values())
     rows = [
         {"part of a drape": name.replace("_", " "), "CPU ms": 1000 * seconds, "share %": 100 * seconds / whole}

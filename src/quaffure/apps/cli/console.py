@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from torch import nn
 
+from quaffure.benchmark.report import cell_text
 from quaffure.training.loop import Training, train
 
 # If the output is not a terminal, rich would wrap tables at 80 columns. Commands with --json set `quiet`: then only
@@ -96,7 +97,7 @@ def print_rows(rows: Sequence[Mapping[str, object]], title: str) -> None:
     for column in rows[0]:
         table.add_column(column, overflow="fold", no_wrap=column == next(iter(rows[0])))
     for row in rows:
-        table.add_row(*(f"{cell:.4g}" if isinstance(cell, float) else str(cell) for cell in row.values()))
+        table.add_row(*map(cell_text, row.values()))
     console.print(table)
 
 

@@ -110,20 +110,20 @@ class EvaluateCommand:
     """Only write the cases of the set into this folder, for another method (see `quaffure score`)."""
     json: bool = False
     """Print the results as JSON instead of tables."""
-    options: EvaluationOptions = field(default_factory=EvaluationOptions)
+    shared: EvaluationOptions = field(default_factory=EvaluationOptions)
 
     def run(self) -> None:
         self._check()
         console.quiet = self.json
         begin = time.perf_counter()
-        body, weights = load_body(), self.options.weights_by_row()
+        body, weights = load_body(), self.shared.weights_by_row()
         if self.write_cases is not None:
             self._write_cases(self.write_cases, body, weights)
             return
         rows = methods(self.draper or (*(QUICK_ROWS if self.quick else ROWS), *weights), weights)
         material = rows[0].draper.material
         selection = self._user_cases(body) if self.groom or self.motion else self._set_cases(body)
-        draper = self.options.case_draper(body)
+        draper = self.shared.case_draper(body)
         total = selection.frames * len(rows)
         with progress_bar("loading", total, transient=True) as update:
             by_name = {row.name: partial(_drape, row.name, partial(draper.drape, row), update) for row in rows}
@@ -157,7 +157,7 @@ class EvaluateCommand:
             raise InputError(option, "--groom or --motion with it: the set has its own", self.frames or self.shape)
 
     def _set_cases(self, body: BodyModel) -> Selection:
-        evaluation_set, folders = load_evaluation_set(), self.options.folders
+        evaluation_set, folders = load_evaluation_set(), self.shared.folders
         entries = [entry for entry in evaluation_set.cases if not self.quick or entry.name in evaluation_set.quick]
         missing = {entry.name: folders.missing(entry, evaluation_set) for entry in entries}
         complete = [entry for entry in entries if missing[entry.name] is None]
@@ -201,7 +201,7 @@ class EvaluateCommand:
             print_json(results)
         print_summary(results)
         console.print(
-            f"{results['drapes_made']} drapes made, {results['drapes_fetched']} read from {self.options.cache}"
+            f"{results['drapes_made']} drapes made, {results['drapes_fetched']} read from {self.shared.cache}"
         )
         if len(written) == 2:
             console.print("no picture without matplotlib: pip install 'quaffure\\[docs]'")
@@ -235,20 +235,20 @@ class ScoreCommand:
     """Name of the method."""
     json: bool = False
     """Print the results as JSON instead of tables."""
-    options: EvaluationOptions = field(default_factory=EvaluationOptions)
+    shared: EvaluationOptions = field(default_factory=EvaluationOptions)
 
     def run(self) -> None:
         console.quiet = self.json
         if not self.files:
             raise InputError("score", "at least one drape file", "none")
-        weights = self.options.weights_by_row()
+        weights = self.shared.weights_by_row()
         rows = methods((*ROWS, *weights), weights)
         if self.name in [row.name for row in rows]:
             raise InputError("--name", "a name that no other row has", f"'{self.name}'")
         material = rows[0].draper.material
         drapes = self._read(material)
         evaluation_set, body = load_evaluation_set(), load_body()
-        draper = self.options.case_draper(body)
+        draper = self.shared.case_draper(body)
 
         @cache
         def frames(case: EvaluationCase) -> list[TimedDrape]:
@@ -257,7 +257,7 @@ class ScoreCommand:
         by_name: dict[str, DrapeFrame] = {self.name: lambda case, frame: frames(case)[frame]}
         by_name |= {row.name: partial(draper.known, row) for row in rows}
         entries = [entry for entry in evaluation_set.cases if entry.name in drapes]
-        cases = load_cases(entries, evaluation_set, self.options.folders, body)
+        cases = load_cases(entries, evaluation_set, self.shared.folders, body)
         compared = compare(cases, by_name, [row.name for row in rows if row.is_solver], body, material)
         about = {"evaluation_set": evaluation_set.version, "drapes_fetched": draper.fetched}
         self._print(results_of(compared, rows, material, about))
@@ -268,7 +268,7 @@ class ScoreCommand:
         drapes: dict[str, tuple[Path, DrapeSequence]] = {}
         for path in self.files:
             entry, sequence = read_submission(path, evaluation_set, material)
-            missing = self.options.folders.missing(entry, evaluation_set)
+            missing = self.shared.folders.missing(entry, evaluation_set)
             if missing is not None:
                 raise InputError(path, f"{missing}, which its case needs", "no such file")
             if entry.name in drapes:

@@ -10,7 +10,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.clips import CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion, resample
 from quaffure.energies.gravity import Acceleration
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 from quaffure.io.read_motion import read_motion
 from quaffure.npz import read_numbers
 from quaffure.training.pose_sampler import FPS
@@ -69,12 +69,9 @@ def acceleration_of(text: str, option: str) -> Acceleration:
 def _file_numbers(path: Path) -> Float[np.ndarray, " n"]:
     if path.suffix.lower() == ".npz":
         return read_numbers(path, ("body_shape",)).get("body_shape", np.empty(0)).flatten()
-    try:
-        return _numbers(path.read_text(encoding="utf-8"), path)
-    except UnicodeDecodeError as error:
-        raise InputError(path, "a text file of ten numbers", "bytes that are not text") from error
-    except OSError as error:
-        raise InputError(path, "a file of ten shape coefficients", error.strerror or str(error)) from error
+    with refused(path, "a text file of ten shape coefficients", OSError, UnicodeDecodeError):
+        text = path.read_text(encoding="utf-8")
+    return _numbers(text, path)
 
 
 def _numbers(text: str, source: str | Path) -> Float[np.ndarray, " n"]:

@@ -17,7 +17,7 @@ from quaffure.apps.viewer.playback import Playback
 from quaffure.apps.viewer.scene_nodes import SceneNodes
 from quaffure.apps.viewer.session import PictureWriter, Session
 from quaffure.apps.viewer.view_state import MEAN_SHAPE, ViewState
-from quaffure.errors import InputError
+from quaffure.errors import InputError, refused
 
 NOTICE_SECONDS = 8.0
 RED, GREEN = (224, 49, 49), (47, 158, 68)
@@ -32,11 +32,8 @@ def check_address(host: str, port: int) -> None:
     """
     if not 0 <= port <= LAST_PORT:
         raise InputError("port", f"0 to {LAST_PORT}", f"{port}")
-    try:
-        with socket.create_server((host, port)):
-            pass
-    except OSError as error:
-        raise InputError(f"{host}:{port}", "a free address of this machine", str(error)) from error
+    with refused(f"{host}:{port}", "a free address of this machine", OSError), socket.create_server((host, port)):
+        pass
 
 
 class Page:

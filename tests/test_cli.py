@@ -183,14 +183,15 @@ def test_a_rest_shape_needs_the_rod_and_the_rod_a_solver(refusal: Refusal, input
     tiny = inputs / "tiny.npz"
     line = refusal("drape", tiny, "--draper", "lbfgs", "--rest", "design")
     assert "--rest: expected --elastic rod" in line
-    assert "--elastic: expected modified_cosserat" in refusal("drape", tiny, "--elastic", "rod")
+    assert "--elastic: expected modified_cosserat" in refusal("drape", tiny, "--draper", "neural", "--elastic", "rod")
     assert "--rest" in refusal("drape", tiny, "--draper", "lbfgs", "--elastic", "rod", "--rest", "stiff")
 
 
 def test_neural_drapes_with_own_weights(tmp_path: Path, inputs: Path) -> None:
     out = tmp_path / "hair.npz"
     weights = str(inputs / "tiny.safetensors")
-    main(["drape", str(inputs / "tiny.npz"), "--weights", weights, "--frames", "0:1", "--out", str(out)])
+    arguments = ["--draper", "neural", "--weights", weights, "--frames", "0:1"]
+    main(["drape", str(inputs / "tiny.npz"), *arguments, "--out", str(out)])
     drape = read_drape(out)
     assert drape.meta["draper"] == "neural"
     segments = np.linalg.norm(np.diff(drape.strands[0], axis=1), axis=-1)

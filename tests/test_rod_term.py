@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from quaffure.body import BodyModel, bundled_clip
-from quaffure.energies import HairEnergy, sag_free_rest, stress_free_rest
+from quaffure.energies import HairEnergy, RodRest, sag_free_rest, stress_free_rest
 from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
 from quaffure.geometry import Surface
@@ -78,6 +78,24 @@ def test_rotation_of_posed_strands_is_found_from_their_shape(body: BodyModel, su
     free = HairEnergy(groom, terms=hair_terms("rod")).only("elastic")
     moved = scene.posed + 0.01 * torch.randn(scene.posed.shape, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(free.total(moved, fitted), free.total(moved, scene), rtol=1e-3, atol=0)
+
+
+def test_the_rest_shape_of_a_groom_is_computed_once_for_all_scenes(
+    body: BodyModel, surface: Surface, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    groom = _few(body, surface, 5)
+    made: list[RodRest] = []
+
+    def counted(strands: Tensor) -> RodRest:
+        made.append(stress_free_rest(strands))
+        return made[-1]
+
+    monkeypatch.setattr("quaffure.energies.rod.stress_free_rest", counted)
+    energy = HairEnergy(groom, terms=hair_terms("rod"))
+    for part in (energy, energy.without("self_collision")):
+        for scene in (_upright(groom, body), _upright(groom, body)):
+            part.total(scene.posed, scene)
+    assert len(made) == 1
 
 
 def test_strands_that_fold_back_are_refused() -> None:

@@ -2,12 +2,16 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import torch
 
 from quaffure.config import HairMaterial
 from quaffure.geometry.polyline import integrate_directions_reference
 from quaffure.types import EdgeVectors, Float, Positions, RestLengths, Tensor
+
+if TYPE_CHECKING:
+    from quaffure.energies.rod import RodRest
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,13 @@ class RestState:
         from quaffure.energies.self_collision import densities  # whose energy term reads this class
 
         return densities(self.rest_strands[None], self.mass, self.smoothing_length)[0]
+
+    @cached_property
+    def stress_free_rod(self) -> "RodRest":
+        """The rod that the groom at rest is without any load."""
+        from quaffure.energies.rod import stress_free_rest  # whose energy term reads this class
+
+        return stress_free_rest(self.rest_strands.double())
 
     @property
     def mass_beyond(self) -> Float[Tensor, "s e"]:

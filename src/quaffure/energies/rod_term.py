@@ -13,7 +13,6 @@ from quaffure.energies.rod import (
     energy_rod,
     equilibrium_twist,
     rest_targets,
-    stress_free_rest,
 )
 from quaffure.energies.rod_kernels import RodArrays, fused_rod, rod_arrays
 from quaffure.energies.sag_free import SagFreeRest
@@ -68,10 +67,7 @@ class Rod(EnergyTerm):
         return replace(rest, collision_margin=margin.to(rest.collision_margin))
 
     def prepare(self, rest: RestState, scene: HairScene) -> PosedRod:
-        if self.design is None:
-            rod = stress_free_rest(rest.rest_strands.double())
-        else:
-            rod = self.design.rod
+        rod = rest.stress_free_rod if self.design is None else self.design.rod
         return PosedRod(rod.to(scene.posed.dtype).to(scene.posed.device), scene.root_rotation.to(scene.posed))
 
     def energy(self, hair: HairState, scene: HairScene) -> Energy:

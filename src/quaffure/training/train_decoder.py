@@ -41,7 +41,8 @@ class DecoderRecipe(Recipe):
 
     Attributes:
         energies: of each groom, in the material that hair has.
-        loss_energies: the same with contact as strong as the loss has it.
+        strand_energies: the same with contact as strong as the loss has it, without Eq. 11.
+        density_energies: Eq. 11 alone.
     """
 
     ema_decay = EMA_DECAY
@@ -76,9 +77,11 @@ class DecoderRecipe(Recipe):
         self.log_every, self.validate_every = config.log_every, config.validate_every
         drapes = config.runs * config.frames * min(config.grooms_per_step, len(grooms))
         self.samples_per_step = drapes * worker.world_size
-        self.loss_energies = self.energies
+        loss_energies = self.energies
         if config.body_contact_weight != 1:
-            self.loss_energies = [HairEnergy(groom, config.loss_material, terms) for groom in self.grooms]
+            loss_energies = [HairEnergy(groom, config.loss_material, terms) for groom in self.grooms]
+        self.strand_energies = [energy.without(SelfCollision.name) for energy in loss_energies]
+        self.density_energies = [energy.only(SelfCollision.name) for energy in loss_energies]
 
     def backward(self, step: int) -> dict[str, float]:
         """The loss [`loss_unit`]; every `log_every` steps also every term of it."""
@@ -106,13 +109,13 @@ class DecoderRecipe(Recipe):
     def _loss(self, scene: Scene, index: int, grooms: int, step: int) -> tuple[Tensor, dict[str, float]]:
         """Eq. 1 over the batch of one of several grooms, in `loss_unit`, and the energy's terms where this step logs
         them."""
-        config, energy, unit = self.config, self.loss_energies[index], loss_unit(self.energies[index])
+        config, unit = self.config, loss_unit(self.energies[index])
         draped = self.draper.deform(scene)
         # The gradient that arrives is that of the mean over samples and grooms.
-        positions = clip_gradients(draped, energy.rest, len(draped) * grooms * unit)
-        total = energy.without(SelfCollision.name).total(positions, scene)
+        positions = clip_gradients(draped, self.energies[index].rest, len(draped) * grooms * unit)
+        total = self.strand_energies[index].total(positions, scene)
         if step % config.self_collision_every == 0:
-            total = total + config.self_collision_every * energy.only(SelfCollision.name).total(positions, scene)
+            total = total + config.self_collision_every * self.density_energies[index].total(positions, scene)
         head = world_from_head(self.body, scene.bodies.posed.joint_rotations)[:, None]
         deformation = ((positions - scene.posed) @ head).unflatten(0, (config.runs, config.frames))
         smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg).mean() / config.frames

@@ -8,10 +8,8 @@ import torch
 
 from quaffure.body.scalp import texel_index
 from quaffure.config import TEXTURE_SIZE
+from quaffure.hair.strands import held_parts_of
 from quaffure.types import Bool, Float, Int, Tensor
-
-HELD_PARTS = ("stiffness_scale", "goal_weight", "tie_vertex")
-"""Optional arrays of a groom, of strands in a file and of a drape: what an artist asks of parts of the strands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +75,6 @@ class Groom:
         return self._map_tensors(lambda tensor: tensor.to(device))
 
     def _map_tensors(self, function: Callable[[Tensor], Tensor]) -> "Groom":
-        names = ("rest_strands", "root_faces", "root_barycentric", "root_uv", *HELD_PARTS)
-        tensors = {name: getattr(self, name) for name in names}
-        changes: dict[str, Any] = {name: function(tensor) for name, tensor in tensors.items() if tensor is not None}
+        names = ("rest_strands", "root_faces", "root_barycentric", "root_uv", *held_parts_of(self))
+        changes: dict[str, Any] = {name: function(getattr(self, name)) for name in names}
         return replace(self, **changes)

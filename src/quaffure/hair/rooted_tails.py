@@ -34,7 +34,7 @@ def strands_that_end_at_tails(
         offset = centre - strands[:, -1]
         last = strands[:, -1] - strands[:, -2]
         distance, _ = cKDTree(start).query(strands[:, -1])
-        towards = np.maximum(_cosine(last, offset), _cosine(last, axis))
+        towards = np.maximum(_cosine(last, offset), _cosine(last, np.broadcast_to(axis, last.shape)))
         ends = free & (distance < REACH) & (towards > LEAST_TOWARDS)
         ends[tail] = False
         free &= ~ends
@@ -56,5 +56,5 @@ def dense_roots(roots: Float[np.ndarray, "s 3"]) -> list[Int[np.ndarray, " m"]]:
     return groups
 
 
-def _cosine(a: Float[np.ndarray, "*s 3"], b: Float[np.ndarray, "*s 3"]) -> Float[np.ndarray, " s"]:
+def _cosine(a: Float[np.ndarray, "s 3"], b: Float[np.ndarray, "s 3"]) -> Float[np.ndarray, " s"]:
     return (a * b).sum(-1) / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)).clip(min=1e-12)

@@ -12,7 +12,8 @@ from pxr import Sdf, Usd, UsdGeom
 from quaffure.baselines import PosedDraper
 from quaffure.body import BodyModel, Motion
 from quaffure.drape_motion import drape_motion
-from quaffure.energies.held_parts import GOAL_STIFFNESS, held_up_to, released, tied_at, with_ties
+from quaffure.energies import held_up_to, released, tied_at, with_ties
+from quaffure.energies.held_parts import GOAL_STIFFNESS
 from quaffure.energies.rod import BENDING_STIFFNESS, joint_lengths
 from quaffure.errors import InputError
 from quaffure.geometry import Surface

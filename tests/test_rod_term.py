@@ -56,6 +56,22 @@ def test_long_hair_hangs_on_a_body_that_bows(body: BodyModel, surface: Surface) 
     assert angles[1] > 50
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("style", ["ponytail", "low_bun"])
+def test_ties_hold_on_a_body_that_bows(style: str, body: BodyModel, surface: Surface) -> None:
+    groom = make_groom(style, body, surface=surface)
+    groom = groom.select(torch.arange(0, len(groom), 50))
+    scene = Scene(groom, BodyBatch(body, bundled_clip("bow", body).body_pose[60:61], torch.zeros(1, 10)))
+    held = torch.nn.functional.pad(groom.held_edges, (1, 0))
+    moved = []
+    for edges in (groom.held_edges, torch.zeros_like(groom.held_edges)):
+        design = sag_free_rest(groom, body, held=edges, surface=surface)
+        draped = LbfgsDraper(evaluations=400, terms=hair_terms("rod", design)).drape(scene)
+        moved.append(float((draped - scene.posed).norm(dim=-1)[0][held].mean()))
+    assert moved[0] < 5e-3
+    assert moved[1] > 10 * moved[0]
+
+
 def test_compiled_rod_keeps_the_design_and_its_margins(body: BodyModel, surface: Surface) -> None:
     groom = _few(body, surface, 30)
     design = sag_free_rest(groom, body, surface=surface)

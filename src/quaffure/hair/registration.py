@@ -94,7 +94,7 @@ def register_groom(
 
     Units, axes and position are estimated by fitting the roots to the scalp (and the groom's own head, if given, to
     our head) with a similarity transform. Each strand is then translated so that its root is the nearest point of the
-    scalp; strands are projected out of the body with their lengths kept. Their stiffness, goals and ties are carried.
+    scalp; strands are projected out of the body with their lengths kept. Their stiffness, goals and ties are kept.
 
     Args:
         surface: of the body at rest, if available (`rest_surface`).

@@ -46,8 +46,8 @@ nearly as close together as anywhere, by this factor."""
 RADII = (0.010, 0.030)
 """Least and largest radius within which strands belong to a tie [m]; between, `RADIUS` times their median distance."""
 RADIUS = 2.5
-WOUND_TURNS = 0.75
-"""Turns about the tie's axis beyond it from which on a tail is a bun."""
+LEAST_WINDING = 0.75
+"""Winding number about the axis of the tie, beyond it, from which on a tail is a bun."""
 SHORT_END = 0.02
 """A strand that ends within this length of its tie ends in it [m]."""
 MOST_TRIALS = 12
@@ -179,7 +179,7 @@ def _sampled(strands: Float[np.ndarray, "s n 3"]) -> _Samples:
 
 
 def _cells(samples: _Samples, roots: Float[np.ndarray, "s 3"], fewest: int) -> _Cells:
-    """Of eight grids, each moved by half a cell, so that every tie lies well inside a cell of one."""
+    """Cells of eight grids, each moved by half a cell: every tie lies well inside a cell of one."""
     if not len(samples.strand):
         return _Cells(np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0))
     found = [_cells_of_grid(samples, roots, fewest, 0.5 * np.array(shift)) for shift in product((0, 1), repeat=3)]
@@ -265,6 +265,6 @@ def _held_to(
     across = offset - (offset @ axis)[..., None] * axis
     turned = np.cross(across[:, :-1], across[:, 1:]) @ axis
     angle = np.arctan2(turned, (across[:, :-1] * across[:, 1:]).sum(-1)) * beyond[:, :-1]
-    wound = bool(np.median(np.abs(angle.sum(1))) > 2 * math.pi * WOUND_TURNS)
+    wound = bool(np.median(np.abs(angle.sum(1))) > 2 * math.pi * LEAST_WINDING)
     rest = (np.linalg.norm(edges, axis=-1) * beyond[:, :-1]).sum(1)
     return np.where(wound | (rest < SHORT_END), last, vertex), wound

@@ -24,7 +24,7 @@ STRAND_WIDTH = 1.0e-4  # m: a real hair, a little thickened; tapers to its tip
 # Hsu et al. 2024 interpolate a full head from 128 guides.
 MOST_GUIDES = 128
 PREFIX = "quaffure:"
-"""Of the primvars of held parts."""
+"""Prefix of the primvars of held parts."""
 HAIR_COLOUR, BODY_COLOUR = (0.15, 0.062, 0.025), (0.62, 0.50, 0.435)
 
 

@@ -33,7 +33,7 @@ Settings = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
 
 
 HELD_COLOUR = (0.02, 0.09, 0.35)
-"""Of held parts in pictures, linear RGB."""
+"""Colour of held parts in pictures, linear RGB."""
 SHARE_OF_WARNING = 0.5
 """The import prints a warning if a smaller share of the strands is in the file."""
 

@@ -122,7 +122,7 @@ class _Passing(NamedTuple):
 
 
 def find_ties(groom: Groom) -> tuple[Int[Tensor, " s"], list[FoundTie]]:
-    """Vertex up to which each strand is held by a tie, -1 for none, and the ties, on a groom with a body under it."""
+    """Vertex up to which each strand is held by a tie, -1 for none, and the ties."""
     strands = groom.rest_strands.double().cpu().numpy()
     held_to, ties, rejected = np.full(len(strands), -1), list[FoundTie](), list[Float[np.ndarray, "3"]]()
     samples = _sampled(strands)

@@ -185,7 +185,21 @@ def test_frames_are_posed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(BodyModel, "forward_kinematics", torch_kinematics)
     outs = [str(tmp_path / name) for name in ("hair.npz", "hair.usda")]
     frames = FRAMES_AT_ONCE + 3
-    main(["drape", "crew_cut", "--draper", "neural", "--frames", f"0:{frames}", "--out", outs[0], "--out", outs[1], "--json"])
+    main(
+        [
+            "drape",
+            "crew_cut",
+            "--draper",
+            "neural",
+            "--frames",
+            f"0:{frames}",
+            "--out",
+            outs[0],
+            "--out",
+            outs[1],
+            "--json",
+        ]
+    )
     assert posed == [FRAMES_AT_ONCE, 3]
     assert all(at_rest)
 

@@ -171,6 +171,73 @@ def test_import_registers_and_shows(
     assert 0.02 < before < after  # no body on the left
 
 
+@pytest.mark.usefixtures("small_pictures")
+def test_import_finds_ties_and_keeps_those_of_the_file(
+    tmp_path: Path, body: BodyModel, capfd: pytest.CaptureFixture[str]
+) -> None:
+    groom = make_groom(with_settings(STYLES["ponytail"], ("root_rows=24",)), body)
+    np.savez(tmp_path / "tail.npz", strands=100 * groom.rest_strands.numpy())
+    out, picture = tmp_path / "out.npz", tmp_path / "tail.png"
+    arguments = ["groom", "import", str(tmp_path / "tail.npz"), "--out", str(out)]
+    main([*arguments, "--picture", str(picture)])
+    message = " ".join(capfd.readouterr().out.split())
+    assert f"ties found: {len(groom)} of {len(groom)} strands are tied" in message
+    assert "the held parts in blue" in message
+    found = read_groom(out, body)
+    assert found.tie_vertex is not None
+    assert (found.tie_vertex > 0).all()
+    assert found.held_edges.any()
+    from PIL import Image
+
+    with Image.open(picture) as image:
+        pixels = np.asarray(image).astype(int)
+    assert pixels.shape == (192, 192, 3)
+    blue = pixels[..., 2] - pixels[..., 0] > 25
+    assert blue[:, :128].mean() < 0.001 < blue[:, 128:].mean()
+    main([*arguments, "--ties", "none"])
+    assert "ties were not searched for" in capfd.readouterr().out
+    assert read_groom(out, body).tie_vertex is None
+    usd = tmp_path / "tail.usdc"
+    write_groom(tmp_path / "own.npz", groom)
+    main(["drape", str(tmp_path / "own.npz"), "--draper", "posed", "--frames", "0:1", "--out", str(usd)])
+    main(["groom", "import", str(usd), "--out", str(out), "--ties", "none"])
+    assert f"ties of the file: {len(groom)} of {len(groom)}" in capfd.readouterr().out
+
+
+# --- hold ------------------------------------------------------------------------------------------------------------
+
+
+def test_hold_edits_a_region_of_the_scalp(tmp_path: Path, body: BodyModel, capfd: pytest.CaptureFixture[str]) -> None:
+    first, gelled, tied, free = (tmp_path / f"{name}.npz" for name in ("first", "gelled", "tied", "free"))
+    groom = make_groom(with_settings(STYLES["long_straight"], (FEW_ROOTS,)), body)
+    write_groom(first, groom)
+    main(["groom", "hold", str(first), "--where", "left", "z>0.02", "--length", "0.08", "--out", str(gelled)])
+    roots = groom.rest_strands[:, 0] - body.rest_joints[body.joint_names.index("Head")]
+    chosen = (roots[:, 0] > 0) & (roots[:, 2] > 0.02)
+    assert f"changed {int(chosen.sum())} of {len(groom)} strands" in capfd.readouterr().out
+    once = read_groom(gelled, body)
+    assert once.name == "gelled"
+    assert torch.equal(once.held_edges.any(1), chosen)
+    main(["groom", "hold", str(gelled), "--where", "nape", "--tie", "0.15", "--out", str(tied)])
+    twice = read_groom(tied, body)
+    assert twice.tie_vertex is not None
+    assert torch.equal(twice.tie_vertex >= 0, groom.root_uv[:, 1] > 0.67)
+    main(["groom", "hold", str(tied), "--release", "--out", str(free)])
+    assert not read_groom(free, body).held_edges.any()
+
+
+def test_bad_holds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    hold = ("groom", "hold", "bob", "--out", tmp_path / "out.npz")
+    assert "expected one of --length, --tie and --release, found none" in refused(capfd, *hold)
+    assert "found --length, --release" in refused(capfd, *hold, "--length", "0.1", "--release")
+    assert "--tie: expected metres above 0" in refused(capfd, *hold, "--tie", "0")
+    assert "--length: expected metres above 0" in refused(capfd, *hold, "--length", "nan")
+    for condition in ("beard", "w>1", "x>", "x>1e", "x=1"):
+        assert "--where: expected one of all, left" in refused(capfd, *hold, "--release", "--where", condition)
+    assert "found x>5" in refused(capfd, *hold, "--release", "--where", "x>5")
+    assert not list(tmp_path.iterdir())
+
+
 def test_bad_imports(tmp_path: Path, capfd: pytest.CaptureFixture[str], foreign: Path) -> None:
     out = ("--out", tmp_path / "out.npz")
     missing = tmp_path / "missing.hair"

@@ -9,7 +9,7 @@ from quaffure.geometry import Surface
 from quaffure.hair import Groom, distances_and_normals, inside_share, pushed_out, root_positions
 from quaffure.hair.clearance import CLEARANCE, CLEARANCE_RAMP, arc_lengths
 from quaffure.procedural import HELD_OUT, STYLES, curl_arc_factor, make_groom
-from quaffure.procedural.generator import resample_evenly
+from quaffure.procedural.generator import resample_evenly, vertex_in_band
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +163,9 @@ def test_evenly_keeps_a_vertex_in_the_band() -> None:
     across = torch.cat([leg * torch.tensor([0.053, 0.0, 0.0]), leg[1:] * torch.tensor([0.0, 0.2, 0.0])])
     across[11:, 0] = 0.053
     corner = torch.tensor([0.053, 0.0, 0.0])
-    tied, free = (resample_evenly(across[None], torch.tensor([length]))[0] for length in (0.053, 0.0))
+    fine = across[None]
+    lengths = (torch.tensor([length]) for length in (0.053, 0.0))
+    tied, free = (resample_evenly(fine, length, vertex_in_band(fine, length))[0] for length in lengths)
     assert (tied - corner).norm(dim=1).min() < 1e-6
     assert (free - corner).norm(dim=1).min() > 1e-3
     for strand in (tied, free):

@@ -1,5 +1,7 @@
 """The elastic model `rod` in solvers: hair at rest keeps its design, and hangs on a body that bows."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -54,6 +56,22 @@ def test_long_hair_hangs_on_a_body_that_bows(body: BodyModel, surface: Surface) 
     assert angles[1] > 50
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("style", ["ponytail", "low_bun"])
+def test_ties_hold_on_a_body_that_bows(style: str, body: BodyModel, surface: Surface) -> None:
+    groom = make_groom(style, body, surface=surface)
+    groom = groom.select(torch.arange(0, len(groom), 50))
+    scene = Scene(groom, BodyBatch(body, bundled_clip("bow", body).body_pose[60:61], torch.zeros(1, 10)))
+    held = torch.nn.functional.pad(groom.held_edges, (1, 0))
+    moved = []
+    for edges in (groom.held_edges, torch.zeros_like(groom.held_edges)):
+        design = sag_free_rest(groom, body, held=edges, surface=surface)
+        draped = LbfgsDraper(evaluations=400, terms=hair_terms("rod", design)).drape(scene)
+        moved.append(float((draped - scene.posed).norm(dim=-1)[0][held].mean()))
+    assert moved[0] < 5e-3
+    assert moved[1] > 10 * moved[0]
+
+
 def test_compiled_rod_keeps_the_design_and_its_margins(body: BodyModel, surface: Surface) -> None:
     groom = _few(body, surface, 30)
     design = sag_free_rest(groom, body, surface=surface)
@@ -67,6 +85,29 @@ def test_compiled_rod_keeps_the_design_and_its_margins(body: BodyModel, surface:
         hair_terms("cosserat", design)
     turned = scene.posed.mean(dim=1, keepdim=True) - scene.posed  # a half turn and a reflection: not rigid
     assert float(energy.only("elastic").total(turned, scene)) > float(energy.only("elastic").total(scene.posed, scene))
+
+
+def test_stress_free_hair_is_as_stiff_and_as_held_as_the_groom_asks(body: BodyModel, surface: Surface) -> None:
+    groom = _few(body, surface, 30)
+    scene = _upright(groom, body)
+    asked = torch.zeros_like(groom.rest_lengths)
+    asked[:, :3] = 1e-5
+    turned = scene.posed[:, :, :1] + 1.2 * (scene.posed - scene.posed[:, :, :1]) @ torch.diag(
+        torch.tensor([1.0, -1, 1])
+    )
+
+    def energy(changed: Groom) -> float:
+        of_rod = HairEnergy(changed, terms=hair_terms("rod")).only("elastic")
+        return float(of_rod.total(turned, Scene(changed, scene.bodies)))
+
+    direction = torch.nn.functional.normalize(turned.diff(dim=2), dim=-1)
+    held = 0.5 * float((1e-5 * (direction - scene.director)[:, :, :3].square().sum(-1)).sum())
+    free = energy(groom)
+    assert held > 0.01 * free
+    assert energy(replace(groom, goal_weight=asked)) == pytest.approx(free + held, rel=1e-4)
+    assert energy(replace(groom, stiffness_scale=torch.full_like(asked, 3.0))) == pytest.approx(3 * free, rel=1e-4)
+    tied = replace(groom, tie_vertex=torch.full((len(groom),), 3))
+    assert energy(tied) > 2 * free
 
 
 def test_rotation_of_posed_strands_is_found_from_their_shape(body: BodyModel, surface: Surface) -> None:
@@ -86,8 +127,8 @@ def test_the_rest_shape_of_a_groom_is_computed_once_for_all_scenes(
     groom = _few(body, surface, 5)
     made: list[RodRest] = []
 
-    def counted(strands: Tensor) -> RodRest:
-        made.append(stress_free_rest(strands))
+    def counted(strands: Tensor, scale: Tensor | None, goal_weight: Tensor | None) -> RodRest:
+        made.append(stress_free_rest(strands, scale, goal_weight=goal_weight))
         return made[-1]
 
     monkeypatch.setattr("quaffure.energies.rod.stress_free_rest", counted)

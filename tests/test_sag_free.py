@@ -95,6 +95,47 @@ def test_held_edges_take_what_a_tail_asks_for(body: BodyModel, surface: Surface)
     assert sag_free_report(groom, rest).above_10_percent <= 10
 
 
+def test_ties_of_the_groom_are_held_unless_others_are_named(body: BodyModel, surface: Surface) -> None:
+    groom = _few("half_up", body, surface)
+    rest = sag_free_rest(groom, body, surface=surface)
+    assert bool(((rest.rod.goal_weight > 0) == groom.held_edges).all())
+    assert bool(groom.held_edges.any())
+    assert not bool(groom.held_edges.all())
+    by_name = sag_free_rest(replace(groom, tie_vertex=None, goal_weight=None), body, None, groom.held_edges, surface)
+    torch.testing.assert_close(rest.rod.goal_weight, by_name.rod.goal_weight)
+    none = sag_free_rest(groom, body, held=torch.zeros_like(groom.held_edges), surface=surface)
+    assert not bool((none.rod.goal_weight > 0).any())
+    assert float(residual(groom, none).max()) < 1e-6
+
+
+def test_goals_weigh_at_least_what_an_artist_asks_for(body: BodyModel, surface: Surface) -> None:
+    groom = _few("half_up", body, surface)
+    usual = sag_free_rest(groom, body, surface=surface).rod.goal_weight
+    asked = torch.zeros_like(groom.rest_lengths)
+    asked[:, 5:9] = float(usual.median())
+    rest = sag_free_rest(replace(groom, goal_weight=asked), body, surface=surface)
+    assert bool((rest.rod.goal_weight >= asked).all())
+    assert bool(((rest.rod.goal_weight > 0) == (groom.held_edges | (asked > 0))).all())
+    assert float(residual(replace(groom, goal_weight=asked), rest).max()) < 1e-6
+    strong = replace(groom, goal_weight=100 * groom.held_edges * usual.float())
+    torch.testing.assert_close(
+        sag_free_rest(strong, body, surface=surface).rod.goal_weight, strong.goal_weight, check_dtype=False
+    )
+
+
+def test_stiffness_that_an_artist_asks_for_is_multiplied_further(body: BodyModel, surface: Surface) -> None:
+    groom = _few("long_ringlets", body, surface)
+    asked = 1 + 4 * torch.rand(groom.rest_lengths.shape, generator=torch.Generator().manual_seed(0))
+    stiff = replace(groom, stiffness_scale=asked)
+    rest, usual = (sag_free_rest(groom, body, surface=surface) for groom in (stiff, groom))
+    assert bool((rest.rod.stiffness_scale >= asked - 1e-6).all())
+    assert float(residual(stiff, rest).max()) < 1e-6
+    bend = rest.rod.bending_stiffness / rest.rod.stiffness_scale
+    torch.testing.assert_close(bend, usual.rod.bending_stiffness / usual.rod.stiffness_scale)
+    # Stiffer hair has to be stiffened less.
+    assert sag_free_report(stiff, rest).stiffened_percent < sag_free_report(groom, usual).stiffened_percent
+
+
 def test_margins_never_exceed_the_clearance_where_nothing_is_supported(body: BodyModel, surface: Surface) -> None:
     groom = _few("long_straight", body, surface)
     rest = sag_free_rest(groom, body, surface=surface)

@@ -14,6 +14,7 @@ from quaffure.config import HairMaterial
 from quaffure.draper import Draper
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
+from quaffure.hair.strands import held_parts_of
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Float, Positions, Tensor
 
@@ -64,6 +65,7 @@ def drape_motion(
             "material": asdict(draper.material),
             "milliseconds": float(np.median(times[1:] or times)),
         },
+        **{name: values.cpu().numpy() for name, values in held_parts_of(groom).items()},
     )
 
 

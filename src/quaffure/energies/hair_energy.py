@@ -16,6 +16,7 @@ from quaffure.energies.fused_density import fused_self_collision
 from quaffure.energies.fused_strand import TERMS, strand_energy
 from quaffure.energies.gravity import NO_ACCELERATION, Gravity
 from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies.held_parts import goal_weight_of
 from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.energies.rod_term import Rod
 from quaffure.energies.self_collision import SelfCollision
@@ -59,7 +60,9 @@ class HairEnergy:
             InputError: two terms of the same name.
         """
         self.material = material or HairMaterial()
-        self.rest: RestState = rest_state(groom.rest_strands, self.material)
+        rest = rest_state(groom.rest_strands, self.material)
+        goal_weight = goal_weight_of(groom) if groom.held_edges.any() else None
+        self.rest: RestState = replace(rest, stiffness_scale=groom.stiffness_scale, goal_weight=goal_weight)
         self.backend = backend or choose_backend(groom.rest_strands)
         terms = hair_terms() if terms is None else tuple(terms)
         for term in terms:

@@ -24,6 +24,8 @@ class RestState:
         rest_length: of every edge (l_rest) [m].
         mass: lumped at every vertex (m) [kg]: half of each adjacent edge, the root included.
         collision_margin: distance D that every vertex keeps from the body [m]; zero at the root.
+        stiffness_scale: multiple of a human hair's stiffness that the groom asks for; 1 without.
+        goal_weight: weight with which the groom asks for edges to be held [J]; none is without.
     """
 
     rest_strands: Float[Tensor, "s n 3"]
@@ -31,6 +33,8 @@ class RestState:
     rest_length: RestLengths
     mass: Float[Tensor, "s n"]
     collision_margin: Float[Tensor, "s n"]
+    stiffness_scale: Float[Tensor, "s e"] | None = None
+    goal_weight: Float[Tensor, "s e"] | None = None
 
     @cached_property
     def rest_density(self) -> Float[Tensor, "s n"]:
@@ -44,7 +48,8 @@ class RestState:
         """The rod that the groom at rest is without any load."""
         from quaffure.energies.rod import stress_free_rest  # whose energy term reads this class
 
-        return stress_free_rest(self.rest_strands.double())
+        scale, goal = (None if part is None else part.double() for part in (self.stiffness_scale, self.goal_weight))
+        return stress_free_rest(self.rest_strands.double(), scale, goal_weight=goal)
 
     @property
     def mass_beyond(self) -> Float[Tensor, "s e"]:

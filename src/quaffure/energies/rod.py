@@ -129,6 +129,7 @@ def stress_free_rest(
     stiffness_scale: Float[Tensor, "s e"] | None = None,
     bend: float = BENDING_STIFFNESS,
     twist: float = TWISTING_STIFFNESS,
+    goal_weight: Float[Tensor, "s e"] | None = None,
 ) -> RodRest:
     """The rod whose shape without any load is the groom as it is.
 
@@ -136,6 +137,7 @@ def stress_free_rest(
         strands: vertices of the rest groom [m].
         stiffness_scale: of every edge; 1 without.
         bend, twist: EI and GJ [N m^2].
+        goal_weight: with which every edge is held to its direction in the groom [J]; none is held without.
 
     Raises:
         InputError: a strand folds back.
@@ -151,7 +153,7 @@ def stress_free_rest(
         rest_twist=torch.zeros_like(joint),
         root_frame=torch.stack([before[:, 0], normal[:, 0]], dim=1),
         stiffness_scale=scale,
-        goal_weight=torch.zeros_like(joint),
+        goal_weight=torch.zeros_like(joint) if goal_weight is None else goal_weight,
         goal_direction=direction,
     )
 

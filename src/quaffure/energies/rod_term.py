@@ -45,7 +45,8 @@ class Rod(EnergyTerm):
 
     Attributes:
         design: rest shape of one groom that keeps it as designed (`sag_free_rest`), with the collision margins that
-            belong to it; without it, every groom is free of stress as it is, and gravity bends it from there.
+            belong to it; without it, every groom is free of stress as it is, and gravity bends it from there, held
+            parts apart.
         stiffness: multiple of the bending and twisting stiffness, of all edges or of each [s e]. The rest shape stays.
     """
 

@@ -23,6 +23,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.energies.held_parts import GOAL_STIFFNESS, goal_weight_of, stiffness_scale_of
 from quaffure.energies.rest_state import rest_state
 from quaffure.energies.rod import (
     BENDING_STIFFNESS,
@@ -51,8 +52,6 @@ LEAST_SUPPORT = 1e-3
 """Forces below this share of a vertex's mean weight are taken as none."""
 MOST_GOAL_PRELOAD = 0.1
 """Sine of the angle between a held edge of the design and its goal direction."""
-GOAL_STIFFNESS = 50.0
-"""Least weight of a held edge's goal, relative to its bending stiffness."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +73,32 @@ class SagFreeRest:
     unstable: Bool[Tensor, " s"]
 
 
+@dataclass(frozen=True, eq=False)
+class _Goals:
+    """Held edges, the least weight of their goals [J], and the moment that each takes [N m]."""
+
+    held: Bool[Tensor, "s e"]
+    least: Float[Tensor, "s e"]
+    moment: Float[Tensor, "s e 3"]
+
+    def weights(self, stiffness: Float[Tensor, "s e"]) -> Float[Tensor, "s e"]:
+        """Weight of each goal [J], 0 for free edges, at a bending stiffness B [J]."""
+        needed = self.moment.norm(dim=-1) / MOST_GOAL_PRELOAD + GOAL_STIFFNESS * stiffness
+        return torch.where(self.held, torch.maximum(needed, self.least), 0.0)
+
+    def directions(self, direction: Float[Tensor, "s e 3"], weight: Float[Tensor, "s e"]) -> Float[Tensor, "s e 3"]:
+        """Goals that take their moments where the edges point along `direction`."""
+        return _leaned(direction, self.moment / weight.clamp(min=1e-30)[..., None])
+
+
 @dataclass(frozen=True)
 class SagFreeReport:
     """What a sag-free rest shape took. Edges that are held by a goal are left out of the shares.
 
     Attributes:
-        stiffened_percent: edges with `stiffness_scale` above 1.
-        median_scale: of those edges; 1 where there are none.
-        above_10_percent: edges with `stiffness_scale` above 10.
+        stiffened_percent: edges that are stiffer than the groom asks for.
+        median_scale: how many times, of those edges; 1 where there are none.
+        above_10_percent: edges that are more than 10 times stiffer.
         supported_percent: vertices that the body supports.
         largest_residual: of the force on any vertex, in weights of that vertex.
         unstable_strands: that would still fall from the design at a push.
@@ -107,7 +124,8 @@ def sag_free_rest(
     Args:
         groom: as it hangs on the mean body.
         material: weight and contact of the strands.
-        held: edges that a tie or a clip holds to the direction of the design.
+        held: edges that a tie or a clip holds to the direction of the design; the groom's own (`Groom.held_edges`)
+            without. The weight of their goals is at least the groom's, its `stiffness_scale` multiplies B and C.
         surface: of the body at rest, when at hand (`rest_surface`).
 
     Raises:
@@ -117,10 +135,14 @@ def sag_free_rest(
     state = rest_state(groom.rest_strands.double().cpu(), material)
     strands, direction = state.rest_strands, directors(state.rest_strands)
     joint = joint_lengths(state.rest_length)
-    held = torch.zeros_like(joint, dtype=torch.bool) if held is None else held.cpu()
+    own = groom.to("cpu")
+    held = own.held_edges if held is None else held.cpu()
+    own_scale = stiffness_scale_of(own).double()
     distance, normal = distances_and_normals(strands, surface or rest_surface(body))
     weight = STANDARD_GRAVITY * state.mass
-    forces = StrandForces.of(strands, weight, normal, held, BENDING_STIFFNESS / joint, TWISTING_STIFFNESS / joint)
+    forces = StrandForces.of(
+        strands, weight, normal, held, own_scale * BENDING_STIFFNESS / joint, own_scale * TWISTING_STIFFNESS / joint
+    )
     available = (1 - (distance - SUPPORT_DISTANCE).clamp(min=0) / SUPPORT_FADE).clamp(0, 1)
     available[:, 0] = 0
     available[:, 1:][held] = 0
@@ -131,10 +153,11 @@ def sag_free_rest(
     moments = transmitted_moments(forces, support)
     scale = _scale_for_preload(forces, moments)
     contact = 2 * (3 * material.k_body_collision * support).sqrt()
-    factors, unstable = _factors_for_stability(direction, forces, moments, scale, support, contact)
-    scale = scale * factors
+    goals = _Goals(held, goal_weight_of(own).double(), moments[2])
+    factors, unstable = _factors_for_stability(direction, forces, moments, goals, scale, support, contact)
+    rod = _preloaded(direction, forces, moments, goals, scale * factors)
     return SagFreeRest(
-        rod=_preloaded(direction, forces, moments, scale),
+        rod=replace(rod, stiffness_scale=own_scale * rod.stiffness_scale),
         collision_margin=torch.where(support > 0, pressed, margin),
         support=support,
         normal=normal,
@@ -153,19 +176,20 @@ def _factors_for_stability(
     direction: Float[Tensor, "s e 3"],
     forces: StrandForces,
     moments: tuple[Tensor, Tensor, Tensor],
+    goals: _Goals,
     scale: Float[Tensor, "s e"],
     support: Float[Tensor, "s n"],
     contact_stiffness: Float[Tensor, "s n"],
 ) -> tuple[Float[Tensor, "s e"], Bool[Tensor, " s"]]:
     """How many times stiffer each edge has to be for the design to be a minimum, and strands that are none yet."""
-    bending, twisting, goal = moments
+    bending, twisting, _ = moments
     stiff = replace(
         forces,
         bending_stiffness=scale * forces.bending_stiffness,
         twisting_stiffness=scale * forces.twisting_stiffness,
     )
-    weight = _goal_weights(forces.held, goal, stiff.bending_stiffness)
-    pull = weight[..., None] * _leaned(direction, goal / weight.clamp(min=1e-30)[..., None])
+    weight = goals.weights(stiff.bending_stiffness)
+    pull = weight[..., None] * goals.directions(direction, weight)
     arrays = (support, contact_stiffness, bending, twisting, pull)
     factors, unstable = torch.ones_like(scale), torch.zeros(len(scale), dtype=torch.bool)
     stable_factors(
@@ -174,23 +198,17 @@ def _factors_for_stability(
     return factors, unstable
 
 
-def _goal_weights(
-    held: Bool[Tensor, "s e"], goal: Float[Tensor, "s e 3"], stiffness: Float[Tensor, "s e"]
-) -> Float[Tensor, "s e"]:
-    """Weight of the goals of held edges that take a moment `goal` [J]."""
-    return torch.where(held, goal.norm(dim=-1) / MOST_GOAL_PRELOAD + GOAL_STIFFNESS * stiffness, 0.0)
-
-
 def _preloaded(
     direction: Float[Tensor, "s e 3"],
     forces: StrandForces,
     moments: tuple[Tensor, Tensor, Tensor],
+    goals: _Goals,
     scale: Float[Tensor, "s e"],
 ) -> RodRest:
     """Rest directions, rest twist and goals that transmit the moments (the module's equations)."""
-    bending, twisting, goal = moments
+    bending, twisting, _ = moments
     stiffness = scale * forces.bending_stiffness
-    weight = _goal_weights(forces.held, goal, stiffness)
+    weight = goals.weights(stiffness)
     before, normal = previous_frames(direction)
     return RodRest(
         bending_stiffness=stiffness,
@@ -200,7 +218,7 @@ def _preloaded(
         root_frame=torch.stack([before[:, 0], normal[:, 0]], dim=1),
         stiffness_scale=scale,
         goal_weight=weight,
-        goal_direction=_leaned(direction, goal / weight.clamp(min=1e-30)[..., None]),
+        goal_direction=goals.directions(direction, weight),
     )
 
 
@@ -240,7 +258,8 @@ def residual(groom: Groom, rest: SagFreeRest, material: HairMaterial | None = No
 
 def sag_free_report(groom: Groom, rest: SagFreeRest, material: HairMaterial | None = None) -> SagFreeReport:
     """What the rest shape of a groom took."""
-    scale = rest.rod.stiffness_scale[rest.rod.goal_weight == 0]
+    own = stiffness_scale_of(groom.to("cpu")).double()
+    scale = (rest.rod.stiffness_scale / own)[rest.rod.goal_weight == 0]
     stiffened = scale[scale > 1]
     return SagFreeReport(
         stiffened_percent=100 * len(stiffened) / max(len(scale), 1),

@@ -16,5 +16,6 @@ if TYPE_CHECKING:
     from quaffure.hair.scalp_texture import select_guides
     from quaffure.hair.strand_blocks import cluster_representatives
     from quaffure.hair.strands import Strands
+    from quaffure.hair.tie_detection import FoundTie, find_ties
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32, Int32
+from jaxtyping import Float, Float32, Int, Int32
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,7 @@ class DrapeSequence:
         body_shape: coefficients of the shape basis, beta [-].
         fps: frames per second.
         meta: groom, draper, version, parameters; anything that JSON holds.
+        stiffness_scale, goal_weight, tie_vertex: of the groom, where it has them (`Groom`).
     """
 
     strands: Float32[np.ndarray, "f s n 3"]
@@ -32,6 +33,9 @@ class DrapeSequence:
     body_shape: Float[np.ndarray, "10"]
     fps: float
     meta: dict[str, Any] = field(default_factory=dict)
+    stiffness_scale: Float[np.ndarray, "s e"] | None = None
+    goal_weight: Float[np.ndarray, "s e"] | None = None
+    tie_vertex: Int[np.ndarray, " s"] | None = None
 
     def __len__(self) -> int:
         """Number of frames."""

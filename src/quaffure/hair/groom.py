@@ -8,7 +8,8 @@ import torch
 
 from quaffure.body.scalp import texel_index
 from quaffure.config import TEXTURE_SIZE
-from quaffure.types import Float, Int, Tensor
+from quaffure.hair.strands import held_parts_of
+from quaffure.types import Bool, Float, Int, Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +23,10 @@ class Groom:
         root_barycentric: barycentric coordinates of the root in that face.
         root_uv: position on the scalp chart, in the unit square.
         licence: terms of use.
+        stiffness_scale: multiple of a human hair's stiffness that every edge shall have, at least 1; 1 without.
+        goal_weight: weight with which every edge is held to its posed direction (Eq. 6 with a weight of its own) [J];
+            0 is free hair, which all of it is without.
+        tie_vertex: vertex in the tie or clip of each strand, -1 for none; the edges before it are held.
     """
 
     name: str
@@ -30,6 +35,9 @@ class Groom:
     root_barycentric: Float[Tensor, "s 3"]
     root_uv: Float[Tensor, "s 2"]
     licence: str = ""
+    stiffness_scale: Float[Tensor, "s e"] | None = None
+    goal_weight: Float[Tensor, "s e"] | None = None
+    tie_vertex: Int[Tensor, " s"] | None = None
 
     def __len__(self) -> int:
         return len(self.rest_strands)
@@ -43,6 +51,14 @@ class Groom:
     def strand_lengths(self) -> Float[Tensor, " s"]:
         """Length of every strand at rest [m]."""
         return self.rest_lengths.sum(dim=1)
+
+    @property
+    def held_edges(self) -> Bool[Tensor, "s e"]:
+        """Edges before a tie, and those with a goal of their own."""
+        held = torch.zeros_like(self.rest_lengths, dtype=torch.bool)
+        if self.tie_vertex is not None:
+            held |= torch.arange(held.shape[1], device=held.device) < self.tie_vertex[:, None]
+        return held if self.goal_weight is None else held | (self.goal_weight > 0)
 
     def texels(self, size: int = TEXTURE_SIZE) -> Int[Tensor, " s"]:
         """Flat index (row times size plus column) of the texel of each root; row from v, column from u."""
@@ -59,6 +75,6 @@ class Groom:
         return self._map_tensors(lambda tensor: tensor.to(device))
 
     def _map_tensors(self, function: Callable[[Tensor], Tensor]) -> "Groom":
-        names = ("rest_strands", "root_faces", "root_barycentric", "root_uv")
+        names = ("rest_strands", "root_faces", "root_barycentric", "root_uv", *held_parts_of(self))
         changes: dict[str, Any] = {name: function(getattr(self, name)) for name in names}
         return replace(self, **changes)

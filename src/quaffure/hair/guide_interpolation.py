@@ -24,6 +24,7 @@ from quaffure.hair.groom import Groom
 from quaffure.hair.guide_triangles import coherence, first_direction_vertex, sample_roots, triangulate
 from quaffure.hair.posing import triangle_frames
 from quaffure.hair.registration import nearest_on_scalp
+from quaffure.hair.strands import held_parts_of
 
 AXIS_DEGREE = 4
 """Degree of the polynomial that is the axis of a strand; the remainder is curls and frizz."""
@@ -155,6 +156,8 @@ def with_strands(sequence: DrapeSequence, interpolation: GuideInterpolation) -> 
         posed=posed,
         rest_lengths=np.linalg.norm(np.diff(posed[0], axis=1), axis=-1),
         meta=sequence.meta | {"guides": sequence.strands.shape[1]},
+        # Of the nearest guide: a mean of a tie's vertices would be no vertex.
+        **{name: values[interpolation.guides[:, 0]] for name, values in held_parts_of(sequence).items()},
     )
 
 
@@ -177,7 +180,8 @@ def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:
     roots = (weights[..., None] * body.rest_vertices[carriers]).sum(-2)
     rest = (posed - posed[:, :1]) @ rest_from_world.mT + roots[:, None]
     name, licence = (str(sequence.meta.get(key, "")) for key in ("groom", "licence"))
-    return Groom(name or "drape", rest, faces, weights, body.scalp.uv_at(faces, weights), licence)
+    held_parts = {name: torch.from_numpy(values) for name, values in held_parts_of(sequence).items()}
+    return Groom(name or "drape", rest, faces, weights, body.scalp.uv_at(faces, weights), licence, **held_parts)
 
 
 @njit(cache=True, parallel=True, fastmath=True)

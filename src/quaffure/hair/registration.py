@@ -15,7 +15,7 @@ from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import inside_share, pushed_out, rest_surface
 from quaffure.hair.groom import Groom
 from quaffure.hair.head_alignment import Alignment, ScalpTarget, align, refine
-from quaffure.hair.resample import resample_by_arc_length, without_degenerate
+from quaffure.hair.resample import resample_by_arc_length, resample_held_parts, without_degenerate
 from quaffure.hair.strands import Strands
 from quaffure.types import Tensor
 
@@ -94,7 +94,7 @@ def register_groom(
 
     Units, axes and position are estimated by fitting the roots to the scalp (and the groom's own head, if given, to
     our head) with a similarity transform. Each strand is then translated so that its root is the nearest point of the
-    scalp; strands are projected out of the body with their lengths kept.
+    scalp; strands are projected out of the body with their lengths kept. Their stiffness, goals and ties are kept.
 
     Args:
         surface: of the body at rest, if available (`rest_surface`).
@@ -121,7 +121,9 @@ def register_groom(
     placed = torch.from_numpy((aligned + offset[:, None])[near]).float()
     placed[:, 0] = closest[kept]
     rest = pushed_out(placed, surface)
-    groom = Groom(name, rest, faces[kept], barycentric[kept], body.scalp.uv_at(faces[kept], barycentric[kept]), licence)
+    uv = body.scalp.uv_at(faces[kept], barycentric[kept])
+    held_parts = {name: torch.from_numpy(part[near]) for name, part in resample_held_parts(usable).items()}
+    groom = Groom(name, rest, faces[kept], barycentric[kept], uv, licence, **held_parts)
     median, high, largest = 1e3 * np.quantile(residual[near], (0.5, 0.95, 1.0))
     report = RegistrationReport(
         strands.source, alignment.unit, alignment.up_axis, alignment.transform.scale, alignment.transform.rotation,

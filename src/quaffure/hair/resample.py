@@ -1,11 +1,11 @@
 """Resampling of ragged polylines to a common number of vertices."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
-from quaffure.hair.strands import Strands
+from quaffure.hair.strands import GOAL_WEIGHT, HELD_PARTS, STIFFNESS_SCALE, TIE_VERTEX, UNASKED, Strands
 
 # A strand shorter than this share of the median strand is a point, not a hair.
 SHORTEST = 0.02
@@ -23,6 +23,7 @@ def concatenate_strands(parts: list[Strands]) -> Strands:
         np.concatenate([part.points for part in parts]),
         np.concatenate([part.counts for part in parts]),
         ", ".join(part.source for part in parts),
+        **{name: _concatenated(parts, name) for name in HELD_PARTS},  # type: ignore[arg-type]
     )
 
 
@@ -41,8 +42,7 @@ def without_degenerate(strands: Strands) -> tuple[Strands, int]:
     kept = lengths > max(SHORTEST * float(np.median(lengths)), float(np.finfo(np.float32).tiny))
     if not kept.any():
         raise InputError(strands.source, "strands with a length", f"{len(strands)} strands of zero length")
-    points = strands.points[np.repeat(kept, strands.counts)]
-    return Strands(points, strands.counts[kept], strands.source), int((~kept).sum())
+    return strands.select(kept), int((~kept).sum())
 
 
 def resample_by_arc_length(strands: Strands, vertices: int = VERTICES_PER_STRAND) -> Float[np.ndarray, "s n 3"]:
@@ -51,16 +51,9 @@ def resample_by_arc_length(strands: Strands, vertices: int = VERTICES_PER_STRAND
     Raises:
         InputError: a strand has no length.
     """
-    total = polyline_lengths(strands)
-    if (total <= 0).any():
-        raise InputError(strands.source, "strands with a length", f"{int((total <= 0).sum())} of zero length")
-    # One increasing axis for all strands: strand s covers [s, s + 1] on it.
-    along = np.cumsum(_steps(strands) / np.repeat(total, strands.counts))
-    strand = np.repeat(np.arange(len(strands)), strands.counts)
-    local = along - along[strands.starts][strand]
+    local, strand = _positions(strands)
     wanted = np.linspace(0.0, 1.0, vertices)
     ends = strands.starts + strands.counts - 1
-    local = local / local[ends][strand]
     targets = np.arange(len(strands))[:, None] * 2.0 + wanted
     right = np.searchsorted(strand * 2.0 + local, targets.ravel(), side="left").reshape(targets.shape)
     right = np.clip(right, strands.starts[:, None] + 1, ends[:, None])
@@ -70,6 +63,65 @@ def resample_by_arc_length(strands: Strands, vertices: int = VERTICES_PER_STRAND
     result = (1 - weight) * points[right - 1] + weight * points[right]
     result[:, 0], result[:, -1] = points[strands.starts], points[ends]
     return result.astype(np.float32)
+
+
+def resample_held_parts(strands: Strands, vertices: int = VERTICES_PER_STRAND) -> dict[str, np.ndarray]:
+    """Those of `HELD_PARTS` that the strands have, on strands resampled by `resample_by_arc_length`, as in `Groom`.
+
+    Goals are weights [J] and shared out among the new edges by length; a new edge of which less than half was held is
+    free. Stiffness is a mean. A tie goes to the nearest vertex.
+
+    Raises:
+        InputError: a strand has no length.
+    """
+    local, strand = _positions(strands)
+    axis, wanted = strand * 2.0 + local, np.arange(len(strands))[:, None] * 2.0 + np.linspace(0.0, 1.0, vertices)
+    span = np.diff(local, append=0.0)
+    span[strands.starts + strands.counts - 1] = 0.0
+
+    def integral(of_edges: Float[np.ndarray, " p"]) -> Float[np.ndarray, "s e"]:
+        """Over each new edge, of values that each belong to the edge that begins at a point."""
+        before = np.cumsum(of_edges) - of_edges
+        return np.diff(np.interp(wanted.ravel(), axis, before).reshape(wanted.shape), axis=1)
+
+    parts: dict[str, np.ndarray] = {}
+    if strands.stiffness_scale is not None:
+        mean = (vertices - 1) * integral(strands.stiffness_scale * span)
+        parts[STIFFNESS_SCALE] = mean.clip(min=1.0).astype(np.float32)
+    if strands.goal_weight is not None:
+        goal = np.where(span > 0, strands.goal_weight, 0.0)
+        held = (vertices - 1) * integral((goal > 0) * span) >= 0.5
+        parts[GOAL_WEIGHT] = np.where(held, integral(goal), 0.0).astype(np.float32)
+    if strands.tie_vertex is not None:
+        place = local[strands.starts + strands.tie_vertex.clip(min=0)]
+        nearest = np.rint(place * (vertices - 1)).astype(np.int64)
+        parts[TIE_VERTEX] = np.where(strands.tie_vertex >= 0, nearest, -1)
+    return parts
+
+
+def _positions(strands: Strands) -> tuple[Float[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+    """Position of every point on its strand, from 0 at the root to 1 at the tip, and the index of that strand.
+
+    Strand s covers [2 s, 2 s + 1] on an axis on which the points of all strands increase.
+    """
+    total = polyline_lengths(strands)
+    if (total <= 0).any():
+        raise InputError(strands.source, "strands with a length", f"{int((total <= 0).sum())} of zero length")
+    along = np.cumsum(_steps(strands) / np.repeat(total, strands.counts))
+    strand = np.repeat(np.arange(len(strands)), strands.counts)
+    local = along - along[strands.starts][strand]
+    return local / local[strands.starts + strands.counts - 1][strand], strand
+
+
+def _concatenated(parts: list[Strands], name: str) -> np.ndarray | None:
+    """One of `HELD_PARTS` of several files; None where no file has it."""
+    if all(getattr(part, name) is None for part in parts):
+        return None
+    sizes = [len(part.counts if name == TIE_VERTEX else part.points) for part in parts]
+    own = (getattr(part, name) for part in parts)
+    return np.concatenate(
+        [np.full(size, UNASKED[name]) if values is None else values for values, size in zip(own, sizes)]
+    )
 
 
 def _steps(strands: Strands) -> Float[np.ndarray, " p"]:

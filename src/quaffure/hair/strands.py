@@ -1,12 +1,26 @@
 """Strands of a file: ragged, in the file's own units and axes."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from quaffure.errors import InputError
+
+STIFFNESS_SCALE, GOAL_WEIGHT, TIE_VERTEX = HELD_PARTS = ("stiffness_scale", "goal_weight", "tie_vertex")
+"""Optional arrays of strands, grooms and drapes: what an artist asks of parts of the strands."""
+UNASKED = {STIFFNESS_SCALE: 1.0, GOAL_WEIGHT: 0.0, TIE_VERTEX: -1}
+"""Their values where nothing is asked for."""
+
+
+def held_parts_of(owner: object) -> dict[str, Any]:
+    """Those of `HELD_PARTS` that strands, a groom or a drape have."""
+    found = {name: getattr(owner, name) for name in HELD_PARTS}
+    return {name: values for name, values in found.items() if values is not None}
 
 
 @dataclass(frozen=True)
@@ -17,11 +31,16 @@ class Strands:
         points: all vertices of all strands one after another [file units].
         counts: vertices of each strand, roots first; each at least 2.
         source: the file, for messages.
+        stiffness_scale, goal_weight: as in `Groom`, of the edge that begins at each point; the tip repeats the last.
+        tie_vertex: as in `Groom`, counted on each strand.
     """
 
     points: Float[np.ndarray, "p 3"]
     counts: Int[np.ndarray, " s"]
     source: str
+    stiffness_scale: Float[np.ndarray, " p"] | None = None
+    goal_weight: Float[np.ndarray, " p"] | None = None
+    tie_vertex: Int[np.ndarray, " s"] | None = None
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -35,9 +54,25 @@ class Strands:
     def roots(self) -> Float[np.ndarray, "s 3"]:
         return self.points[self.starts]
 
+    def select(self, kept: Bool[np.ndarray, " s"]) -> "Strands":
+        """Some of the strands."""
+        points = np.repeat(kept, self.counts)
+        changes: dict[str, Any] = {"points": self.points[points], "counts": self.counts[kept]}
+        for name, values in held_parts_of(self).items():
+            changes[name] = values[kept if name == TIE_VERTEX else points]
+        return replace(self, **changes)
 
-def checked_strands(points: np.ndarray, counts: np.ndarray, source: str | Path) -> Strands:
+
+def checked_strands(
+    points: np.ndarray,
+    counts: np.ndarray,
+    source: str | Path,
+    held_parts: Mapping[str, np.ndarray] = MappingProxyType({}),
+) -> Strands:
     """Strands from what a reader found; strands of fewer than two vertices (bald roots) are dropped.
+
+    Args:
+        held_parts: those of `HELD_PARTS` that the file has.
 
     Raises:
         InputError: no strand is left, the counts do not add up, or a coordinate is not finite.
@@ -46,11 +81,10 @@ def checked_strands(points: np.ndarray, counts: np.ndarray, source: str | Path) 
     counts = np.asarray(counts, dtype=np.int64)
     if counts.sum() != len(points):
         raise InputError(source, f"{counts.sum()} points for its {len(counts)} strands", f"{len(points)}")
-    kept = np.repeat(counts >= 2, counts)
-    points, counts = points[kept], counts[counts >= 2]
-    if len(counts) == 0:
+    strands = Strands(points, counts, str(source), **held_parts).select(counts >= 2)
+    if len(strands) == 0:
         raise InputError(source, "at least one strand of two or more points", "no strands")
-    bad = int(np.count_nonzero(~np.isfinite(points).all(axis=1)))
+    bad = int(np.count_nonzero(~np.isfinite(strands.points).all(axis=1)))
     if bad:
-        raise InputError(source, "finite coordinates", f"NaN or infinity in {bad} of {len(points)} points")
-    return Strands(points, counts, str(source))
+        raise InputError(source, "finite coordinates", f"NaN or infinity in {bad} of {len(strands.points)} points")
+    return strands

@@ -9,8 +9,10 @@ import numpy as np
 
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.strands import held_parts_of
 from quaffure.io.atomic import replacing
-from quaffure.npz import INTEGER, NUMBER, TEXT, Spec, check_arrays, read_arrays
+from quaffure.io.held_parts import HELD_PARTS_SPEC, checked_held_parts
+from quaffure.npz import INTEGER, NUMBER, TEXT, Spec, array_names, check_arrays, read_arrays
 
 # F frames, S strands, N vertices of a strand, E = N - 1, V body vertices, K body faces.
 SPEC: Spec = {
@@ -40,7 +42,7 @@ def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] |
     meta = np.array(json.dumps(seq.meta, ensure_ascii=False))
     with replacing(path) as temporary, temporary.open("wb") as file:
         # Not compressed: float positions shrink by a tenth at ten times the writing time.
-        np.savez(file, meta=meta, **arrays, **(more or {}))  # type: ignore[arg-type]  # taken for numpy's allow_pickle
+        np.savez(file, meta=meta, **arrays, **held_parts_of(seq), **(more or {}))  # type: ignore[arg-type]  # taken for numpy's allow_pickle
 
 
 def read_drape(path: Path) -> DrapeSequence:
@@ -49,12 +51,14 @@ def read_drape(path: Path) -> DrapeSequence:
     Raises:
         InputError: no such file, not a drape file, or a broken one.
     """
-    found, sizes = read_arrays(path, {**SPEC, "meta": ((), TEXT)}, DRAPE_FILE)
+    optional = {name: spec for name, spec in HELD_PARTS_SPEC.items() if name in array_names(path)}
+    found, sizes = read_arrays(path, {**SPEC, **optional, "meta": ((), TEXT)}, DRAPE_FILE)
+    held_parts = checked_held_parts({name: found.pop(name) for name in optional}, sizes["N"], path)
     meta = _parse_meta(found.pop("meta"), path)
     arrays = {name: array.astype(_dtype(name), copy=False) for name, array in found.items()}
     _check_meaning(arrays, sizes, path)
     fps = float(arrays.pop("fps"))
-    return DrapeSequence(**arrays, fps=fps, meta=meta)
+    return DrapeSequence(**arrays, fps=fps, meta=meta, **held_parts)
 
 
 def _dtype(name: str) -> np.dtype:

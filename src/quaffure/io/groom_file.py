@@ -8,7 +8,9 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
+from quaffure.hair.strands import held_parts_of
 from quaffure.io.atomic import replacing
+from quaffure.io.held_parts import HELD_PARTS_SPEC, checked_held_parts
 from quaffure.npz import INTEGER, REAL, TEXT, Spec, array_names, read_arrays
 
 NUMBERS: Spec = {
@@ -18,6 +20,8 @@ NUMBERS: Spec = {
     "root_uv": (("S", 2), REAL),
 }
 TEXTS = ("name", "licence")
+FORMAT_VERSION = 2
+"""Version 1 had no `format_version` and no held parts."""
 ROOT_SLACK = 2e-3  # m: between a strand's first vertex and its root on the scalp
 LONGEST_STRAND = 3.0  # m
 BARYCENTRIC_SLACK = 1e-3
@@ -29,9 +33,11 @@ def write_groom(path: Path, groom: Groom) -> None:
     Raises:
         InputError: the folder of `path` is missing or not writable.
     """
-    arrays = {name: getattr(groom, name).detach().cpu().numpy() for name in NUMBERS}
+    names = (*NUMBERS, *held_parts_of(groom))
+    arrays = {name: getattr(groom, name).detach().cpu().numpy() for name in names}
+    texts = {name: np.array(getattr(groom, name)) for name in TEXTS}
     with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, name=np.array(groom.name), licence=np.array(groom.licence), **arrays)
+        np.savez_compressed(file, format_version=np.array(FORMAT_VERSION), **texts, **arrays)
 
 
 def is_groom_file(path: Path) -> bool:
@@ -40,7 +46,7 @@ def is_groom_file(path: Path) -> bool:
 
 
 def read_groom(path: Path, body: BodyModel) -> Groom:
-    """Read a groom file, checking every array.
+    """Read a groom file of this format version or an earlier one, checking every array.
 
     Args:
         body: the body that the groom is registered to.
@@ -48,13 +54,33 @@ def read_groom(path: Path, body: BodyModel) -> Groom:
     Raises:
         InputError: no such file, not a groom file, a broken one, or one for another body.
     """
-    arrays, sizes = read_arrays(path, {**NUMBERS, **dict.fromkeys(TEXTS, ((), TEXT))}, "a groom file (.npz)")
-    if sizes["S"] < 1 or sizes["N"] < 2:
-        raise InputError(path, "at least one strand of two vertices", f"{sizes['S']} of {sizes['N']}")
+    optional: Spec = {**HELD_PARTS_SPEC, "format_version": ((), INTEGER)}
+    present = array_names(path)
+    spec = {
+        **NUMBERS,
+        **dict.fromkeys(TEXTS, ((), TEXT)),
+        **{name: optional[name] for name in optional if name in present},
+    }
+    arrays, sizes = read_arrays(path, spec, "a groom file (.npz)")
+    _check_sizes(arrays, sizes, path)
+    held_parts = checked_held_parts(
+        {name: arrays[name] for name in HELD_PARTS_SPEC if name in arrays}, sizes["N"], path
+    )
     _check_roots(arrays, path, body)
     tensors = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in NUMBERS if name != "root_faces"}
     faces = torch.from_numpy(arrays["root_faces"].astype(np.int64))
+    tensors |= {name: torch.from_numpy(values) for name, values in held_parts.items()}
     return Groom(name=str(arrays["name"]), licence=str(arrays["licence"]), root_faces=faces, **tensors)
+
+
+def _check_sizes(arrays: dict[str, np.ndarray], sizes: dict[str, int], path: Path) -> None:
+    version = int(arrays.get("format_version", 1))
+    if not 1 <= version <= FORMAT_VERSION:
+        raise InputError(path, f"a groom file of format version 1 to {FORMAT_VERSION}", f"version {version}")
+    if sizes["S"] < 1 or sizes["N"] < 2:
+        raise InputError(path, "at least one strand of two vertices", f"{sizes['S']} of {sizes['N']}")
+    if sizes.get("E", sizes["N"] - 1) != sizes["N"] - 1:
+        raise InputError(path, f"{sizes['N'] - 1} edges a strand in its held parts", f"{sizes['E']}")
 
 
 def _check_roots(arrays: dict[str, np.ndarray], path: Path, body: BodyModel) -> None:

@@ -14,13 +14,17 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 from quaffure.errors import InputError
 from quaffure.geometry.sampling import spread_subset
 from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.hair.strands import Strands, checked_strands
+from quaffure.hair.resample import concatenate_strands
+from quaffure.hair.strands import HELD_PARTS, TIE_VERTEX, Strands, checked_strands, held_parts_of
 from quaffure.io.atomic import replacing
+from quaffure.io.held_parts import checked_held_parts
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc")
 STRAND_WIDTH = 1.0e-4  # m: a real hair, a little thickened; tapers to its tip
 # Hsu et al. 2024 interpolate a full head from 128 guides.
 MOST_GUIDES = 128
+PREFIX = "quaffure:"
+"""Prefix of the primvars of held parts."""
 HAIR_COLOUR, BODY_COLOUR = (0.15, 0.062, 0.025), (0.62, 0.50, 0.435)
 
 
@@ -64,12 +68,11 @@ def read_usd_strands(path: Path) -> Strands:
         raise InputError(path, "a USD file", str(error).strip().splitlines()[-1].strip()) from error
     curves = [UsdGeom.Curves(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.BasisCurves)]
     rendered = [curve for curve in curves if curve.ComputePurpose() != UsdGeom.Tokens.guide]
-    points, counts = [np.zeros((0, 3), np.float32)], [np.zeros(0, np.int64)]
-    for curve in rendered or curves:
-        curve_points, curve_counts = _read_curves(curve, path)
-        points.append(curve_points)
-        counts.append(curve_counts)
-    return checked_strands(np.concatenate(points), np.concatenate(counts), path)
+    parts = [_read_curves(curve, path) for curve in rendered or curves]
+    if not parts:
+        raise InputError(path, "curves", "none")
+    every = concatenate_strands(parts)
+    return checked_strands(every.points, every.counts, path, held_parts_of(every))
 
 
 def _set_stage(stage: Usd.Stage, seq: DrapeSequence) -> None:
@@ -115,9 +118,22 @@ def _add_curves(stage: Usd.Stage, name: str, seq: DrapeSequence, chosen: np.ndar
     ):
         primvar = primvars.CreatePrimvar(attribute, Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.uniform)
         primvar.Set(Vt.IntArray.FromNumpy(values.astype(np.int32)))
+    _add_held_parts(primvars, seq, chosen)
     rest = primvars.CreatePrimvar("rest", Sdf.ValueTypeNames.Point3fArray, UsdGeom.Tokens.vertex)
     rest.Set(_points(seq.posed[0, chosen]))
     _animate(curves, seq.strands[:, chosen], margin=STRAND_WIDTH)
+
+
+def _add_held_parts(primvars: UsdGeom.PrimvarsAPI, seq: DrapeSequence, chosen: np.ndarray) -> None:
+    """Values of edges at their first vertices; the tip repeats the last edge."""
+    for name, values in held_parts_of(seq).items():
+        if name == TIE_VERTEX:
+            primvar = primvars.CreatePrimvar(PREFIX + name, Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.uniform)
+            primvar.Set(Vt.IntArray.FromNumpy(values[chosen].astype(np.int32)))
+        else:
+            primvar = primvars.CreatePrimvar(PREFIX + name, Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex)
+            at_vertices = np.pad(values[chosen], ((0, 0), (0, 1)), mode="edge")
+            primvar.Set(Vt.FloatArray.FromNumpy(at_vertices.ravel().astype(np.float32)))
 
 
 def _animate(gprim: UsdGeom.PointBased, positions: np.ndarray, margin: float) -> None:
@@ -132,7 +148,7 @@ def _points(positions: np.ndarray) -> Vt.Vec3fArray:
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(positions.reshape(-1, 3), dtype=np.float32))
 
 
-def _read_curves(curve: UsdGeom.Curves, path: Path) -> tuple[np.ndarray, np.ndarray]:
+def _read_curves(curve: UsdGeom.Curves, path: Path) -> Strands:
     samples = curve.GetPointsAttr().GetTimeSamples()
     time = Usd.TimeCode(samples[0]) if samples else Usd.TimeCode.Default()
     points = np.array(curve.GetPointsAttr().Get(time) or [], dtype=np.float64).reshape(-1, 3)
@@ -141,4 +157,21 @@ def _read_curves(curve: UsdGeom.Curves, path: Path) -> tuple[np.ndarray, np.ndar
         raise InputError(path, f"{counts.sum()} points in {curve.GetPath()}", f"{len(points)}")
     # Row vectors, as in all of USD.
     world = np.array(curve.ComputeLocalToWorldTransform(time))
-    return points @ world[:3, :3] + world[3, :3], counts
+    return Strands(points @ world[:3, :3] + world[3, :3], counts, str(path), **_read_held_parts(curve, counts, path))
+
+
+def _read_held_parts(curve: UsdGeom.Curves, counts: np.ndarray, path: Path) -> dict[str, np.ndarray]:
+    """Per-vertex values of edges, repeated where a curve has one for all of its edges."""
+    found: dict[str, np.ndarray] = {}
+    primvars = UsdGeom.PrimvarsAPI(curve)
+    for name in HELD_PARTS:
+        if not primvars.HasPrimvar(PREFIX + name):
+            continue
+        array = np.array(primvars.GetPrimvar(PREFIX + name).ComputeFlattened(Usd.TimeCode.EarliestTime()))
+        if name != TIE_VERTEX and len(array) == len(counts):
+            array = np.repeat(array, counts)
+        expected = len(counts) if name == TIE_VERTEX else int(counts.sum())
+        if array.shape != (expected,):
+            raise InputError(path, f"{expected} values of primvars:{PREFIX}{name}", f"{array.shape}")
+        found[name] = array
+    return checked_held_parts(found, counts, path)

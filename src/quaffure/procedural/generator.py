@@ -4,6 +4,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.config import VERTICES_PER_STRAND
+from quaffure.energies.held_parts import with_ties
 from quaffure.errors import InputError
 from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import arc_lengths, pushed_out, rest_surface
@@ -15,7 +16,7 @@ from quaffure.procedural.curls import clumped, curl_arc_factor, curled
 from quaffure.procedural.hair_style import STYLES, HairStyle
 from quaffure.procedural.strand_tracing import free_hair_inputs, trace_strands
 from quaffure.procedural.ties import strand_bundle, tie_of_strand, trace_tied
-from quaffure.types import Float, Tensor
+from quaffure.types import Float, Int, Tensor
 
 LICENCE = "Apache-2.0 (procedural, part of quaffure)"
 # Steps of the tracing for each edge of the groom.
@@ -43,11 +44,15 @@ def make_groom(style: str | HairStyle, body: BodyModel, seed: int = 0, surface: 
     roots = spread_roots(body, controls.root_rows, generator)
     axes, tied = _axes(controls, roots, body, surface, generator)
     axes = clumped(controls, axes, tied)
-    strands = resample_evenly(curled(controls, axes, roots.normals, tied, generator), tied)
-    strands = pushed_out(strands, surface)
+    fine = curled(controls, axes, roots.normals, tied, generator)
+    in_band = vertex_in_band(fine, tied)
+    strands = pushed_out(resample_evenly(fine, tied, in_band), surface)
     strands[:, 0] = roots.points
+    groom = Groom(name, strands, roots.faces, roots.barycentric, roots.uv, LICENCE)
+    if controls.ties:
+        groom = with_ties(groom, _tie_vertices(controls, tie_of_strand(controls, roots), in_band))
     # Rounding can move a root across a texel's border, to where another one is.
-    return select_guides(Groom(name, strands, roots.faces, roots.barycentric, roots.uv, LICENCE))
+    return select_guides(groom)
 
 
 def _axes(
@@ -81,13 +86,28 @@ def _free_axes(
     return trimming.trim_around_ears(axes, roots.head) if controls.cut_around_ears else axes
 
 
-def resample_evenly(fine: Float[Tensor, "s n 3"], tied: Float[Tensor, " s"]) -> Float[Tensor, "s m 3"]:
-    """Strands of `VERTICES_PER_STRAND` vertices at even distances; a tied one has a vertex in its band."""
+def _tie_vertices(controls: HairStyle, tie_index: Int[Tensor, " s"], in_band: Int[Tensor, " s"]) -> Int[Tensor, " s"]:
+    """Vertex up to which each strand is held, -1 for free ones: in the band, or the tip of a strand in a bun."""
+    in_bun = torch.tensor([tie.bun_radius is not None for tie in controls.ties])
+    held_to = torch.where(in_bun[tie_index.clamp(min=0)], VERTICES_PER_STRAND - 1, in_band)
+    return torch.where(tie_index >= 0, held_to, -1)
+
+
+def vertex_in_band(fine: Float[Tensor, "s n 3"], tied: Float[Tensor, " s"]) -> Int[Tensor, " s"]:
+    """Which of its `VERTICES_PER_STRAND` vertices a strand has in its band, 0 for free strands."""
+    edges = VERTICES_PER_STRAND - 1
+    # A curl makes its strand longer than the axis along which the band was placed, but not before the band.
+    before = (edges * tied / arc_lengths(fine)[:, -1].clamp(min=1e-6)).round().clamp(LEAST_EDGES, edges - LEAST_EDGES)
+    return torch.where(tied > 0, before, 0.0).long()
+
+
+def resample_evenly(
+    fine: Float[Tensor, "s n 3"], tied: Float[Tensor, " s"], in_band: Int[Tensor, " s"]
+) -> Float[Tensor, "s m 3"]:
+    """Strands of `VERTICES_PER_STRAND` vertices at even distances; a tied one has its vertex `in_band` there."""
     edges = VERTICES_PER_STRAND - 1
     length = arc_lengths(fine)
-    # A curl makes its strand longer than the axis along which the band was placed, but not before the band.
-    before = (edges * tied / length[:, -1].clamp(min=1e-6)).round().clamp(LEAST_EDGES, edges - LEAST_EDGES)
-    before = torch.where(tied > 0, before, 0.0)[:, None]
+    before = in_band[:, None]
     index = torch.arange(VERTICES_PER_STRAND)
     first = tied[:, None] * index / before.clamp(min=1)
     rest = tied[:, None] + (length[:, -1:] - tied[:, None]) * (index - before) / (edges - before)

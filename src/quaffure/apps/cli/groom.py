@@ -1,24 +1,27 @@
-"""`quaffure grooms`: the bundled grooms; `quaffure groom new` and `quaffure groom import`: groom files of the user."""
+"""`quaffure grooms`: the bundled grooms; `quaffure groom new`, `import` and `hold`: groom files of the user."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
 import tyro
 
 from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar
+from quaffure.apps.cli.groom_hold import HoldGroom
 from quaffure.apps.cli.style_settings import with_settings
-from quaffure.body.body_model import load_body
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import VERTICES_PER_STRAND
+from quaffure.energies.held_parts import with_ties
 from quaffure.errors import InputError
 from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
-from quaffure.hair.registration import RegistrationReport, register_groom
+from quaffure.hair.registration import HeadMesh, RegistrationReport, register_groom
 from quaffure.hair.resample import concatenate_strands, resample_by_arc_length, without_degenerate
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.hair.strands import Strands
+from quaffure.hair.tie_detection import FoundTie, find_ties
 from quaffure.io.atomic import check_output
 from quaffure.io.groom_file import LONGEST_STRAND, write_groom
 from quaffure.io.load_groom import read_head
@@ -29,6 +32,8 @@ from quaffure.procedural.hair_style import HELD_OUT, STYLES, style_sizes
 Settings = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
 
 
+HELD_COLOUR = (0.02, 0.09, 0.35)
+"""Colour of held parts in pictures, linear RGB."""
 SHARE_OF_WARNING = 0.5
 """The import prints a warning if a smaller share of the strands is in the file."""
 
@@ -97,6 +102,9 @@ class ImportGroom:
     """A picture (.png) of before and after: the strands as in the file, and on our body."""
     licence: str = ""
     """Terms of the groom, kept in the file."""
+    ties: Literal["auto", "none"] = "auto"
+    """Find ties: places where strands from all over a part of the scalp come together. Ties that the file has are
+    always kept."""
 
     def run(self) -> None:
         check_output(self.out, ".npz")
@@ -109,9 +117,11 @@ class ImportGroom:
         mesh = None if self.head is None else read_head(self.head)
         with console.status("registering strands"):
             groom, report = register_groom(strands, body, self.out.stem, mesh, self.licence)
+        groom, ties = self._with_ties(groom)
         guides = select_guides(groom)
         write_groom(self.out, guides)
         console.print(str(report))
+        console.print(ties)
         console.print(f"{self.out}: {_summary(guides)}, one in each texel of the scalp's texture")
         if len(guides) < SHARE_OF_WARNING * len(groom):
             console.print(
@@ -119,22 +129,50 @@ class ImportGroom:
                 "roots close together, such as a tail, loses the most"
             )
         if self.picture is not None:
-            from quaffure.apps.render.pictures import Subject, write_before_after
+            self._draw(self.picture, strands, mesh, guides, report, body)
 
-            own = _in_our_axes(_resampled(strands), report)
-            before = (
-                Subject(own, _in_our_axes(mesh.vertices, report), mesh.faces) if mesh else Subject.without_mesh(own)
-            )
-            after = Subject(guides.rest_strands.numpy(), body.rest_vertices.numpy(), body.faces.numpy())
-            write_before_after(self.picture, before, after)
-            console.print(f"{self.picture}: as in the file on the left, on our body on the right")
+    def _with_ties(self, groom: Groom) -> tuple[Groom, str]:
+        """The groom with its ties, and what to say of them."""
+        if groom.tie_vertex is not None:
+            return groom, f"ties of the file: {int((groom.tie_vertex >= 0).sum())} of {len(groom)} strands are tied"
+        if self.ties == "none":
+            return groom, "ties were not searched for"
+        tie_vertex, found = find_ties(groom)
+        if not found:
+            return groom, "no ties found"
+        tied = f"{int((tie_vertex >= 0).sum())} of {len(groom)} strands are tied (--ties none leaves them free)"
+        return with_ties(groom, tie_vertex), f"ties found: {tied}: {', '.join(_describe(tie) for tie in found)}"
+
+    def _draw(
+        self,
+        picture: Path,
+        strands: Strands,
+        mesh: HeadMesh | None,
+        guides: Groom,
+        report: RegistrationReport,
+        body: BodyModel,
+    ) -> None:
+        from quaffure.apps.render.pictures import Subject, write_before_after
+
+        own = _in_our_axes(_resampled(strands), report)
+        before = Subject(own, _in_our_axes(mesh.vertices, report), mesh.faces) if mesh else Subject.without_mesh(own)
+        after = Subject(guides.rest_strands.numpy(), body.rest_vertices.numpy(), body.faces.numpy())
+        held = held_parts_of_strands(guides)
+        marked = [after._replace(strands=held, colour=HELD_COLOUR)] if len(held) else []
+        write_before_after(picture, before, after, *marked)
+        more = ", the held parts in blue" if marked else ""
+        console.print(f"{picture}: as in the file on the left, on our body to the right{more}")
 
 
 @dataclass(frozen=True)
 class GroomCommand:
-    """Make a groom file: a new one in a style, or one from strands of another program."""
+    """Make a groom file: a new one in a style, one from strands of another program, or one with held parts."""
 
-    action: Annotated[NewGroom, tyro.conf.subcommand("new")] | Annotated[ImportGroom, tyro.conf.subcommand("import")]
+    action: (
+        Annotated[NewGroom, tyro.conf.subcommand("new")]
+        | Annotated[ImportGroom, tyro.conf.subcommand("import")]
+        | Annotated[HoldGroom, tyro.conf.subcommand("hold")]
+    )
 
     def run(self) -> None:
         self.action.run()
@@ -161,6 +199,21 @@ def _summary(groom: Groom) -> str:
     centimetres = 100 * groom.strand_lengths
     low, mean, high = (float(value) for value in (centimetres.min(), centimetres.mean(), centimetres.max()))
     return f"{len(groom)} strands of {low:.1f} to {high:.1f} cm, {mean:.1f} cm in the mean"
+
+
+def _describe(tie: FoundTie) -> str:
+    form = "wound up at" if tie.wound else "to"
+    return f"{tie.strands} {form} {' '.join(f'{value:.2f}' for value in tie.centre)} m"
+
+
+def held_parts_of_strands(groom: Groom) -> np.ndarray:
+    """The held part of every strand that is held from its root on, as a strand of the same number of vertices [m]."""
+    held = groom.held_edges.int().cumprod(1).sum(1).numpy()
+    strands, vertices = groom.rest_strands.numpy()[held > 0], groom.rest_strands.shape[1]
+    place = np.linspace(0, 1, vertices) * held[held > 0, None]
+    before = place.astype(int).clip(max=vertices - 2)
+    share, row = (place - before)[..., None], np.arange(len(strands))[:, None]
+    return ((1 - share) * strands[row, before] + share * strands[row, before + 1]).astype(np.float32)
 
 
 def _resampled(strands: Strands) -> np.ndarray:

@@ -10,7 +10,7 @@ from PIL import Image
 
 from quaffure.apps.render.camera import AZIMUTHS, Camera
 from quaffure.apps.render.framing import MARGIN, facing_deg, frame_hair, hair_box
-from quaffure.apps.render.scene import StrandRenderer
+from quaffure.apps.render.scene import CHESTNUT, StrandRenderer
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.io.atomic import check_output, replacing
@@ -26,11 +26,13 @@ class Subject(NamedTuple):
     Attributes:
         strands: [m].
         vertices, faces: of a head or a body [m]; without them the strands alone are drawn.
+        colour: of the hair, linear RGB.
     """
 
     strands: Float[np.ndarray, "s n 3"]
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "k 3"]
+    colour: tuple[float, float, float] = CHESTNUT
 
     @classmethod
     def without_mesh(cls, strands: Float[np.ndarray, "s n 3"]) -> "Subject":
@@ -75,8 +77,8 @@ def draw_frame(
     return [renderer.render(strands, body, seq.body_faces, camera) for camera in cameras]
 
 
-def write_before_after(path: Path, before: Subject, after: Subject, tile: int = TILE) -> None:
-    """Write a picture (.png) of two columns, before and after, from the front, the side and the back, in one scale.
+def write_before_after(path: Path, *subjects: Subject, tile: int = TILE) -> None:
+    """Write a picture (.png) of a column for each subject, from the front, the side and the back, in one scale.
 
     Args:
         tile: width and height of one view [pixels].
@@ -84,13 +86,19 @@ def write_before_after(path: Path, before: Subject, after: Subject, tile: int = 
     Raises:
         InputError: not writable, or no OpenGL on this machine.
     """
-    boxes = [hair_box(subject.strands, subject.vertices) for subject in (before, after)]
+    boxes = [hair_box(subject.strands, subject.vertices) for subject in subjects]
     extent = MARGIN * max(float((highest - lowest).max()) for lowest, highest in boxes)
     with StrandRenderer(tile, tile) as renderer:
         rows = [
             [
-                renderer.render(*subject, Camera.view(view, np.mean(box, axis=0), extent))
-                for subject, box in zip((before, after), boxes)
+                renderer.render(
+                    subject.strands,
+                    subject.vertices,
+                    subject.faces,
+                    Camera.view(view, np.mean(box, axis=0), extent),
+                    subject.colour,
+                )
+                for subject, box in zip(subjects, boxes)
             ]
             for view in VIEWS_BEFORE_AFTER
         ]

@@ -1,6 +1,6 @@
 """A drape over time, as files, pictures, videos and metrics take it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ class DrapeSequence:
         body_shape: coefficients of the shape basis, beta [-].
         fps: frames per second.
         meta: groom, draper, version, parameters; anything that JSON holds.
+        body_translation: of the body from its rest position [m], in all positions above; None where it stays in place.
     """
 
     strands: Float32[np.ndarray, "f s n 3"]
@@ -32,7 +33,27 @@ class DrapeSequence:
     body_shape: Float[np.ndarray, "10"]
     fps: float
     meta: dict[str, Any] = field(default_factory=dict)
+    body_translation: Float[np.ndarray, "f 3"] | None = None
 
     def __len__(self) -> int:
         """Number of frames."""
         return len(self.strands)
+
+    def in_place(self) -> "DrapeSequence":
+        """The drape as seen from a camera that moves with the body: without its translation."""
+        return self if self.body_translation is None else self._moved(-self.body_translation)
+
+    def moved(self, translation: Float[np.ndarray, "f 3"]) -> "DrapeSequence":
+        """The drape of a body that stays in place, carried along a path [m]."""
+        assert self.body_translation is None
+        return replace(self._moved(translation), body_translation=translation.astype(np.float32))
+
+    def _moved(self, translation: Float[np.ndarray, "f 3"]) -> "DrapeSequence":
+        step = translation.astype(np.float32)
+        return replace(
+            self,
+            strands=self.strands + step[:, None, None],
+            posed=self.posed + step[:, None, None],
+            body_vertices=self.body_vertices + step[:, None],
+            body_translation=None,
+        )

@@ -33,10 +33,10 @@ COVERAGE_WEIGHT = 0.25
 # Weight of the deviation from mirror symmetry; it determines the roll of a mohawk.
 SYMMETRY_WEIGHT = 0.5
 # Weight of the pitch relative to roots off the scalp, where a fit is held upright.
-UPRIGHT_WEIGHT = 0.04
-# Factor on the cost of a fit that is not held upright. A full head of hair turned by 20 degrees fits 2 times better so,
-# a cap of roots on a head of another form 1.1 times, a strip along the middle 1.2 times.
-FREE_TILT_PENALTY = 1.2
+UPRIGHT_WEIGHT = 0.06
+# A fit that is not held upright costs more by the share of the scalp that stays uncovered, up to this: a full head of hair
+# tells its pitch, whereas a cap of roots on a head of another form fits 1.1 times better when pitched by 25 degrees.
+MOST_TILT_PENALTY = 0.2
 # Hair hangs where the mean of its unit directions is longer than this; it then hangs down within 15 degrees.
 COHERENT_HANG, HANG_ERROR = 0.9, np.radians(15.0)
 # Cost of a root on the lower face, where off the scalp and the face it is 1: beards are rare.
@@ -86,6 +86,7 @@ class _Start:
     penalty: float
     file_up: Float[np.ndarray, "3"]
     upright: Float[np.ndarray, "3"] | None = None  # direction of the file that is held upright
+    is_free: bool = False  # whether others are held
 
 
 def align(roots: Float[np.ndarray, "s 3"], hang: Float[np.ndarray, "3"], target: ScalpTarget) -> Alignment:
@@ -113,7 +114,7 @@ def _tilts(start: _Start, hang: Float[np.ndarray, "3"]) -> list[_Start]:
     coherence = float(np.linalg.norm(hang))
     if coherence > COHERENT_HANG and -hang @ start.file_up < coherence * np.cos(HANG_ERROR):
         held.append(replace(start, upright=-hang / coherence))
-    return [*held, replace(start, penalty=FREE_TILT_PENALTY * start.penalty)]
+    return [*held, replace(start, is_free=True)]
 
 
 def _ranked(
@@ -126,7 +127,7 @@ def _ranked(
 ) -> list[tuple[float, _Start]]:
     """The starts with fitted transforms and their penalized costs, best first."""
     fitted = [replace(start, transform=_fit(points, target, start, widths, rounds)) for start in starts]
-    costs = [_cost(start.transform, points, target, hang) * start.penalty for start in fitted]
+    costs = [_cost(start, points, target, hang) for start in fitted]
     return sorted(zip(costs, fitted), key=lambda entry: entry[0])
 
 
@@ -272,15 +273,14 @@ def _step(
     return Similarity(rotation @ transform.rotation, scale, translation)
 
 
-def _cost(
-    transform: Similarity, roots: Float[np.ndarray, "p 3"], target: ScalpTarget, hang: Float[np.ndarray, "3"]
-) -> float:
+def _cost(start: _Start, roots: Float[np.ndarray, "p 3"], target: ScalpTarget, hang: Float[np.ndarray, "3"]) -> float:
     """Robust misfit of roots and of uncovered scalp, with a small penalty on hair that points upwards on average."""
-    moved = transform(roots)
+    moved = start.transform(roots)
     width = FINE_WIDTHS[0]
     distance, nearest = target.tree.query(moved)
     off = 1 - np.sqrt(_weight(distance, width))
     off = np.where(target.face[nearest], FACE_COST + (1 - FACE_COST) * off, off)
-    bald = 1 - np.sqrt(_weight(cKDTree(moved).query(target.scalp_points)[0], width))
-    rise = float((transform.rotation @ hang)[2])
-    return float(off.mean() + COVERAGE_WEIGHT * bald.mean() + 0.01 * rise)
+    bald = float((1 - np.sqrt(_weight(cKDTree(moved).query(target.scalp_points)[0], width))).mean())
+    rise = float((start.transform.rotation @ hang)[2])
+    tilt_penalty = 1 + min(bald, MOST_TILT_PENALTY) if start.is_free else 1.0
+    return float(off.mean() + COVERAGE_WEIGHT * bald + 0.01 * rise) * start.penalty * tilt_penalty

@@ -23,6 +23,8 @@ SPEC: Spec = {
     "body_shape": ((10,), NUMBER),
     "fps": ((), NUMBER),
 }
+# Only in files of a body that moves.
+TRANSLATION: Spec = {"body_translation": (("F", 3), NUMBER)}
 DRAPE_FILE = "a drape file (.npz)"
 
 
@@ -35,8 +37,9 @@ def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] |
     Raises:
         InputError: `path` cannot be written, or the sequence breaks the contract of the file.
     """
-    arrays = {name: np.asarray(getattr(seq, name), dtype=_dtype(name)) for name in SPEC}
-    _check_meaning(arrays, check_arrays(arrays, SPEC, path, DRAPE_FILE), path)
+    spec = SPEC if seq.body_translation is None else {**SPEC, **TRANSLATION}
+    arrays = {name: np.asarray(getattr(seq, name), dtype=_dtype(name)) for name in spec}
+    _check_meaning(arrays, check_arrays(arrays, spec, path, DRAPE_FILE), path)
     meta = np.array(json.dumps(seq.meta, ensure_ascii=False))
     with replacing(path) as temporary, temporary.open("wb") as file:
         # Not compressed: float positions shrink by a tenth at ten times the writing time.
@@ -49,7 +52,7 @@ def read_drape(path: Path) -> DrapeSequence:
     Raises:
         InputError: no such file, not a drape file, or a broken one.
     """
-    found, sizes = read_arrays(path, {**SPEC, "meta": ((), TEXT)}, DRAPE_FILE)
+    found, sizes = read_arrays(path, {**SPEC, "meta": ((), TEXT)}, DRAPE_FILE, optional=TRANSLATION)
     meta = _parse_meta(found.pop("meta"), path)
     arrays = {name: array.astype(_dtype(name), copy=False) for name, array in found.items()}
     _check_meaning(arrays, sizes, path)

@@ -32,11 +32,11 @@ LARGEST_ROTATION, LARGEST_SCALE_STEP = 0.3, 0.1  # of one round: rad, and logari
 COVERAGE_WEIGHT = 0.25
 # Weight of the deviation from mirror symmetry; it determines the roll of a mohawk.
 SYMMETRY_WEIGHT = 0.5
-# Weight of the pitch relative to roots off the scalp, where a fit is held upright.
+# Weight of the tilt relative to roots off the scalp, where a fit is held upright.
 UPRIGHT_WEIGHT = 0.06
-# A fit that is not held upright costs more by the share of the scalp that stays uncovered, up to this: a full head of hair
-# tells its pitch, whereas a cap of roots on a head of another form fits 1.1 times better when pitched by 25 degrees.
-MOST_TILT_PENALTY = 0.2
+# A fit that is not held upright costs more where much of the scalp stays uncovered: a full head of hair tells its
+# pitch, whereas a cap of roots on a head of another form fits 1.1 times better when pitched by 25 degrees.
+TILT_PENALTY, MOST_TILT_PENALTY = 5.0, 0.2
 # Hair hangs where the mean of its unit directions is longer than this; it then hangs down within 15 degrees.
 COHERENT_HANG, HANG_ERROR = 0.9, np.radians(15.0)
 # Cost of a root on the lower face, where off the scalp and the face it is 1: beards are rare.
@@ -113,7 +113,10 @@ def _tilts(start: _Start, hang: Float[np.ndarray, "3"]) -> list[_Start]:
     held = [replace(start, upright=start.file_up)]
     coherence = float(np.linalg.norm(hang))
     if coherence > COHERENT_HANG and -hang @ start.file_up < coherence * np.cos(HANG_ERROR):
-        held.append(replace(start, upright=-hang / coherence))
+        # Hair falls to one side of a parting: of the side, symmetry knows more.
+        side = start.transform.rotation[0]
+        up = hang @ side * side - hang
+        held.append(replace(start, upright=up / np.linalg.norm(up)))
     return [*held, replace(start, is_free=True)]
 
 
@@ -221,9 +224,9 @@ def _fit(
         centre = anchors.mean(0)
         jacobian = _jacobian(anchors - centre, directions)
         if start.upright is not None:
-            held, pitch = _pitch(transform.rotation @ start.upright)
-            jacobian, residuals = np.concatenate([jacobian, held]), np.concatenate([residuals, pitch])
-            weights = np.append(weights, UPRIGHT_WEIGHT * len(roots))
+            held, tilt = _tilt(transform.rotation @ start.upright)
+            jacobian, residuals = np.concatenate([jacobian, held]), np.concatenate([residuals, tilt])
+            weights = np.concatenate([weights, np.full(2, UPRIGHT_WEIGHT * len(roots))])
         transform = _step(transform, centre, jacobian, residuals, weights, start.scale_range)
     return transform
 
@@ -234,11 +237,11 @@ def _jacobian(arms: Float[np.ndarray, "q 3"], directions: Float[np.ndarray, "q 3
     return np.concatenate([directions, np.cross(arms, directions) / HEAD_RADIUS, scaling / HEAD_RADIUS], axis=1)
 
 
-def _pitch(up: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "1 7"], Float[np.ndarray, "1"]]:
-    """Jacobian and residual of a unit vector's forward part, as motion at `HEAD_RADIUS` [m]; roll is up to symmetry."""
-    jacobian = np.zeros((1, 7))
-    jacobian[0, 3:6] = np.cross(up, [0.0, 1.0, 0.0])
-    return jacobian, HEAD_RADIUS * up[1:2]
+def _tilt(up: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "2 7"], Float[np.ndarray, "2"]]:
+    """Jacobian and residual of a unit vector's horizontal part, as motion at `HEAD_RADIUS` [m]."""
+    jacobian = np.zeros((2, 7))
+    jacobian[:, 3:6] = np.cross(up, np.eye(3)[:2])
+    return jacobian, HEAD_RADIUS * up[:2]
 
 
 def _mirrored(moved: Float[np.ndarray, "p 3"]) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, " p"]]:
@@ -282,5 +285,5 @@ def _cost(start: _Start, roots: Float[np.ndarray, "p 3"], target: ScalpTarget, h
     off = np.where(target.face[nearest], FACE_COST + (1 - FACE_COST) * off, off)
     bald = float((1 - np.sqrt(_weight(cKDTree(moved).query(target.scalp_points)[0], width))).mean())
     rise = float((start.transform.rotation @ hang)[2])
-    tilt_penalty = 1 + min(bald, MOST_TILT_PENALTY) if start.is_free else 1.0
+    tilt_penalty = 1 + min(TILT_PENALTY * bald**2, MOST_TILT_PENALTY) if start.is_free else 1.0
     return float(off.mean() + COVERAGE_WEIGHT * bald + 0.01 * rise) * start.penalty * tilt_penalty

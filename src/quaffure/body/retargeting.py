@@ -132,7 +132,7 @@ def _rest_position(clip: BvhClip, name: str) -> Float[np.ndarray, "3"]:
 
 
 def _root_translation(clip: BvhClip, body: BodyModel, start: int) -> Float[Tensor, "f 3"] | None:
-    """Of the body from its rest position [m], from a frame on: its pelvis is above the same point as the file's.
+    """Translation of the body from its rest position [m], from a frame on: its pelvis is where the file's is.
 
     Heights count from standing: legs of another length than the actor's must not lift the feet or sink them.
     """

@@ -44,7 +44,7 @@ class DrapeSequence:
         return self if self.body_translation is None else self._moved(-self.body_translation)
 
     def moved(self, translation: Float[np.ndarray, "f 3"]) -> "DrapeSequence":
-        """The drape of a body that stays in place, carried along a path [m]."""
+        """The drape of a body that stays in place, translated along a path [m]."""
         assert self.body_translation is None
         return replace(self._moved(translation), body_translation=translation.astype(np.float32))
 

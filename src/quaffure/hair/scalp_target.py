@@ -73,8 +73,8 @@ def with_lower_face(target: ScalpTarget, body: BodyModel) -> ScalpTarget:
     ear = body.rest_vertices[body.ear_vertices].mean(0)
     neck = body.rest_joints[body.joint_names.index("Neck")]
     _, y, z = body.rest_vertices.unbind(-1)
-    grown = (z < ear[2]) & (z > neck[2]) & (y < ear[1]) & ~scalp
-    return _joined(target, _vertices(body, grown, face=True))
+    lower_face = (z < ear[2]) & (z > neck[2]) & (y < ear[1]) & ~scalp
+    return _joined(target, _vertices(body, lower_face, face=True))
 
 
 def head_target(body: BodyModel, lowest: float) -> ScalpTarget:

@@ -39,6 +39,8 @@ UPRIGHT_WEIGHT = 0.06
 TILT_PENALTY, MOST_TILT_PENALTY = 5.0, 0.2
 # Hair hangs where the mean of its unit directions is longer than this; it then hangs down within 15 degrees.
 COHERENT_HANG, HANG_ERROR = 0.9, np.radians(15.0)
+# Gravity against the file's axis has to be a little better: hair is combed, files seldom lie askew.
+GRAVITY_PENALTY = 1.03
 # Cost of a root on the lower face, where off the scalp and the face it is 1: beards are rare.
 FACE_COST = 0.15
 
@@ -111,12 +113,12 @@ def align(roots: Float[np.ndarray, "s 3"], hang: Float[np.ndarray, "3"], target:
 def _tilts(start: _Start, hang: Float[np.ndarray, "3"]) -> list[_Start]:
     """The start held upright, by the file's axis and by gravity where it says otherwise, and free to tilt."""
     held = [replace(start, upright=start.file_up)]
-    coherence = float(np.linalg.norm(hang))
-    if coherence > COHERENT_HANG and -hang @ start.file_up < coherence * np.cos(HANG_ERROR):
-        # Hair falls to one side of a parting: of the side, symmetry knows more.
-        side = start.transform.rotation[0]
-        up = hang @ side * side - hang
-        held.append(replace(start, upright=up / np.linalg.norm(up)))
+    # Hair falls to one side of a parting: of the side, symmetry knows more.
+    side = start.transform.rotation[0]
+    up = hang @ side * side - hang
+    length = float(np.linalg.norm(up))
+    if np.linalg.norm(hang) > COHERENT_HANG and up @ start.file_up < length * np.cos(HANG_ERROR):
+        held.append(replace(start, upright=up / length, penalty=GRAVITY_PENALTY * start.penalty))
     return [*held, replace(start, is_free=True)]
 
 

@@ -10,7 +10,7 @@ from quaffure.body import BodyModel
 from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import Groom, HeadMesh, Strands, concatenate_strands, inside_share, register_groom, root_positions
-from quaffure.hair.registration import nearest_on_scalp
+from quaffure.hair.registration import RegistrationReport, nearest_on_scalp
 from quaffure.io import read_head
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom
@@ -196,3 +196,70 @@ def test_mohawk_from_another_species_registers_upright(shared_data: Path, body: 
     assert report.median_residual < 9
     assert abs(float(registered.rest_strands[:, 0, 0].mean())) < 5e-3
     checked(registered, body, surface)
+
+
+def rotation_from_y_up(report: RegistrationReport) -> float:
+    """Angle [degrees] from the rotation that an upright file with y up, facing +z, must get."""
+    return float(np.degrees(Rotation.from_matrix(report.rotation @ Y_UP).magnitude()))
+
+
+@pytest.mark.parametrize("name", ["bob", "crew_cut"])
+def test_a_full_head_of_hair_turned_in_its_file_is_turned_back(name: str, body: BodyModel, surface: Surface) -> None:
+    rest = make_groom(replace(STYLES[name], root_rows=20), body, surface=surface).rest_strands.numpy()
+    turn = Rotation.from_euler("x", 20, degrees=True).as_matrix()
+    _, report = register_groom(as_file(rest @ turn.T), body, name, surface=surface)
+    assert np.degrees(Rotation.from_matrix(report.rotation @ turn).magnitude()) < 3.0
+
+
+@pytest.mark.parametrize("name", ["bob", "crew_cut"])
+def test_hair_on_the_crown_of_another_head_stays_upright(name: str, body: BodyModel, surface: Surface) -> None:
+    rest = make_groom(replace(STYLES[name], root_rows=28), body, surface=surface).rest_strands.numpy()
+    crown = rest[rest[:, 0, 2] > 1.75] * np.float32([1.1, 0.92, 1.0])
+    _, report = register_groom(as_file(crown @ Y_UP.T), body, name, surface=surface)
+    assert rotation_from_y_up(report) < 5.0
+
+
+@pytest.mark.parametrize("name", ["long_straight", "crew_cut"])
+def test_strands_stored_from_tip_to_root_are_turned_round(name: str, body: BodyModel, surface: Surface) -> None:
+    groom = make_groom(replace(STYLES[name], root_rows=20), body, surface=surface)
+    registered, report = register_groom(as_file(groom.rest_strands.flip(1).numpy()), body, name, surface=surface)
+    assert report.turned
+    assert "from tip to root" in str(report)
+    assert 1e3 * (registered.rest_strands - groom.rest_strands).norm(dim=-1).median() < 3.0
+    _, forwards = register_groom(as_file(groom.rest_strands.numpy()), body, name, surface=surface)
+    assert not forwards.turned
+    assert "from tip to root" not in str(forwards)
+
+
+@pytest.mark.shared_data
+def test_a_cap_of_roots_from_another_head_is_not_pitched(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+    strands = read_strands(shared_data / "cases" / "cap60_other_head.hair")
+    _, report = register_groom(strands, body, "cap", surface=surface)
+    assert rotation_from_y_up(report) < 5.0
+    # Turned in its file: the hair hangs, and says so.
+    turn = Rotation.from_euler("x", 20, degrees=True).as_matrix()
+    turned = replace(strands, points=(strands.points @ turn.T).astype(np.float32))
+    _, report = register_groom(turned, body, "cap", surface=surface)
+    assert np.degrees(Rotation.from_matrix(report.rotation @ turn @ Y_UP).magnitude()) < 5.0
+
+
+@pytest.mark.shared_data
+def test_a_beard_is_recognised_and_left_out(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+    strands = read_strands(shared_data / "cases" / "beard200.hair")
+    _, report = register_groom(strands, body, "beard", surface=surface)
+    assert rotation_from_y_up(report) < 5.0
+    assert 1e3 * report.scale == pytest.approx(10.0, abs=0.05)
+    assert (report.kept, report.dropped, report.beard) == (400, 0, 200)
+    assert "200 of a beard left out" in str(report)
+
+
+@pytest.mark.shared_data
+def test_a_reversed_file_registers_like_the_one_it_was_made_of(
+    shared_data: Path, body: BodyModel, surface: Surface
+) -> None:
+    registered = {}
+    for name in ("base_cm_yup", "reversed"):
+        strands = read_strands(shared_data / "cases" / f"{name}.hair")
+        registered[name], report = register_groom(strands, body, name, surface=surface)
+        assert report.turned == (name == "reversed")
+    assert torch.allclose(registered["reversed"].rest_strands, registered["base_cm_yup"].rest_strands, atol=1e-4)

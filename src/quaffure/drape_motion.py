@@ -31,8 +31,10 @@ def drape_motion(
 ) -> DrapeSequence:
     """Drape every frame by itself: quasi-static, no frame knows another.
 
+    Frames are draped in place, where float32 is finest, and then moved along the path of the motion.
+
     Args:
-        on_frames: called with each batch of frames' drapes and scene.
+        on_frames: called with each batch of frames' drapes and scene, in place.
 
     Returns:
         The drapes. `meta` says what made them, and `milliseconds`, the median wall time of one drape, from pose in to
@@ -47,7 +49,7 @@ def drape_motion(
         posed.append(scene.posed)
         vertices.append(scene.bodies.posed.vertices)
         on_frames(strands[-1], scene)
-    return DrapeSequence(
+    sequence = DrapeSequence(
         strands=_frames(strands),
         posed=_frames(posed),
         rest_lengths=groom.rest_lengths.numpy(),
@@ -67,10 +69,11 @@ def drape_motion(
         },
         **{name: values.cpu().numpy() for name, values in held_parts_of(groom).items()},
     )
+    return sequence if motion.translation is None else sequence.moved(motion.translation.numpy())
 
 
 def bodies_of(sequence: DrapeSequence, body: BodyModel, frames: slice = slice(None)) -> BodyBatch:
-    """The bodies of some frames of a drape."""
+    """The bodies of some frames of a drape, in place."""
     body_pose = torch.from_numpy(sequence.body_pose[frames])
     return BodyBatch(body, body_pose, torch.from_numpy(sequence.body_shape).expand(len(body_pose), -1))
 

@@ -56,11 +56,14 @@ def read_numbers(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         return {name: _array(archive, name) for name in present}
 
 
-def read_arrays(path: Path, spec: Spec, what: str) -> tuple[dict[str, np.ndarray], dict[str, int]]:
+def read_arrays(
+    path: Path, spec: Spec, what: str, optional: Spec | None = None
+) -> tuple[dict[str, np.ndarray], dict[str, int]]:
     """All arrays of a specification, and the sizes of its lettered axes.
 
     Args:
         what: the kind of file, for errors: `a body file (.npz)`.
+        optional: arrays that a file may lack.
 
     Raises:
         InputError: the file is missing, no `.npz` or damaged, lacks an array, or breaks the specification.
@@ -69,6 +72,8 @@ def read_arrays(path: Path, spec: Spec, what: str) -> tuple[dict[str, np.ndarray
         missing = [name for name in spec if f"{name}.npy" not in archive.namelist()]
         if missing:
             raise InputError(path, f"{what} with the arrays {', '.join(spec)}", f"no array {', '.join(missing)}")
+        found = {name: kind for name, kind in (optional or {}).items() if f"{name}.npy" in archive.namelist()}
+        spec = {**spec, **found}
         sizes = _check_headers({name: _header(archive, name, path) for name in spec}, spec, path, what)
         arrays = {name: _array(archive, name) for name in spec}
     _check_finite(arrays, path, what)

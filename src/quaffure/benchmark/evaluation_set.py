@@ -186,7 +186,7 @@ def load_cases(
 
     @cache
     def clip_of(name: str) -> Motion:
-        clip = bundled_clip(name, body) if name in CLIP_NAMES else read_motion(folders.motion(name), body)
+        clip = bundled_clip(name, body) if name in CLIP_NAMES else read_motion(folders.motion(name), body).in_place()
         return resample(clip, of.fps)
 
     for entry in entries:

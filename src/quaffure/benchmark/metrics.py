@@ -50,7 +50,8 @@ class DrapeMetrics:
         """
         if reference is not None and material_of(reference) != material:
             raise InputError("reference", f"hair of {material}", f"{material_of(reference)}")
-        self.energy, self.reference = HairEnergy(groom, material, terms), reference
+        self.energy = HairEnergy(groom, material, terms)
+        self.reference = None if reference is None else reference.in_place()
         self._draped: list[PerFrame] = []
         self._posed: list[PerFrame] = []
         self._from_head: list[tuple[Positions, Positions]] = []
@@ -104,6 +105,7 @@ def measure(
     if reference is not None and reference.strands.shape != sequence.strands.shape:
         raise InputError("reference", f"strands {sequence.strands.shape}", f"{reference.strands.shape}")
     measured = DrapeMetrics(groom, material_of(sequence), reference)
+    sequence = sequence.in_place()
     for start in range(0, len(sequence), FRAMES_AT_ONCE):
         chunk = slice(start, start + FRAMES_AT_ONCE)
         scene = Scene(groom, bodies_of(sequence, body, chunk))

@@ -48,7 +48,7 @@ def read_submission(path: Path, of: EvaluationSet, material: HairMaterial) -> tu
     Raises:
         InputError: no drape file, NaN in it, no case of this version of the set, or hair of another material.
     """
-    sequence = read_drape(path)
+    sequence = read_drape(path).in_place()
     version, found = sequence.meta.get("evaluation_set"), sequence.meta.get("case")
     if version != of.version:
         raise InputError(path, f"meta with evaluation_set {of.version}, as --write-cases writes it", f"{version}")

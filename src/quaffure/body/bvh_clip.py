@@ -35,6 +35,13 @@ class BvhClip:
     def fps(self) -> float:
         return 1.0 / self.frame_time
 
+    def root_positions(self) -> Float[np.ndarray, "f 3"] | None:
+        """Position of the root in the file's world [file units]; None where it has not all three position channels."""
+        names = self.channels[0]
+        if not set(CHANNEL_NAMES[:3]) <= set(names):
+            return None
+        return self.values[:, [names.index(name) for name in CHANNEL_NAMES[:3]]]
+
     def local_rotations(self) -> Float[np.ndarray, "f j 3 3"]:
         """Rotation of each joint relative to its parent; identity for a joint without rotation channels.
 

@@ -1,6 +1,6 @@
-"""A motion: one body pose per frame, without root translation, on which quasi-static hair does not depend.
+"""A motion: one body pose per frame, and where the body is in the world.
 
-Rotations between frames are interpolated spherically, joint by joint.
+Rotations between frames are interpolated spherically, joint by joint; translations linearly.
 """
 
 import re
@@ -24,6 +24,7 @@ FLIP_RETURN_SHARE = 0.3
 # Nine hours at 30 fps: beyond it, a file's frame time is a mistake and not a motion.
 MAX_FRAMES = 1_000_000
 LARGEST_ANGLE = 100.0  # rad; continuous angles pass 2 pi, 16 revolutions are a mistake
+LARGEST_TRANSLATION = 1000.0  # m; farther away, vertices in float32 would be 0.1 mm apart
 
 _FRAMES = re.compile(r"(\d*):(\d*)(?::(\d+))?|(?P<one>\d+)")
 
@@ -36,14 +37,18 @@ class Motion:
         body_pose: [F,81] axis-angle of each joint [rad], relative to its parent, in rest frames aligned with the world.
         fps: frames per second.
         name: for messages and files.
+        translation: [F,3] of the body from its rest position [m, world]; None where it stays in place. The heading is
+            part of `body_pose`: the rotation of Hips, joint 0.
 
     Raises:
-        InputError: no frames, another width than three numbers a joint, a value or a rate that is not finite.
+        InputError: no frames, another width than three numbers a joint, a value or a rate that is not finite, or
+            translations of another number of frames or beyond a kilometre.
     """
 
     body_pose: Float[Tensor, "..."]  # any shape for the type checker, because files hold any shape: checked below
     fps: float
     name: str
+    translation: Float[Tensor, "..."] | None = None
 
     def __post_init__(self) -> None:
         if self.body_pose.ndim != 2 or self.body_pose.shape[0] < 1 or self.body_pose.shape[1] != 81:
@@ -55,6 +60,16 @@ class Motion:
             raise InputError(self.name, f"joint angles within {LARGEST_ANGLE:g} rad", f"{largest:.3g}")
         if not 0.0 < self.fps < float("inf"):
             raise InputError(self.name, "a frame rate above 0 fps", f"{self.fps}")
+        self._check_translation()
+
+    def _check_translation(self) -> None:
+        if self.translation is None:
+            return
+        if self.translation.shape != (len(self), 3):
+            raise InputError(self.name, f"translations [{len(self)}, 3]", f"{list(self.translation.shape)}")
+        farthest = float(self.translation.abs().max())
+        if not farthest <= LARGEST_TRANSLATION:
+            raise InputError(self.name, f"translations within {LARGEST_TRANSLATION:g} m", f"{farthest:.3g} m")
 
     def __len__(self) -> int:
         return len(self.body_pose)
@@ -63,6 +78,15 @@ class Motion:
     def seconds(self) -> float:
         """Time from the first frame to the last [s]."""
         return (len(self) - 1) / self.fps
+
+    def in_place(self) -> "Motion":
+        """The motion without translation; heading and tilt stay."""
+        return replace(self, translation=None)
+
+    def select(self, frames: slice) -> "Motion":
+        """Some of the frames, at the same rate."""
+        translation = None if self.translation is None else self.translation[frames]
+        return replace(self, body_pose=self.body_pose[frames], translation=translation)
 
     def frames(self, spec: str) -> "Motion":
         """The frames `A:B:STEP`: from A up to but without B, every STEP-th, each of which may be left out; or `A`.
@@ -79,7 +103,7 @@ class Motion:
         if step < 1 or not first < end <= len(self):
             expected = f"0 <= A < B <= {len(self)} (the frames of {self.name}) and STEP >= 1"
             raise InputError(f"frames '{spec}'", expected, f"A = {first}, B = {end}, STEP = {step}")
-        return replace(self, body_pose=self.body_pose[first:end:step], fps=self.fps / step)
+        return replace(self.select(slice(first, end, step)), fps=self.fps / step)
 
 
 def joint_matrices(body_pose: Float[Tensor, "f 81"]) -> Float[Tensor, "f 27 3 3"]:
@@ -133,7 +157,11 @@ def resample(motion: Motion, fps: float) -> Motion:
     rotations = joint_matrices(motion.body_pose)
     share = (position - before)[:, None].expand(-1, 27)
     between = interpolate_rotations(rotations[before], rotations[before + 1], share)
-    return Motion(pose_from_matrices(between), fps, motion.name)
+    translation = motion.translation
+    if translation is not None:
+        weight = (position - before)[:, None].to(translation)
+        translation = torch.lerp(translation[before], translation[before + 1], weight)
+    return Motion(pose_from_matrices(between), fps, motion.name, translation)
 
 
 def filter_flips(motion: Motion) -> Motion:

@@ -1,6 +1,6 @@
 """Retargeting of another skeleton's motion to the body's 27 joints.
 
-Only rotations are transferred. The root's translation is dropped: quasi-static hair does not depend on it.
+Rotations are transferred, and the path of the root in metres, level with the body's own standing height.
 
 Per joint, with world rotations G relative to rest frames that are aligned with the world:
     G_target = G_source A,    A = shortest arc from the target's to the source's rest bone on arms and legs, else 1
@@ -27,6 +27,8 @@ from quaffure.geometry.rotation import interpolate_rotations, shortest_arc
 RETARGET_FPS = 30.0
 # The CMU conversions start from the T pose and reach the actor's own pose within 15 frames of 1/120 s.
 LEAD_IN_SECONDS = 0.125
+# Metres in one unit of a file; a skeleton whose size fits none is scaled to the body's.
+UNITS, UNIT_TOLERANCE = (1.0, 0.01, 0.001, 0.0254), 1.3
 REST_POSE_ANGLE = 0.02  # rad; a joint rotated by less than this is in the rest pose
 
 # Files are y up and face +z; the body is z up and faces -y: (x, y, z) -> (x, -z, y).
@@ -76,7 +78,7 @@ def retarget_bvh(clip: BvhClip, body: BodyModel) -> Motion:
         name: source_rotation(source, source_world) @ _bone_alignment(name, source, clip, body)
         for name, source in DAZ_FRIENDLY_RIG.items()
     }
-    motion = Motion(local_pose(target_world, body), clip.fps, clip.source)
+    motion = Motion(local_pose(target_world, body), clip.fps, clip.source, _root_translation(clip, body, start))
     return resample(filter_flips(motion), RETARGET_FPS)
 
 
@@ -127,6 +129,30 @@ def _rest_position(clip: BvhClip, name: str) -> Float[np.ndarray, "3"]:
     while joint >= 0:
         position, joint = position + clip.offsets[joint], int(clip.parents[joint])
     return position
+
+
+def _root_translation(clip: BvhClip, body: BodyModel, start: int) -> Float[Tensor, "f 3"] | None:
+    """Translation of the body from its rest position [m], from a frame on: its pelvis is where the file's is.
+
+    Heights count from standing: legs of another length than the actor's must not lift the feet or sink them.
+    """
+    positions = clip.root_positions()
+    if positions is None:
+        return None
+    scale = _metres_per_unit(clip, body)
+    pelvis = scale * torch.from_numpy(positions[start:]) @ BODY_FROM_Y_UP.T
+    leg = scale * (_rest_position(clip, "hip") - _rest_position(clip, DAZ_FRIENDLY_RIG["LeftFoot"].sources[0]))[1]
+    ankle = float(body.rest_joints[body.joint_names.index("LeftFoot"), 2])
+    standing = torch.tensor([*body.rest_joints[0, :2].tolist(), leg + ankle], dtype=torch.float64)
+    return (pelvis - standing).float()
+
+
+def _metres_per_unit(clip: BvhClip, body: BodyModel) -> float:
+    """The known unit that makes the skeleton about as large as the body, or the scale that makes it just as large."""
+    spine = float(np.linalg.norm(_rest_position(clip, "head") - _rest_position(clip, "hip")))
+    scale = float(body_bone(body, "Hips", "Head").norm()) / spine
+    fitting = [unit for unit in UNITS if 1 / UNIT_TOLERANCE < unit / scale < UNIT_TOLERANCE]
+    return fitting[0] if fitting else scale
 
 
 def _check_joints(clip: BvhClip) -> None:

@@ -1,6 +1,6 @@
 """A drape over time, as files, pictures, videos and metrics take it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ class DrapeSequence:
         fps: frames per second.
         meta: groom, draper, version, parameters; anything that JSON holds.
         stiffness_scale, goal_weight, tie_vertex: of the groom, where it has them (`Groom`).
+        body_translation: of the body from its rest position [m], in all positions above; None where it stays in place.
     """
 
     strands: Float32[np.ndarray, "f s n 3"]
@@ -36,7 +37,27 @@ class DrapeSequence:
     stiffness_scale: Float[np.ndarray, "s e"] | None = None
     goal_weight: Float[np.ndarray, "s e"] | None = None
     tie_vertex: Int[np.ndarray, " s"] | None = None
+    body_translation: Float[np.ndarray, "f 3"] | None = None
 
     def __len__(self) -> int:
         """Number of frames."""
         return len(self.strands)
+
+    def in_place(self) -> "DrapeSequence":
+        """The drape as seen from a camera that moves with the body: without its translation."""
+        return self if self.body_translation is None else self._moved(-self.body_translation)
+
+    def moved(self, translation: Float[np.ndarray, "f 3"]) -> "DrapeSequence":
+        """The drape of a body that stays in place, translated along a path [m]."""
+        assert self.body_translation is None
+        return replace(self._moved(translation), body_translation=translation.astype(np.float32))
+
+    def _moved(self, translation: Float[np.ndarray, "f 3"]) -> "DrapeSequence":
+        step = translation.astype(np.float32)
+        return replace(
+            self,
+            strands=self.strands + step[:, None, None],
+            posed=self.posed + step[:, None, None],
+            body_vertices=self.body_vertices + step[:, None],
+            body_translation=None,
+        )

@@ -170,6 +170,7 @@ def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:
     if not np.array_equal(sequence.body_faces, body.faces.numpy()):
         found = f"{len(sequence.body_faces)} other faces"
         raise InputError("drape", "the body of this package", found)
+    sequence = sequence.in_place()
     posed, vertices = torch.from_numpy(sequence.posed[0]), torch.from_numpy(sequence.body_vertices[0])
     faces, weights, closest = nearest_on_scalp(posed[:, 0], replace(body, rest_vertices=vertices))
     apart = float((closest - posed[:, 0]).norm(dim=-1).max())

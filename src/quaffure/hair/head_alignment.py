@@ -1,12 +1,17 @@
-"""Similarity transform from a groom's own frame to ours: units, axes and position estimated by a fit to the scalp."""
+"""Similarity transform from a groom's own frame to ours: units, axes and position estimated by a fit to the scalp.
+
+Roots that cover a part of a scalp fit almost as well pitched by 30 degrees, so each fit is made free and also held
+upright, by the file's axis and by the direction in which the hair hangs. A free fit must be clearly better to be kept.
+"""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+
+from quaffure.hair.scalp_target import ScalpTarget
 
 # Metres in one unit of a file.
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
@@ -27,25 +32,17 @@ LARGEST_ROTATION, LARGEST_SCALE_STEP = 0.3, 0.1  # of one round: rad, and logari
 COVERAGE_WEIGHT = 0.25
 # Weight of the deviation from mirror symmetry; it determines the roll of a mohawk.
 SYMMETRY_WEIGHT = 0.5
-
-
-@dataclass(frozen=True)
-class ScalpTarget:
-    """Evenly distributed points of the scalp to align roots with.
-
-    Attributes:
-        points: on the scalp [m].
-        normals: unit, outwards.
-        rim: whether a point lies at the hairline, beyond which there is no hair.
-    """
-
-    points: Float[np.ndarray, "t 3"]
-    normals: Float[np.ndarray, "t 3"]
-    rim: Bool[np.ndarray, " t"]
-
-    @cached_property
-    def tree(self) -> cKDTree:
-        return cKDTree(self.points)
+# Weight of the tilt relative to roots off the scalp, where a fit is held upright.
+UPRIGHT_WEIGHT = 0.06
+# A fit that is not held upright costs more where much of the scalp stays uncovered: a full head of hair tells its
+# pitch, whereas a cap of roots on a head of another form fits 1.1 times better when pitched by 25 degrees.
+TILT_PENALTY, MOST_TILT_PENALTY = 5.0, 0.2
+# Hair hangs where the mean of its unit directions is longer than this; it then hangs down within 15 degrees.
+COHERENT_HANG, HANG_ERROR = 0.9, np.radians(15.0)
+# Gravity against the file's axis has to be a little better: hair is combed, files seldom lie askew.
+GRAVITY_PENALTY = 1.03
+# Cost of a root on the lower face, where off the scalp and the face it is 1: beards are rare.
+FACE_COST = 0.15
 
 
 @dataclass(frozen=True)
@@ -89,6 +86,9 @@ class _Start:
     unit: str
     scale_range: tuple[float, float]
     penalty: float
+    file_up: Float[np.ndarray, "3"]
+    upright: Float[np.ndarray, "3"] | None = None  # direction of the file that is held upright
+    is_free: bool = False  # whether others are held
 
 
 def align(roots: Float[np.ndarray, "s 3"], hang: Float[np.ndarray, "3"], target: ScalpTarget) -> Alignment:
@@ -96,18 +96,30 @@ def align(roots: Float[np.ndarray, "s 3"], hang: Float[np.ndarray, "3"], target:
 
     Args:
         roots: [file units].
-        hang: mean of tip less root over the strands [file units]; hair hangs rather than stands.
+        hang: mean over the strands of the unit direction of their outer part; hair hangs rather than stands.
         target: our scalp.
     """
-    sparse = _thinned_target(target, COARSE_ROOTS)
+    sparse = target.thinned(COARSE_ROOTS)
     ranked = _ranked(_starts(roots, target), _thinned(roots, COARSE_ROOTS), sparse, hang, COARSE_WIDTHS, COARSE_ROUNDS)
-    best = [start for _, start in ranked[:BEST_STARTS]]
+    best = [variant for _, start in ranked[:BEST_STARTS] for variant in _tilts(start, hang)]
     cost, start = _ranked(best, _thinned(roots, FINE_ROOTS), target, hang, FINE_WIDTHS, FINE_ROUNDS)[0]
     transform = start.transform
     up = transform.rotation[2]
     axis = int(np.abs(up).argmax())
     unit = start.unit if start.unit in UNITS else f"units of {transform.scale:.2g} m"
     return Alignment(transform, unit, f"{'-+'[int(up[axis] > 0)]}{'xyz'[axis]}", cost / start.penalty)
+
+
+def _tilts(start: _Start, hang: Float[np.ndarray, "3"]) -> list[_Start]:
+    """The start held upright, by the file's axis and by gravity where it says otherwise, and free to tilt."""
+    held = [replace(start, upright=start.file_up)]
+    # Hair falls to one side of a parting: of the side, symmetry knows more.
+    side = start.transform.rotation[0]
+    up = hang @ side * side - hang
+    length = float(np.linalg.norm(up))
+    if np.linalg.norm(hang) > COHERENT_HANG and up @ start.file_up < length * np.cos(HANG_ERROR):
+        held.append(replace(start, upright=up / length, penalty=GRAVITY_PENALTY * start.penalty))
+    return [*held, replace(start, is_free=True)]
 
 
 def _ranked(
@@ -120,7 +132,7 @@ def _ranked(
 ) -> list[tuple[float, _Start]]:
     """The starts with fitted transforms and their penalized costs, best first."""
     fitted = [replace(start, transform=_fit(points, target, start, widths, rounds)) for start in starts]
-    costs = [_cost(start.transform, points, target, hang) * start.penalty for start in fitted]
+    costs = [_cost(start, points, target, hang) for start in fitted]
     return sorted(zip(costs, fitted), key=lambda entry: entry[0])
 
 
@@ -129,13 +141,15 @@ def refine(
 ) -> Alignment:
     """The alignment refined with other points (a head) and another target (our head)."""
     scale = alignment.transform.scale
-    start = _Start(alignment.transform, alignment.unit, (scale_range[0] * scale, scale_range[1] * scale), 1.0)
+    bounds = (scale_range[0] * scale, scale_range[1] * scale)
+    start = _Start(alignment.transform, alignment.unit, bounds, 1.0, alignment.transform.rotation[2])
     transform = _fit(_thinned(points, FINE_ROOTS), target, start, FINE_WIDTHS, FINE_ROUNDS)
     return replace(alignment, transform=transform)
 
 
 def _starts(roots: Float[np.ndarray, "s 3"], target: ScalpTarget) -> list[_Start]:
-    size = _spread(target.points) / _spread(roots)
+    scalp = target.scalp_points
+    size = _spread(scalp) / _spread(roots)
     scales = [(name, metres, 1.0) for name, metres in UNITS.items() if 0.25 < size / metres < 2.0]
     if not any(0.8 < size / metres < 1.25 for _, metres, _ in scales):
         scales.append((f"{size:.2g} m", size, FREE_UNIT_PENALTY))
@@ -144,15 +158,15 @@ def _starts(roots: Float[np.ndarray, "s 3"], target: ScalpTarget) -> list[_Start
         for up in (1, 2):
             for quarter in range(4):
                 rotation = _rotation(up, 0.5 * np.pi * quarter)
-                translation = target.points.mean(0) - scale * rotation @ np.median(roots, axis=0)
+                translation = scalp.mean(0) - scale * rotation @ np.median(roots, axis=0)
                 # Alternative start, highest points together: the centroid of a mane is far below the head.
                 top = scale * roots @ rotation.T
                 highest = top[top[:, 2] >= np.quantile(top[:, 2], 0.8)].mean(0)
-                level = target.points[:, 2] >= np.quantile(target.points[:, 2], 0.6)
-                at_top = target.points[level].mean(0) - highest
+                level = scalp[:, 2] >= np.quantile(scalp[:, 2], 0.6)
+                at_top = scalp[level].mean(0) - highest
                 bounds = (SCALE_RANGE[0] * scale, SCALE_RANGE[1] * scale)
                 for shift in (translation, at_top):
-                    starts.append(_Start(Similarity(rotation, scale, shift), name, bounds, penalty))
+                    starts.append(_Start(Similarity(rotation, scale, shift), name, bounds, penalty, np.eye(3)[up]))
     return starts
 
 
@@ -170,11 +184,6 @@ def _thinned(points: Float[np.ndarray, "p 3"], count: int) -> Float[np.ndarray, 
     """At most about `count` points: every k-th in lexicographic order, independent of the order in the file."""
     order = np.lexsort(points.T)
     return points[order][:: max(1, len(points) // count)].astype(np.float64)
-
-
-def _thinned_target(target: ScalpTarget, count: int) -> ScalpTarget:
-    kept = np.arange(0, len(target.points), max(1, len(target.points) // count))
-    return ScalpTarget(target.points[kept], target.normals[kept], target.rim[kept])
 
 
 def _offsets(
@@ -203,8 +212,8 @@ def _fit(
         width = widths[0] * (widths[1] / widths[0]) ** (index / max(rounds - 1, 1))
         moved = transform(roots)
         residual, direction = _offsets(moved, target)
-        gap, nearest = cKDTree(moved).query(target.points)
-        back = moved[nearest] - target.points
+        gap, nearest = cKDTree(moved).query(target.scalp_points)
+        back = moved[nearest] - target.scalp_points
         back_direction = back / np.maximum(gap, 1e-9)[:, None]
         midpoint, mismatch = _mirrored(moved)
         anchors = np.concatenate([moved, moved[nearest], midpoint])
@@ -214,8 +223,27 @@ def _fit(
         weights = np.concatenate(
             [_weight(residual, width), share * _weight(gap, width), SYMMETRY_WEIGHT * _weight(mismatch, width)]
         )
-        transform = _step(transform, anchors, residuals, directions, weights, start.scale_range)
+        centre = anchors.mean(0)
+        jacobian = _jacobian(anchors - centre, directions)
+        if start.upright is not None:
+            held, tilt = _tilt(transform.rotation @ start.upright)
+            jacobian, residuals = np.concatenate([jacobian, held]), np.concatenate([residuals, tilt])
+            weights = np.concatenate([weights, np.full(2, UPRIGHT_WEIGHT * len(roots))])
+        transform = _step(transform, centre, jacobian, residuals, weights, start.scale_range)
     return transform
+
+
+def _jacobian(arms: Float[np.ndarray, "q 3"], directions: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, "q 7"]:
+    """Motion along `directions` by translation, rotation and log scale about the origin of `arms`."""
+    scaling = (arms * directions).sum(1)[:, None]
+    return np.concatenate([directions, np.cross(arms, directions) / HEAD_RADIUS, scaling / HEAD_RADIUS], axis=1)
+
+
+def _tilt(up: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "2 7"], Float[np.ndarray, "2"]]:
+    """Jacobian and residual of a unit vector's horizontal part, as motion at `HEAD_RADIUS` [m]."""
+    jacobian = np.zeros((2, 7))
+    jacobian[:, 3:6] = np.cross(up, np.eye(3)[:2])
+    return jacobian, HEAD_RADIUS * up[:2]
 
 
 def _mirrored(moved: Float[np.ndarray, "p 3"]) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, " p"]]:
@@ -231,19 +259,13 @@ def _weight(residual: Float[np.ndarray, " p"], width: float) -> Float[np.ndarray
 
 def _step(
     transform: Similarity,
-    anchors: Float[np.ndarray, "q 3"],
+    centre: Float[np.ndarray, "3"],
+    jacobian: Float[np.ndarray, "q 7"],
     residuals: Float[np.ndarray, " q"],
-    directions: Float[np.ndarray, "q 3"],
     weights: Float[np.ndarray, " q"],
     scale_range: tuple[float, float],
 ) -> Similarity:
-    """One damped Gauss-Newton step in translation, rotation and log scale about the centroid of the points."""
-    centre = anchors.mean(0)
-    arms = anchors - centre
-    jacobian = np.concatenate(
-        [directions, np.cross(arms, directions) / HEAD_RADIUS, (arms * directions).sum(1)[:, None] / HEAD_RADIUS],
-        axis=1,
-    )
+    """One damped Gauss-Newton step in translation, rotation and log scale about `centre`."""
     weighted = jacobian * weights[:, None]
     normal = weighted.T @ jacobian
     step = np.linalg.solve(normal + DAMPING * np.trace(normal) / 7 * np.eye(7), -weighted.T @ residuals)
@@ -256,13 +278,14 @@ def _step(
     return Similarity(rotation @ transform.rotation, scale, translation)
 
 
-def _cost(
-    transform: Similarity, roots: Float[np.ndarray, "p 3"], target: ScalpTarget, hang: Float[np.ndarray, "3"]
-) -> float:
+def _cost(start: _Start, roots: Float[np.ndarray, "p 3"], target: ScalpTarget, hang: Float[np.ndarray, "3"]) -> float:
     """Robust misfit of roots and of uncovered scalp, with a small penalty on hair that points upwards on average."""
-    moved = transform(roots)
+    moved = start.transform(roots)
     width = FINE_WIDTHS[0]
-    off = 1 - np.sqrt(_weight(np.linalg.norm(moved - target.points[target.tree.query(moved)[1]], axis=1), width))
-    bald = 1 - np.sqrt(_weight(cKDTree(moved).query(target.points)[0], width))
-    rise = float((transform.rotation @ hang)[2] / max(np.linalg.norm(hang), 1e-12))
-    return float(off.mean() + COVERAGE_WEIGHT * bald.mean() + 0.01 * rise)
+    distance, nearest = target.tree.query(moved)
+    off = 1 - np.sqrt(_weight(distance, width))
+    off = np.where(target.face[nearest], FACE_COST + (1 - FACE_COST) * off, off)
+    bald = float((1 - np.sqrt(_weight(cKDTree(moved).query(target.scalp_points)[0], width))).mean())
+    rise = float((start.transform.rotation @ hang)[2])
+    tilt_penalty = 1 + min(TILT_PENALTY * bald**2, MOST_TILT_PENALTY) if start.is_free else 1.0
+    return float(off.mean() + COVERAGE_WEIGHT * bald + 0.01 * rise) * start.penalty * tilt_penalty

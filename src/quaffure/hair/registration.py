@@ -9,13 +9,14 @@ from jaxtyping import Bool, Float, Int
 from quaffure.body.body_model import BodyModel
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
-from quaffure.geometry.mesh import angle_weighted_vertex_normals
 from quaffure.geometry.signed_distance import closest_barycentric
 from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import inside_share, pushed_out, rest_surface
 from quaffure.hair.groom import Groom
-from quaffure.hair.head_alignment import Alignment, ScalpTarget, align, refine
+from quaffure.hair.groom_alignment import align_groom
+from quaffure.hair.head_alignment import Alignment, refine
 from quaffure.hair.resample import resample_by_arc_length, resample_held_parts, without_degenerate
+from quaffure.hair.scalp_target import head_target
 from quaffure.hair.strands import Strands
 from quaffure.types import Tensor
 
@@ -28,7 +29,6 @@ MOST_INSIDE = 5e-4  # of the vertices
 # Smallest ratio of the third singular value of the roots to the first: below, they are on a line or a plane.
 FLATTEST = 0.03
 NEIGHBOURS = 16  # scalp triangles tried for the nearest point of a root
-TARGET_ROWS = 40
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,8 @@ class RegistrationReport:
         rotation: from the file's axes to ours.
         median_residual, p95_residual, max_residual: distance of the aligned roots from the scalp, kept strands [mm].
         kept, dropped: strands; dropped are those without length or too far from the scalp.
+        beard: strands left out because they grow on the lower face.
+        turned: whether the file stores strands from tip to root.
         inside_before, inside_after: share of vertices, without the roots, inside the body: when aligned and at the end.
     """
 
@@ -69,14 +71,18 @@ class RegistrationReport:
     max_residual: float
     kept: int
     dropped: int
+    beard: int
+    turned: bool
     inside_before: float
     inside_after: float
 
     def __str__(self) -> str:
+        turned = "; strands stored from tip to root, turned round" if self.turned else ""
+        beard = f", and {self.beard} of a beard left out" if self.beard else ""
         return (
-            f"{self.source}: read in {self.unit} with {self.up_axis} up (1 unit = {1e3 * self.scale:.4g} mm); "
-            f"{self.kept} strands kept, {self.dropped} dropped; roots {self.median_residual:.1f} mm from the scalp in "
-            f"the median, {self.p95_residual:.1f} mm at 95 %, {self.max_residual:.1f} mm at most; "
+            f"{self.source}: read in {self.unit} with {self.up_axis} up (1 unit = {1e3 * self.scale:.4g} mm){turned}; "
+            f"{self.kept} strands kept, {self.dropped} dropped{beard}; roots {self.median_residual:.1f} mm from the "
+            f"scalp in the median, {self.p95_residual:.1f} mm at 95 %, {self.max_residual:.1f} mm at most; "
             f"{100 * self.inside_before:.2f} % of the vertices inside the body on arrival, "
             f"{100 * self.inside_after:.3f} % now."
         )
@@ -93,8 +99,9 @@ def register_groom(
     """Transform a groom to our scalp, resampled to the common number of vertices.
 
     Units, axes and position are estimated by fitting the roots to the scalp (and the groom's own head, if given, to
-    our head) with a similarity transform. Each strand is then translated so that its root is the nearest point of the
-    scalp; strands are projected out of the body with their lengths kept. Their stiffness, goals and ties are kept.
+    our head) with a similarity transform. Strands stored from tip to root are turned round, and those of a beard are
+    left out. Each strand is then translated so that its root is the nearest point of the scalp; strands are projected
+    out of the body with their lengths kept. Their stiffness, goals and ties are kept.
 
     Args:
         surface: of the body at rest, if available (`rest_surface`).
@@ -105,9 +112,8 @@ def register_groom(
     usable, degenerate = without_degenerate(strands)
     polylines = resample_by_arc_length(usable, VERTICES_PER_STRAND).astype(np.float64)
     _check_roots(polylines[:, 0], strands.source)
-    target = _target(body)
-    hang = np.median(polylines[:, -1] - polylines[:, 0], axis=0)
-    alignment = align(polylines[:, 0], hang, target)
+    found = align_groom(polylines, body)
+    polylines, alignment = found.polylines[~found.beard], found.alignment
     if head is not None:
         alignment = _align_heads(alignment, head, polylines[:, 0], body)
     surface = surface or rest_surface(body)
@@ -122,13 +128,15 @@ def register_groom(
     placed[:, 0] = closest[kept]
     rest = pushed_out(placed, surface)
     uv = body.scalp.uv_at(faces[kept], barycentric[kept])
-    held_parts = {name: torch.from_numpy(part[near]) for name, part in resample_held_parts(usable).items()}
+    # Held parts count vertices from the root: a file that stores tips first knows none.
+    parts = {} if found.turned else resample_held_parts(usable)
+    held_parts = {name: torch.from_numpy(part[~found.beard][near]) for name, part in parts.items()}
     groom = Groom(name, rest, faces[kept], barycentric[kept], uv, licence, **held_parts)
     median, high, largest = 1e3 * np.quantile(residual[near], (0.5, 0.95, 1.0))
     report = RegistrationReport(
         strands.source, alignment.unit, alignment.up_axis, alignment.transform.scale, alignment.transform.rotation,
         float(median), float(high), float(largest), len(rest), degenerate + int((~near).sum()),
-        inside_share(placed, surface), inside_share(rest, surface),
+        int(found.beard.sum()), found.turned, inside_share(placed, surface), inside_share(rest, surface),
     )  # fmt: skip
     if report.inside_after > MOST_INSIDE:
         raise InputError(
@@ -157,30 +165,6 @@ def nearest_on_scalp(
     return torch.cat(faces), torch.cat(weights), torch.cat(closest)
 
 
-def _target(body: BodyModel) -> ScalpTarget:
-    """Points of the scalp on a grid of its chart; those with a neighbour off the scalp are the rim."""
-    centre = (torch.arange(TARGET_ROWS) + 0.5) / TARGET_ROWS
-    v, u = torch.meshgrid(centre, centre, indexing="ij")
-    faces, barycentric = body.scalp.locate(torch.stack([u, v], dim=-1).reshape(-1, 2))
-    on = (faces >= 0).reshape(TARGET_ROWS, TARGET_ROWS)
-    padded = torch.nn.functional.pad(on, (1, 1, 1, 1))
-    surrounded = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
-    kept = on.flatten()
-    corners = body.faces[faces[kept]]
-    points = (barycentric[kept][..., None] * body.rest_vertices[corners]).sum(-2)
-    normals = (barycentric[kept][..., None] * _vertex_normals(body)[corners]).sum(-2)
-    return ScalpTarget(
-        points.double().numpy(),
-        torch.nn.functional.normalize(normals, dim=-1).double().numpy(),
-        (~surrounded).flatten()[kept].numpy(),
-    )
-
-
-def _vertex_normals(body: BodyModel) -> Float[Tensor, "v 3"]:
-    normals = angle_weighted_vertex_normals(body.rest_vertices[None], body.faces)[0]
-    return torch.nn.functional.normalize(normals, dim=-1)
-
-
 def _align_heads(alignment: Alignment, head: HeadMesh, roots: Float[np.ndarray, "s 3"], body: BodyModel) -> Alignment:
     """Fit the cranium of the groom's head, the part above its lowest root, to ours."""
     lowest = np.quantile(alignment.transform(roots)[:, 2], 0.02)
@@ -188,13 +172,7 @@ def _align_heads(alignment: Alignment, head: HeadMesh, roots: Float[np.ndarray, 
     cranium = vertices[alignment.transform(vertices)[:, 2] > lowest]
     if len(cranium) < FEWEST_STRANDS:
         raise InputError("head", "a head that reaches above the roots of its groom", f"{len(cranium)} vertices there")
-    ours = body.rest_vertices[:, 2] > lowest - 0.03
-    target = ScalpTarget(
-        body.rest_vertices[ours].double().numpy(),
-        _vertex_normals(body)[ours].double().numpy(),
-        np.zeros(int(ours.sum()), dtype=bool),
-    )
-    return refine(alignment, cranium, target, (0.9, 1.1))
+    return refine(alignment, cranium, head_target(body, lowest - 0.03), (0.9, 1.1))
 
 
 def _check_roots(roots: Float[np.ndarray, "s 3"], source: str) -> None:

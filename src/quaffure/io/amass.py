@@ -1,9 +1,9 @@
 """Reads AMASS-style motion: an `.npz` with `poses`, the joint rotations of SMPL, SMPL-H or SMPL-X, and a frame rate.
 
-All three models start with the same 22 joints; fingers, jaw and eyes that follow are not used, nor is `trans` (hair is
-quasi-static and independent of the body's position). AMASS's world is z up while SMPL's rest pose is y up and faces +z:
-the root's rotation holds the change of axes. Files made for y-up tools lack it; they are recognised by the pelvis,
-whose own up axis then points along the world's y (mean above `Y_UP_COSINE`).
+All three models start with the same 22 joints; fingers, jaw and eyes that follow are not used. `trans`, where a file
+has it, is the path of the pelvis in metres. AMASS's world is z up while SMPL's rest pose is y up and faces +z: the
+root's rotation holds the change of axes. Files made for y-up tools lack it; they are recognised by the pelvis, whose
+own up axis then points along the world's y (mean above `Y_UP_COSINE`).
 """
 
 from pathlib import Path
@@ -51,7 +51,7 @@ def read_amass(path: Path, body: BodyModel) -> Motion:
     Raises:
         InputError: not an `.npz`, no `poses` [F >= 1, >= 66] or frame rate in it, or a number that is not finite.
     """
-    arrays = read_numbers(path, ("poses", *FRAME_RATE_KEYS))
+    arrays = read_numbers(path, ("poses", "trans", *FRAME_RATE_KEYS))
     if "poses" not in arrays:
         raise InputError(path, "an array poses [frames, 66 or more], as in AMASS", "none")
     poses = arrays["poses"]
@@ -59,8 +59,14 @@ def read_amass(path: Path, body: BodyModel) -> Motion:
         raise InputError(path, "poses [frames >= 1, 66 or more]", f"shape {list(poses.shape)}")
     if not np.isfinite(poses[:, :66]).all():
         raise InputError(path, "finite joint angles", "NaN or infinity in poses")
-    world = _world_rotations(torch.from_numpy(poses[:, :66].astype(np.float64)))
-    motion = Motion(local_pose(_on_body(world, body), body), _frame_rate(path, arrays), str(path))
+    local = matrix_from_axis_angle(torch.from_numpy(poses[:, :66].astype(np.float64)).unflatten(-1, (22, 3)))
+    z_up_from_file = _z_up_from_file(local)
+    local[:, 0] = z_up_from_file @ local[:, 0]
+    translation = None
+    if "trans" in arrays:
+        translation = _translation(path, arrays["trans"], len(poses), z_up_from_file, body)
+    rotations = _on_body(_world_rotations(local), body)
+    motion = Motion(local_pose(rotations, body), _frame_rate(path, arrays), str(path), translation)
     return resample(filter_flips(motion), RETARGET_FPS)
 
 
@@ -71,12 +77,23 @@ def _frame_rate(path: Path, arrays: dict[str, np.ndarray]) -> float:
     return float(rates[0].reshape(()))
 
 
-def _world_rotations(poses: Float[Tensor, "f 66"]) -> dict[str, Float[Tensor, "f 3 3"]]:
-    """World rotations (z up) of SMPL's joints by name, relative to rest frames aligned with the body's axes."""
-    local = matrix_from_axis_angle(poses.unflatten(-1, (22, 3)))
+def _z_up_from_file(local: Float[Tensor, "f 22 3 3"]) -> Float[Tensor, "3 3"]:
     pelvis_up = local[:, 0, :, 1].mean(0)
-    if float(pelvis_up[1]) > Y_UP_COSINE:
-        local[:, 0] = BODY_FROM_Y_UP @ local[:, 0]
+    return BODY_FROM_Y_UP if float(pelvis_up[1]) > Y_UP_COSINE else torch.eye(3, dtype=torch.float64)
+
+
+def _translation(
+    path: Path, trans: np.ndarray, frames: int, z_up_from_file: Float[Tensor, "3 3"], body: BodyModel
+) -> Float[Tensor, "f 3"]:
+    """From the body's rest position, so that its pelvis is where the file's is [m]."""
+    if trans.shape != (frames, 3) or not np.isfinite(trans).all():
+        raise InputError(path, f"finite trans [{frames}, 3]", f"shape {list(trans.shape)}, or NaN or infinity in it")
+    pelvis = torch.from_numpy(trans.astype(np.float64)) @ z_up_from_file.T
+    return (pelvis - body.rest_joints[0].double()).float()
+
+
+def _world_rotations(local: Float[Tensor, "f 22 3 3"]) -> dict[str, Float[Tensor, "f 3 3"]]:
+    """World rotations (z up) of SMPL's joints by name, relative to rest frames aligned with the body's axes."""
     world: list[Tensor] = []
     for joint, (_, parent) in enumerate(SMPL_JOINTS):
         world.append(local[:, joint] if parent < 0 else world[parent] @ local[:, joint])

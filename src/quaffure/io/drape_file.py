@@ -12,7 +12,7 @@ from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.strands import held_parts_of
 from quaffure.io.atomic import replacing
 from quaffure.io.held_parts import HELD_PARTS_SPEC, checked_held_parts
-from quaffure.npz import INTEGER, NUMBER, TEXT, Spec, array_names, check_arrays, read_arrays
+from quaffure.npz import INTEGER, NUMBER, TEXT, Spec, check_arrays, read_arrays
 
 # F frames, S strands, N vertices of a strand, E = N - 1, V body vertices, K body faces.
 SPEC: Spec = {
@@ -25,6 +25,8 @@ SPEC: Spec = {
     "body_shape": ((10,), NUMBER),
     "fps": ((), NUMBER),
 }
+# Only in files of a body that moves.
+TRANSLATION: Spec = {"body_translation": (("F", 3), NUMBER)}
 DRAPE_FILE = "a drape file (.npz)"
 
 
@@ -37,8 +39,9 @@ def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] |
     Raises:
         InputError: `path` cannot be written, or the sequence breaks the contract of the file.
     """
-    arrays = {name: np.asarray(getattr(seq, name), dtype=_dtype(name)) for name in SPEC}
-    _check_meaning(arrays, check_arrays(arrays, SPEC, path, DRAPE_FILE), path)
+    spec = SPEC if seq.body_translation is None else {**SPEC, **TRANSLATION}
+    arrays = {name: np.asarray(getattr(seq, name), dtype=_dtype(name)) for name in spec}
+    _check_meaning(arrays, check_arrays(arrays, spec, path, DRAPE_FILE), path)
     meta = np.array(json.dumps(seq.meta, ensure_ascii=False))
     with replacing(path) as temporary, temporary.open("wb") as file:
         # Not compressed: float positions shrink by a tenth at ten times the writing time.
@@ -51,9 +54,10 @@ def read_drape(path: Path) -> DrapeSequence:
     Raises:
         InputError: no such file, not a drape file, or a broken one.
     """
-    optional = {name: spec for name, spec in HELD_PARTS_SPEC.items() if name in array_names(path)}
-    found, sizes = read_arrays(path, {**SPEC, **optional, "meta": ((), TEXT)}, DRAPE_FILE)
-    held_parts = checked_held_parts({name: found.pop(name) for name in optional}, sizes["N"], path)
+    optional = {**TRANSLATION, **HELD_PARTS_SPEC}
+    found, sizes = read_arrays(path, {**SPEC, "meta": ((), TEXT)}, DRAPE_FILE, optional)
+    held_parts = {name: found.pop(name) for name in HELD_PARTS_SPEC if name in found}
+    held_parts = checked_held_parts(held_parts, sizes["N"], path)
     meta = _parse_meta(found.pop("meta"), path)
     arrays = {name: array.astype(_dtype(name), copy=False) for name, array in found.items()}
     _check_meaning(arrays, sizes, path)

@@ -20,7 +20,8 @@ def read_motion(path: Path, body: BodyModel) -> Motion:
     """The motion in a file, on the body's joints; its suffix, in any case, selects the format.
 
     `.bvh` is retargeted from the Daz-friendly rig. An `.npz` with `body_pose` [F,81] and `fps` (such as a drape file)
-    is taken as it is; any other `.npz` is read as AMASS. The motion is called after the file.
+    is taken as it is, with `body_translation` [F,3] where it has one; any other `.npz` is read as AMASS. The motion is
+    called after the file.
 
     Raises:
         InputError: no such file, a suffix without a reader, or what the format's reader refuses.
@@ -34,13 +35,16 @@ def read_motion(path: Path, body: BodyModel) -> Motion:
 
 
 def _read_npz_motion(path: Path, body: BodyModel) -> Motion:
-    arrays = read_numbers(path, ("body_pose", "fps"))
+    arrays = read_numbers(path, ("body_pose", "fps", "body_translation"))
     if "body_pose" not in arrays:
         return read_amass(path, body)
     if "fps" not in arrays or arrays["fps"].size != 1:
         raise InputError(path, "one number fps with body_pose", "none" if "fps" not in arrays else "several")
     body_pose = torch.from_numpy(arrays["body_pose"].astype(np.float32))
-    return Motion(body_pose, float(arrays["fps"].reshape(())), str(path))
+    translation = None
+    if "body_translation" in arrays:
+        translation = torch.from_numpy(arrays["body_translation"].astype(np.float32))
+    return Motion(body_pose, float(arrays["fps"].reshape(())), str(path), translation)
 
 
 MOTION_READERS: dict[str, Callable[[Path, BodyModel], Motion]] = {

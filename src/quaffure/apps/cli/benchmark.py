@@ -88,7 +88,8 @@ class SolversCommand:
         return [budget for budget in every if not self.solver or budget.solver in self.solver]
 
     def _cases(self, body: BodyModel) -> list[Case]:
-        motions = [motion_of(name, body) for name in self.motion or (("neck_turn",) if self.quick else _CLIPS)]
+        names = self.motion or (("neck_turn",) if self.quick else _CLIPS)
+        motions = [motion_of(name, body, in_place=True) for name in names]
         strands = self.strands if self.strands is not None else (QUICK_STRANDS if self.quick else None)
         grooms = [_subset(load_groom(name, body, self.head), strands) for name in self.groom or ("long_straight",)]
         cases = []

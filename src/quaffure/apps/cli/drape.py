@@ -53,6 +53,8 @@ class DrapeCommand:
     """A bundled clip, or a .bvh or .npz file."""
     frames: str = ":"
     """Frames A:B:STEP of the motion at 30 frames per second."""
+    in_place: bool = False
+    """Leave out the path of the body through the world; it turns, but does not travel."""
     shape: str = ""
     """Ten body shape coefficients separated by commas, or a file that holds them; without it, the mean body."""
     head: Path | None = None
@@ -91,7 +93,7 @@ class DrapeCommand:
         console.quiet = self.json
         check_outputs(self.out)
         body = load_body()
-        motion = motion_of(self.motion, body).frames(self.frames)
+        motion = motion_of(self.motion, body, self.in_place).frames(self.frames)
         body_shape = body_shape_of(self.shape)
         if float(body_shape.abs().max()) > LARGEST_COEFFICIENT:
             console.print(f"shape: beyond the trained and measured +-{LARGEST_COEFFICIENT:g} standard deviations")

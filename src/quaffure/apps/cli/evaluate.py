@@ -172,7 +172,7 @@ class EvaluateCommand:
         return Selection(cases, sum(len(entry.frames) for entry in complete), evaluation_set.version, skipped)
 
     def _user_cases(self, body: BodyModel) -> Selection:
-        motions = [motion_of(name, body) for name in self.motion or (DEFAULT_MOTION,)]
+        motions = [motion_of(name, body, in_place=True) for name in self.motion or (DEFAULT_MOTION,)]
         grooms = [load_groom(name, body) for name in self.groom or (DEFAULT_GROOM,)]
         shape = body_shape_of(self.shape)
         cases = []

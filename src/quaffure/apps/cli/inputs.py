@@ -21,8 +21,11 @@ MAX_ACCELERATION = 100.0  # m/s^2; ten times gravity
 MAX_COEFFICIENT = 10.0  # standard deviations; beyond it nothing human is left
 
 
-def motion_of(text: str, body: BodyModel) -> Motion:
+def motion_of(text: str, body: BodyModel, in_place: bool = False) -> Motion:
     """A bundled clip by name, or the motion in a file, at 30 frames per second.
+
+    Args:
+        in_place: without the path of the body through the world.
 
     Raises:
         InputError: neither; or what the file's reader refuses.
@@ -31,7 +34,8 @@ def motion_of(text: str, body: BodyModel) -> Motion:
         return bundled_clip(text, body)
     if not Path(text).suffix:
         raise InputError(f"motion '{text}'", f"a file or one of {', '.join(CLIP_NAMES)}", "neither")
-    return resample(read_motion(Path(text), body), FPS)
+    motion = resample(read_motion(Path(text), body), FPS)
+    return motion.in_place() if in_place else motion
 
 
 def body_shape_of(text: str) -> Float[Tensor, "10"]:

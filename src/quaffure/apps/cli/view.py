@@ -27,6 +27,8 @@ class ViewCommand:
     """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
     motion: str = "nod"
     """A bundled clip, `rest` for the rest pose, or a .bvh or .npz file."""
+    in_place: bool = False
+    """Leave out the path of the body through the world; it turns, but does not travel."""
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones."""
     port: int = 8080
@@ -56,7 +58,7 @@ class ViewCommand:
         if not self.folder.is_dir():
             raise InputError("--folder", "an existing folder", f"{self.folder}")
         model = load_model(self.weights)
-        motion = None if self.motion in (*CLIP_NAMES, REST) else motion_of(self.motion, model.body)
+        motion = None if self.motion in (*CLIP_NAMES, REST) else motion_of(self.motion, model.body, self.in_place)
         console.print(f"reading the groom {self.groom}")
         groom = None if self.groom in STYLES else load_groom(self.groom, model.body)
         catalogue = Catalogue(model, groom, motion)

@@ -45,6 +45,8 @@ def write_picture(
 ) -> None:
     """Write a contact sheet (.png): up to four evenly spaced frames, one row each, from front to back of the head.
 
+    The cameras travel with the body.
+
     Args:
         interpolation: of strands between the drape's guides; without it the guides themselves are drawn.
         tile: width and height of one view [pixels].
@@ -53,6 +55,7 @@ def write_picture(
         InputError: not a .png, not writable, or no OpenGL on this machine.
     """
     check_output(path, ".png")
+    seq = seq.in_place()
     centre, extent = frame_hair(seq)
     frames = np.unique(np.linspace(0, len(seq) - 1, min(MOST_FRAMES, len(seq))).round().astype(int)).tolist()
     with StrandRenderer(tile, tile) as renderer:

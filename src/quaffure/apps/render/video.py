@@ -30,7 +30,7 @@ def write_video(
 ) -> None:
     """Write front and side views next to each other (.mp4, H.264).
 
-    The camera does not move; it faces the body as it stands in the middle frame.
+    The camera travels with the body and does not turn; it faces the body as it stands in the middle frame.
 
     Args:
         interpolation: of strands between the drape's guides; without it the guides themselves are drawn.
@@ -39,6 +39,7 @@ def write_video(
     Raises:
         InputError: not an .mp4, not writable, or no OpenGL on this machine.
     """
+    seq = seq.in_place()
     centre, extent = frame_hair(seq)
     cameras = [Camera.view(view, centre, extent, facing_deg(seq, len(seq) // 2)) for view in VIEWS]
 

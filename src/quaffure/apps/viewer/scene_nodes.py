@@ -50,10 +50,19 @@ class SceneNodes:
         body_vertices: Float[np.ndarray, "v 3"],
         strands: Float[np.ndarray, "s n 3"],
         colours: UInt8[np.ndarray, "s n 3"],
+        path: Float[np.ndarray, "3"],
     ) -> None:
-        """Draw a drape. Nodes are kept and get new points."""
+        """Draw a drape. Nodes are kept and get new points.
+
+        Args:
+            path: of the body [m]. The floor moves instead of the body, so that every browser's camera travels with it.
+        """
+        step = path.astype(np.float32)
+        body_vertices, strands = body_vertices - step, strands - step
         points, ends = segments(strands), segments(colours)
         with self._server.atomic():
+            # The grid repeats itself every metre: it need not move further.
+            self._floor.position = tuple(-np.fmod(path, 1.0))
             self._skin.vertices = body_vertices
             self._scalp.vertices = body_vertices[self._scalp_vertices]
             if self._hair is None or self._hair.points.shape != points.shape:
@@ -91,7 +100,7 @@ class SceneNodes:
         scene.add_light_directional("/light/key", intensity=2.2, position=KEY_LIGHT)
         scene.add_light_directional("/light/fill", intensity=0.7, position=(0.8, -0.5, 0.2))
         scene.add_light_directional("/light/rim", intensity=0.9, position=(0.3, 0.9, 0.6))
-        scene.add_grid(
+        self._floor = scene.add_grid(
             "/floor", 6.0, 6.0, cell_color=FLOOR_LINES, section_color=FLOOR_LINES, plane_color=FLOOR, plane_opacity=1.0
         )
         camera.position, camera.look_at = tuple(self._eye(AZIMUTHS["front"] + 20.0)), tuple(self._target())

@@ -128,7 +128,7 @@ class Session:
         if new_groom or (before is not None and before.state.draper.name != drape.state.draper.name):
             self._times.clear()
         self._times.append((drape.milliseconds, drape.network_milliseconds))
-        self._nodes.show(drape.body_vertices, *picture)
+        self._nodes.show(drape.body_vertices, *picture, drape.path)
         self._panel.metrics.content = ""
         self._panel.status.content = self._status(drape)
 
@@ -144,7 +144,7 @@ class Session:
 
     def _set_display(self, display: Display) -> None:
         if self.shown is not None:
-            self._nodes.show(self.shown.body_vertices, *self._picture(self.shown, display))
+            self._nodes.show(self.shown.body_vertices, *self._picture(self.shown, display), self.shown.path)
         self._display = display
         self._nodes.set_translucent(display.mark_inside)
 

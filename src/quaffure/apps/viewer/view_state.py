@@ -88,7 +88,8 @@ class ViewState:
 
     def drape(self) -> "Drape":
         """Drape the groom. Takes as long as the draper takes."""
-        pose = Motion(self.body_pose(), self.motion.fps, self.motion.name)
+        frame = self.motion.select(slice(self.frame, self.frame + 1))
+        pose = replace(frame, body_pose=self.body_pose())
         with network_clock(self.draper) as network_times:
             sequence = drape_motion(self.draper, self.groom, self.body, pose, torch.tensor(self.body_shape))
         sequence.meta["frame"] = self.frame
@@ -119,6 +120,12 @@ class Drape:
         return self.sequence.body_vertices[0]
 
     @property
+    def path(self) -> Float[np.ndarray, "3"]:
+        """Translation of the body [m], level with the floor: the page's camera travels along it."""
+        translation = self.sequence.body_translation
+        return np.zeros(3) if translation is None else translation[0] * [1.0, 1.0, 0.0]
+
+    @property
     def milliseconds(self) -> float:
         """Wall time from pose in to strands out."""
         return float(self.sequence.meta["milliseconds"])
@@ -131,7 +138,9 @@ class Drape:
     def inside(self, strands: Float[np.ndarray, "m n 3"]) -> Bool[np.ndarray, "m n"]:
         """Which vertices of these strands are inside the body; roots, which lie on the skin, are not."""
         surface = bodies_of(self.sequence, self.state.body).surface
-        points = torch.from_numpy(strands[:, 1:].reshape(1, -1, 3))
+        translation = self.sequence.body_translation
+        in_place = strands if translation is None else strands - translation[0]
+        points = torch.from_numpy(in_place[:, 1:].reshape(1, -1, 3))
         below = (signed_distance(points, surface) < 0).numpy().reshape(len(strands), -1)
         return np.pad(below, ((0, 0), (1, 0)))
 

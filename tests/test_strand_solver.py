@@ -1,5 +1,7 @@
 """Newton's method on single strands: elimination against a dense solve, passes against the energy in torch, drapes."""
 
+from functools import lru_cache
+
 import numba
 import numpy as np
 import pytest
@@ -67,6 +69,7 @@ def test_only_the_strands_listed_are_solved() -> None:
     assert solved.nonzero()[0].tolist() == [3, 7]
 
 
+@lru_cache
 def _few(body: BodyModel, surface: Surface, name: str = "long_straight", count: int = 60) -> Groom:
     groom = make_groom(name, body, surface=surface)
     return groom.select(torch.arange(0, len(groom), len(groom) // count))
@@ -84,9 +87,8 @@ def _upright(groom: Groom, body: BodyModel) -> Scene:
 def test_own_energy_and_gradient_are_those_of_the_terms() -> None:
     scene = posed_scene(sphere_groom(strands=20))
     energy = HairEnergy(scene.groom, terms=hair_terms("rod"))
-    descent = StrandDescent(energy, scene)
     pulled = scene.director[0] - 1.1 * torch.nn.functional.normalize(scene.posed[0, :, 1:], dim=-1)
-    descent.set_directions(torch.nn.functional.normalize(pulled, dim=-1))
+    descent = StrandDescent(energy, scene, direction=torch.nn.functional.normalize(pulled, dim=-1))
     own = energy.without("self_collision")
     total, gradient = energy_and_gradient(own, scene, descent.positions)
     assert float(energy.by_term(descent.positions, scene)["body_collision"]) > 0.01 * float(total)

@@ -8,7 +8,7 @@ from quaffure.energies.rod import BENDING_STIFFNESS, joint_lengths
 from quaffure.hair.groom import Groom
 from quaffure.types import Bool, Float, Int, RestLengths, Tensor
 
-GOAL_STIFFNESS = 50.0
+GOAL_STIFFNESS = 200.0
 """Least weight of a held edge's goal, relative to its bending stiffness."""
 
 

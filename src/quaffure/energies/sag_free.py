@@ -50,7 +50,7 @@ SUPPORT_DISTANCE, SUPPORT_FADE = 0.025, 0.02
 """Vertices up to this far from the skin are supported, by the skin or the hair below; beyond, fading to none [m]."""
 LEAST_SUPPORT = 1e-3
 """Forces below this share of a vertex's mean weight are taken as none."""
-MOST_GOAL_PRELOAD = 0.1
+MOST_GOAL_PRELOAD = 0.03
 """Sine of the angle between a held edge of the design and its goal direction."""
 
 

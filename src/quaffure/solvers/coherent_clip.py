@@ -32,11 +32,11 @@ class CoherentSetting:
     """
 
     passes: int = 4
-    most_passes: int = 10
+    most_passes: int = 6
     most_move: float = 0.01
     most_moved: float = 0.045
     still: float = 0.004
-    moving_share: float = 0.02
+    moving_share: float = 0.1
     cut_distance: float = 0.25
     cut_angle: float = 0.8
 
@@ -85,8 +85,7 @@ class CoherentDraper:
 
     def _followed(self, energy: HairEnergy, scene: PosedScene, direction: Float[Tensor, "s e 3"]) -> StrandDescent:
         setting = self.setting
-        descent = StrandDescent(energy, scene, self.draper.setting.control)
-        descent.set_directions(direction)
+        descent = StrandDescent(energy, scene, self.draper.setting.control, direction)
         descent.follow(setting.passes, setting.most_move, setting.most_moved)
         while descent.passes < setting.most_passes and (descent.moved > setting.still).mean() > setting.moving_share:
             descent.follow(1, setting.most_move, setting.most_moved)

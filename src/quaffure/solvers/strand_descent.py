@@ -5,6 +5,7 @@ until its own energy falls. Hair on hair comes from the last positions: its forc
 lets no vertex go far before the force is computed anew.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ import numpy as np
 import torch
 
 from quaffure.config import STANDARD_GRAVITY
+from quaffure.energies.force_limit import MAX_FORCE
 from quaffure.energies.fused_density import self_collision_and_gradient
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.rod_term import PosedRod, Rod
@@ -69,10 +71,16 @@ class StrandDescent:
         moved: largest displacement of each strand in the last pass, to first order [m].
     """
 
-    def __init__(self, energy: HairEnergy, scene: HairScene, control: StepControl | None = None) -> None:
-        """Starts from the posed groom.
-
+    def __init__(
+        self,
+        energy: HairEnergy,
+        scene: HairScene,
+        control: StepControl | None = None,
+        direction: Float[Tensor, "s e 3"] | None = None,
+    ) -> None:
+        """
         Args:
+            direction: unit directions of the edges to start from; those of the posed groom where none are given.
             energy: of the rod, Eqs. 7, 9, 10 and 11; lengths are kept, so that Eq. 7 stays 0.
             scene: of one sample.
 
@@ -95,28 +103,23 @@ class StrandDescent:
         self._strands = np.arange(strands)
         self._anywhere = np.full(strands, 1e6, np.float32)
         self._own_weight = STANDARD_GRAVITY * mass
+        self._most_force = MAX_FORCE * self._own_weight.sum(axis=1, keepdims=True)
         self._now, self._trial = _evaluation(strands, vertices), _evaluation(strands, vertices)
         self._around = Surroundings(
             np.zeros((strands, vertices, 3), np.float32),
             np.zeros((strands, vertices), np.float32),
             np.zeros((strands, vertices, 3), np.float32),
         )
-        self.direction = _float32(directors(scene.posed[0]))
+        self.direction = _float32(directors(scene.posed[0]) if direction is None else direction).copy()
         self.passes, self.moved = 0, np.zeros(strands, np.float32)
         self._damping, self._best = 0.0, None  # type: float, _State | None
         self._evaluate(self._k_body_collision)
+        self._start = self._now.positions.copy()
 
     @property
     def positions(self) -> Positions:
         """Vertices of the current directions, a batch of one [m]."""
         return torch.from_numpy(self._now.positions.copy())[None]
-
-    def set_directions(self, direction: Float[Tensor, "s e 3"]) -> None:
-        """Go on from other unit directions."""
-        self.direction[:] = direction.numpy()
-        self._best, self._damping = None, 0.0
-        self._evaluate(self._k_body_collision)
-        self._start = self._now.positions.copy()
 
     def fall(self, passes: int, most_turn: float = 1.5) -> None:
         """Passes without contact and without other hair."""
@@ -127,7 +130,7 @@ class StrandDescent:
 
     def resolve_contact(self, share: float) -> None:
         """Push vertices that are within `share` of their margins out of the body, from root to tip."""
-        resolve_strands(self.direction, self._hair, self._body, np.float32(share))
+        resolve_strands(self.direction, self._hair, self._rod.goal_weight, self._body, np.float32(share))
         self._evaluate(self._k_body_collision)
 
     def touch(self, passes: int) -> None:
@@ -145,7 +148,7 @@ class StrandDescent:
 
     def follow(self, passes: int, most_move: float, most_moved: float) -> None:
         """Passes with all terms, in each of which no vertex moves by more than `most_move` [m], and in all since
-        `set_directions` by more than `most_moved` [m], both to first order. The energy may rise: hair that follows a
+        the start by more than `most_moved` [m], both to first order. The energy may rise: hair that follows a
         head is on its way."""
         for _ in range(passes):
             self._model_surroundings(self._with_density()[1])
@@ -153,9 +156,15 @@ class StrandDescent:
             limit = np.clip(most_moved - gone, 0.0, most_move)
             self._move(self._k_body_collision, self._control.most_turn, limit, self._control.backtracks)
 
-    def total(self) -> float:
-        """Energy of all terms at the current directions [J]."""
-        return self._with_density()[0]
+    @property
+    def own_energy(self) -> float:
+        """Energy without hair against hair, which adds to it, at the current directions [J]."""
+        return float(self._now.energy[:, 0].sum())
+
+    @property
+    def settled_energy(self) -> float:
+        """Energy of all terms where `settle` has ended [J]; infinite before."""
+        return math.inf if self._best is None else self._best.energy
 
     def _evaluate(self, k_body_collision: np.float32) -> None:
         evaluate_strands(
@@ -180,12 +189,15 @@ class StrandDescent:
     def _with_density(self) -> tuple[float, np.ndarray]:
         positions = torch.from_numpy(self._now.positions)
         density_energy, gradient = self_collision_and_gradient(positions, self._energy.rest, self._energy.material)
-        return float(self._now.energy[:, 0].sum()) + density_energy, gradient.numpy()
+        return self.own_energy + density_energy, gradient.numpy()
 
     def _model_surroundings(self, gradient: np.ndarray) -> None:
-        self._around.gradient[:] = gradient
+        size = np.linalg.norm(gradient, axis=-1)
+        # Where strands cross, Eq. 11 has forces of 1e7 weights, beside which float64 keeps nothing of the rod.
+        limited = np.minimum(size, self._most_force)
+        self._around.gradient[:] = gradient * (limited / np.maximum(size, 1e-30))[..., None]
         self._around.positions[:] = self._now.positions
-        force = (1 + self._damping) * np.linalg.norm(gradient, axis=-1) + self._damping * self._own_weight
+        force = (1 + self._damping) * limited + self._damping * self._own_weight
         self._around.stiffness[:] = force / self._control.yield_distance
 
     def _move(self, k_body_collision: np.float32, most_turn: float, most_move: np.ndarray, backtracks: int) -> None:

@@ -218,20 +218,23 @@ def rotate_edges(
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def resolve_strands(direction: np.ndarray, hair: StrandArrays, body: SurfaceArrays, share: float) -> None:
+def resolve_strands(
+    direction: np.ndarray, hair: StrandArrays, goal_weight: np.ndarray, body: SurfaceArrays, share: float
+) -> None:
     """From root to tip, push every vertex that is nearer to the body than `share` of its margin out to there; what
-    hangs on it moves along. Changes the directions [strand edge 3]."""
+    hangs on it moves along. Edges that a goal holds stay. Changes the directions [strand edge 3]."""
     runs = (len(direction) + _RUN - 1) // _RUN
     for index in prange(runs + _STRIDE):
         run = interleaved(index, runs, _STRIDE)
         if run < runs:
-            _resolve_run(run * _RUN, min(len(direction), (run + 1) * _RUN), direction, hair, body, share)
+            _resolve_run(run * _RUN, min(len(direction), (run + 1) * _RUN), direction, hair, goal_weight, body, share)
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _resolve_run(
-    first: int, last: int, direction: np.ndarray, hair: StrandArrays, body: SurfaceArrays, share: float
-) -> None:
+    first: int, last: int, direction: np.ndarray, hair: StrandArrays, goal_weight: np.ndarray, body: SurfaceArrays,
+    share: float,
+) -> None:  # fmt: skip
     workspace = search_workspace()
     leaf = 0
     for strand in range(first, last):
@@ -241,7 +244,7 @@ def _resolve_run(
             t = direction[strand, edge]
             x, y, z = px + length * t[0], py + length * t[1], pz + length * t[2]
             distance, nx, ny, nz, found = distance_within(x, y, z, margin, leaf, body, workspace)
-            if found >= 0:
+            if found >= 0 and goal_weight[strand, edge] == _ZERO:
                 leaf = found
                 push = min(max(margin - distance, _ZERO), _MOST_PUSH * length)
                 if push > _ZERO:

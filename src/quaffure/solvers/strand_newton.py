@@ -16,6 +16,7 @@ from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.hair_terms import ROD, hair_terms
 from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
+from quaffure.geometry.polyline import directors
 from quaffure.hair.groom import Groom
 from quaffure.scene import HairScene, Scene
 from quaffure.solvers.stopping import stopping_report
@@ -104,8 +105,7 @@ class StrandNewtonDraper:
         energy = self.energy_of(scene)
         settled = []
         for index, shape in enumerate(start):
-            descent = StrandDescent(energy, scene.sample(index), self.setting.control)
-            descent.set_directions(torch.nn.functional.normalize(shape.diff(dim=1), dim=-1))
+            descent = StrandDescent(energy, scene.sample(index), self.setting.control, directors(shape))
             descent.settle(passes)
             settled.append(descent.positions)
         return torch.cat(settled)
@@ -113,22 +113,22 @@ class StrandNewtonDraper:
     def descend(self, energy: HairEnergy, scene: HairScene) -> StrandDescent:
         """The strands of one sample at rest.
 
-        Where the posed groom has less energy than hair that has fallen and settled, hair settles from it instead:
-        upright it is the design, from which passes without contact push hair into the head.
+        Where the posed groom may have less energy than hair that has fallen and settled, hair settles from it as well,
+        and the lower is kept: upright it is the design, from which passes without contact push hair into the head.
         """
         setting = self.setting
         passes = setting.passes - setting.free_passes - setting.contact_passes
         descent = StrandDescent(energy, scene, setting.control)
-        posed = descent.total()
+        own_energy_posed = descent.own_energy
         descent.fall(setting.free_passes)
         descent.resolve_contact(setting.resolved_share)
         descent.touch(setting.contact_passes)
         descent.settle(passes)
-        if descent.total() < posed:
+        if descent.settled_energy <= own_energy_posed:
             return descent
         from_posed = StrandDescent(energy, scene, setting.control)
         from_posed.settle(passes)
-        return from_posed
+        return min(descent, from_posed, key=lambda shape: shape.settled_energy)
 
 
 class SettledDraper:

@@ -1,7 +1,5 @@
 """Newton's method on single strands: elimination against a dense solve, passes against the energy in torch, drapes."""
 
-from functools import lru_cache
-
 import numba
 import numpy as np
 import pytest
@@ -69,7 +67,6 @@ def test_only_the_strands_listed_are_solved() -> None:
     assert solved.nonzero()[0].tolist() == [3, 7]
 
 
-@lru_cache
 def _few(body: BodyModel, surface: Surface, name: str = "long_straight", count: int = 60) -> Groom:
     groom = make_groom(name, body, surface=surface)
     return groom.select(torch.arange(0, len(groom), len(groom) // count))

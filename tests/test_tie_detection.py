@@ -11,7 +11,6 @@ from quaffure.body import BodyModel
 from quaffure.geometry import Surface
 from quaffure.hair import Groom, Strands, concatenate_strands, find_ties, register_groom
 from quaffure.io import read_head
-from quaffure.io.hair import write_hair
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom
 
@@ -115,36 +114,6 @@ def test_bundled_styles_with_few_strands(style: str, wound: bool | None, body: B
     if groom.tie_vertex is not None:
         assert ((held_to >= 0) == (groom.tie_vertex >= 0)).float().mean() > 0.95
         assert (held_to - groom.tie_vertex).abs().float().mean() < 0.5
-
-
-@pytest.mark.slow
-def test_every_style_exported_and_read_back(
-    body: BodyModel, surface: Surface, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """At least 90 % of the tied strands are found, at most 1 % of a free style's are marked."""
-    rows = []
-    for name in STYLES:
-        groom = make_groom(name, body, surface=surface)
-        strands = groom.rest_strands.numpy()
-        path = tmp_path / f"{name}.hair"
-        write_hair(path, Strands(100 * strands.reshape(-1, 3), np.full(len(strands), LAST + 1), name))
-        again, report = register_groom(read_strands(path), body, name, surface=surface)
-        assert report.dropped == 0
-        held_to, ties = find_ties(again)
-        truth = torch.full((len(groom),), -1) if groom.tie_vertex is None else groom.tie_vertex
-        tied, found = truth >= 0, held_to >= 0
-        error = (held_to - truth)[tied & found].abs().float()
-        share = 100 * float(found[tied].float().mean()) if tied.any() else 100.0
-        wrong = 100 * float(found[~tied].float().mean()) if not tied.all() else 0.0
-        rows.append((name, 100 * float(tied.float().mean()), share, wrong, float(error.mean()) if len(error) else 0.0))
-        with capsys.disabled():
-            print("{:16s} tied {:5.1f} %, found {:5.1f} %, wrong {:5.2f} %, off by {:.2f} edges".format(*rows[-1]))
-        # The wide band of a puff can be found in two parts.
-        assert len(ties) >= len(STYLES[name].ties)
-        assert bool(ties) == bool(STYLES[name].ties)
-    assert min(row[2] for row in rows) >= 90
-    assert max(row[3] for row in rows) <= 1
-    assert max(row[4] for row in rows) < 0.5
 
 
 def real_groom(folder: Path, *names: str) -> Strands:

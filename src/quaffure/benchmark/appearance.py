@@ -1,4 +1,4 @@
-"""Metrics of what one sees: whether hair hangs, floats above what it should lie on, or jumps from frame to frame."""
+"""Metrics of what a picture shows: whether hair hangs, floats above what it should lie on, or jumps from frame to frame."""
 
 import numpy as np
 import torch
@@ -39,18 +39,18 @@ def in_the_air(draped: Positions, scene: HairScene) -> Bool[Tensor, "b s m"]:
         points = draped[sample].reshape(-1, 3).detach().numpy()
         order, start, shape = sort_into_cells(points, np.float32(GAP))
         above = distance[sample].flatten().detach().numpy()
-        carried = np.zeros(len(points), np.bool_)
-        _mark_carried(points[order], above[order], order // draped.shape[2], start, shape, carried)
-        lone = np.empty_like(carried)
-        lone[order] = ~carried
+        supported = np.zeros(len(points), np.bool_)
+        _mark_supported(points[order], above[order], order // draped.shape[2], start, shape, supported)
+        lone = np.empty_like(supported)
+        lone[order] = ~supported
         found[sample] = torch.from_numpy(lone).view(draped.shape[1:3])
     return (found & (distance > GAP))[:, :, 1:]
 
 
 @njit(cache=True, parallel=True)
-def _mark_carried(
+def _mark_supported(
     points: np.ndarray, distance: np.ndarray, strand: np.ndarray, start: np.ndarray, shape: tuple[int, int, int],
-    carried: np.ndarray,
+    supported: np.ndarray,
 ) -> None:  # fmt: skip
     """Mark the points that have one of another strand within `GAP` which is nearer to the skin. Points are sorted into
     cells of that side."""
@@ -60,10 +60,10 @@ def _mark_carried(
         for row in range(start[cell], start[cell + 1]):
             for column in range(columns):
                 for other in range(ranges[column, 0], ranges[column, 1]):
-                    if carried[row] or strand[other] == strand[row] or distance[other] >= distance[row]:
+                    if supported[row] or strand[other] == strand[row] or distance[other] >= distance[row]:
                         continue
                     offset = points[other] - points[row]
-                    carried[row] = (offset * offset).sum() < GAP * GAP
+                    supported[row] = (offset * offset).sum() < GAP * GAP
 
 
 def jumps(draped: Positions, posed: Positions) -> Float[Tensor, "f s"]:

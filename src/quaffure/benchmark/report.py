@@ -13,7 +13,8 @@ PAGE = "evaluation_results.md"
 PICTURE = "figures/evaluation_results.png"
 METRICS = (
     "body_intersection_percent", "length_error_percent", "length_error_percent_max", "orientation_error_deg",
-    "density_excess_percent", "energy", "excess_energy", "distance_mm", "jitter", TIME,
+    "density_excess_percent", "off_vertical_deg", "in_the_air_percent", "energy", "excess_energy", "distance_mm",
+    "jitter", TIME,
 )  # fmt: skip
 """Metrics in the order of the columns; docs/metrics.md explains them."""
 RATIOS = "Table 1 of the paper: over the network"

@@ -1,5 +1,7 @@
 """Contact with the body, Eq. 10."""
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
@@ -26,7 +28,7 @@ def energy_body_collision(
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def contact_force(distance: float, margin: float, k_body_collision: float) -> tuple[float, float]:
+def contact_force(distance: float, margin: float, k_body_collision: float | np.floating) -> tuple[Any, Any]:
     """Eq. 10: the derivative by the signed distance [N], -3 k_bc (D - d)^2, and the energy [J], 0 from the margin on.
 
     Kernels inline it.
@@ -40,7 +42,7 @@ def contact_force(distance: float, margin: float, k_body_collision: float) -> tu
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def contact_stiffness(short: float, k_body_collision: float) -> float:
+def contact_stiffness(short: float, k_body_collision: float | np.floating) -> Any:
     """Eq. 10: the second derivative by the signed distance, 6 k_bc (D - d) [N/m].
 
     Args:

@@ -242,7 +242,7 @@ def solve_twist(rest: RodArrays, strand: int, work: RodWorkspace) -> None:
     work.twist[:] = _ZERO
     step = _EXACT_BELOW
     for _ in range(MOST_TWIST_STEPS):
-        step = _twist_step(rest, strand, work, step < _EXACT_BELOW)
+        step = _twist_step(rest, strand, work, bool(step < _EXACT_BELOW))
         if step < _TWIST_TOLERANCE:
             break
 

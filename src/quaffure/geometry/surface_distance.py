@@ -1,5 +1,7 @@
 """Exact distance from a point to a posed surface inside compiled loops: the nearest face where it matters."""
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
@@ -16,7 +18,7 @@ _FAR, _ZERO = np.float32(1e6), np.float32(0.0)
 def distance_within(
     px: float, py: float, pz: float, margin: float, leaf: int, body: SurfaceArrays,
     workspace: tuple[np.ndarray, np.ndarray],
-) -> tuple[float, float, float, float, int]:  # fmt: skip
+) -> tuple[Any, Any, Any, Any, int]:  # fmt: skip
     """Signed distance of a point to one posed surface [m], the unit vector along which it grows, and the nearest face.
 
     Where the point is outside and beyond the margin no face is searched: the distance is far, the vector 0, the face

@@ -23,7 +23,7 @@ def concatenate_strands(parts: list[Strands]) -> Strands:
         np.concatenate([part.points for part in parts]),
         np.concatenate([part.counts for part in parts]),
         ", ".join(part.source for part in parts),
-        **{name: _concatenated(parts, name) for name in HELD_PARTS},  # type: ignore[arg-type]
+        **{name: _concatenated(parts, name) for name in HELD_PARTS},
     )
 
 

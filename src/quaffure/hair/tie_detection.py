@@ -94,7 +94,7 @@ class _Cells(NamedTuple):
     """Cells that many aligned strands pass: mean point [m], number of strands, spread of their roots [m]."""
 
     centre: Float[np.ndarray, "c 3"]
-    count: Int[np.ndarray, " c"]
+    strands: Int[np.ndarray, " c"]
     spread: Float[np.ndarray, " c"]
 
 
@@ -129,7 +129,7 @@ def find_ties(groom: Groom) -> tuple[Int[Tensor, " s"], list[FoundTie]]:
     fewest = max(FEWEST, math.ceil(LEAST_SHARE * len(strands)))
     cells = _cells(samples, strands[:, 0], fewest)
     for _ in range(MOST_TRIALS):
-        score = cells.spread * np.sqrt(cells.count)
+        score = cells.spread * np.sqrt(cells.strands)
         for centre in rejected:
             score[np.linalg.norm(cells.centre - centre, axis=1) < 2 * CELL] = 0
         if not score.any():
@@ -219,7 +219,7 @@ def _narrowest(cells: _Cells, best: int, samples: _Samples) -> Float[np.ndarray,
     near = np.linalg.norm(samples.points - cells.centre[best], axis=1) < 0.5 * CELL
     members = np.unique(samples.strand[near])
     own = samples.select(np.isin(samples.strand, members[:: math.ceil(len(members) / SAMPLED_MEMBERS)]))
-    centres = cells.centre[cells.count >= SIMILAR_COUNT * cells.count[best]]
+    centres = cells.centre[cells.strands >= SIMILAR_COUNT * cells.strands[best]]
     distance, reached = np.empty(len(centres)), np.empty(len(centres))
     for place in range(len(centres)):
         # A cell holds a part of the tie: its mean is not the centre, where the strands come closest to it is.

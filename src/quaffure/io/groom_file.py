@@ -37,7 +37,7 @@ def write_groom(path: Path, groom: Groom) -> None:
     arrays = {name: getattr(groom, name).detach().cpu().numpy() for name in names}
     texts = {name: np.array(getattr(groom, name)) for name in TEXTS}
     with replacing(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, format_version=np.array(FORMAT_VERSION), **texts, **arrays)
+        np.savez_compressed(file, format_version=np.array(FORMAT_VERSION), **texts, **arrays)  # type: ignore[arg-type]  # taken for numpy's allow_pickle
 
 
 def is_groom_file(path: Path) -> bool:

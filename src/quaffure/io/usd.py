@@ -70,7 +70,7 @@ def read_usd_strands(path: Path) -> Strands:
     rendered = [curve for curve in curves if curve.ComputePurpose() != UsdGeom.Tokens.guide]
     parts = [_read_curves(curve, path) for curve in rendered or curves]
     if not parts:
-        raise InputError(path, "curves", "none")
+        raise InputError(path, "at least one strand", "no strands: no curves")
     every = concatenate_strands(parts)
     return checked_strands(every.points, every.counts, path, held_parts_of(every))
 

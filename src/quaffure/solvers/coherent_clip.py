@@ -1,4 +1,4 @@
-"""Clips that do not jump: every frame starts from the last one, carried along by the head.
+"""Clips that do not jump: every frame starts from the last one, rotated with the scalp.
 
 Hair at rest has many minima of nearly the same energy, centimetres apart, so that frames which are solved one by one
 jump between them. Here strands go from one frame's minimum to the next, by limited displacements.
@@ -79,7 +79,7 @@ class CoherentDraper:
         if last is None or last.groom is not scene.groom or self._is_cut(last, frame):
             descent = self.draper.descend(energy, scene)
         else:
-            descent = self._followed(energy, scene, last.carried_to(frame))
+            descent = self._followed(energy, scene, last.rotated_to(frame))
         self._last = replace(frame, direction=torch.from_numpy(descent.direction.copy()))
         return descent.positions
 
@@ -113,7 +113,7 @@ class _Frame:
     rotation: Float[Tensor, "s 3 3"]
     direction: Float[Tensor, "s e 3"]
 
-    def carried_to(self, frame: "_Frame") -> Float[Tensor, "s e 3"]:
+    def rotated_to(self, frame: "_Frame") -> Float[Tensor, "s e 3"]:
         """The directions of the edges, rotated as the scalp has rotated."""
         turn = frame.rotation @ self.rotation.transpose(-1, -2)
         return torch.einsum("sij,sej->sei", turn, self.direction)

@@ -142,9 +142,9 @@ class StrandDescent:
     def settle(self, passes: int) -> None:
         """Passes with all terms. The energy of all hair is never higher at the end than at the start."""
         for _ in range(passes):
-            self._feel_hair()
+            self._update_density()
             self._move(self._k_body_collision, self._control.most_turn, self._anywhere, self._control.backtracks)
-        self._feel_hair()
+        self._update_density()
 
     def follow(self, passes: int, most_move: float, most_moved: float) -> None:
         """Passes with all terms, in each of which no vertex moves by more than `most_move` [m], and in all since
@@ -174,7 +174,7 @@ class StrandDescent:
     def _clear_surroundings(self) -> None:
         self._around.gradient[:], self._around.stiffness[:] = 0.0, 0.0
 
-    def _feel_hair(self) -> None:
+    def _update_density(self) -> None:
         """Compute hair against hair anew; where the energy of all has risen, go back and take shorter steps."""
         total, gradient = self._with_density()
         if self._best is not None and not total < self._best.energy:

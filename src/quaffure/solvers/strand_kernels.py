@@ -1,7 +1,7 @@
 """Whole strands that move by themselves, in compiled passes: energy and gradient, rotated edges, resolved contact.
 
-A strand's own energy is the rod, its weight and contact. The hair around it is held, and felt by a quadratic model of
-Eq. 11. The same own energy in torch is `HairEnergy` without that term; a test holds the two together.
+A strand's own energy is the rod, its weight and contact. The hair around it is held; Eq. 11 is replaced by a quadratic
+model. The same own energy in torch is `HairEnergy` without that term; a test holds the two together.
 """
 
 from typing import NamedTuple
@@ -41,7 +41,7 @@ class StrandArrays(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """Quadratic model of the energy of hair against hair, as every vertex feels it.
+    """Quadratic model of the energy of hair against hair, at every vertex.
 
     Attributes:
         gradient: [N], [strand vertex 3].
@@ -74,7 +74,7 @@ class Evaluation(NamedTuple):
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def evaluate_strands(
     direction: np.ndarray, strands: np.ndarray, hair: StrandArrays, rest: RodArrays, around: Surroundings,
-    body: SurfaceArrays, k_body_collision: float, out: Evaluation,
+    body: SurfaceArrays, k_body_collision: float | np.floating, out: Evaluation,
 ) -> None:  # fmt: skip
     """Evaluate the `strands` listed, whose edges have the `direction` [strand edge 3]; no contact where its stiffness
     is 0."""
@@ -89,7 +89,7 @@ def evaluate_strands(
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _evaluate_run(
     direction: np.ndarray, strands: np.ndarray, hair: StrandArrays, rest: RodArrays, around: Surroundings,
-    body: SurfaceArrays, k_body_collision: float, out: Evaluation,
+    body: SurfaceArrays, k_body_collision: float | np.floating, out: Evaluation,
 ) -> None:  # fmt: skip
     work = rod_workspace(direction.shape[1], direction)
     workspace = search_workspace()
@@ -98,7 +98,7 @@ def _evaluate_run(
         x, gradient, contact = out.positions[strand], out.gradient[strand], out.contact[strand]
         _integrate(direction[strand], hair.root[strand], hair.length[strand], x)
         energy = _weigh(x, hair.weight[strand], gradient)
-        energy += rod_of_strand(x, hair.rotation[strand], rest, strand, work, gradient)
+        energy += float(rod_of_strand(x, hair.rotation[strand], rest, strand, work, gradient))
         contact[:, 3] = _ZERO
         if k_body_collision > _ZERO:
             pressed, leaf = _press(x, hair.margin[strand], k_body_collision, body, leaf, workspace, gradient, contact)
@@ -142,7 +142,7 @@ def _squeeze(x: np.ndarray, slope: np.ndarray, stiffness: np.ndarray, positions:
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def _press(
-    x: np.ndarray, margin: np.ndarray, k_body_collision: float, body: SurfaceArrays, seed: int,
+    x: np.ndarray, margin: np.ndarray, k_body_collision: float | np.floating, body: SurfaceArrays, seed: int,
     workspace: tuple[np.ndarray, np.ndarray], gradient: np.ndarray, contact: np.ndarray,
 ) -> tuple[float, int]:  # fmt: skip
     """Eq. 10 of a strand, and the first face in contact: a good `seed` for the next strand. Adds to the gradient."""
@@ -168,8 +168,8 @@ def _press(
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def limit_rotations(
-    direction: np.ndarray, length: np.ndarray, strands: np.ndarray, most_turn: float, most_move: np.ndarray,
-    rotation: np.ndarray,
+    direction: np.ndarray, length: np.ndarray, strands: np.ndarray, most_turn: float | np.floating,
+    most_move: np.ndarray, rotation: np.ndarray,
 ) -> None:  # fmt: skip
     """Take the twist off the rotations of the `strands` listed, and shorten them: no edge turns by more than
     `most_turn` [rad], and no vertex by more than its strand's `most_move` [m], both to first order."""
@@ -180,7 +180,11 @@ def limit_rotations(
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _limit_strand(
-    direction: np.ndarray, length: np.ndarray, most_turn: float, most_move: float, rotation: np.ndarray
+    direction: np.ndarray,
+    length: np.ndarray,
+    most_turn: float | np.floating,
+    most_move: float | np.floating,
+    rotation: np.ndarray,
 ) -> None:
     ux, uy, uz, farthest = _ZERO, _ZERO, _ZERO, _ZERO
     for edge in range(len(length)):
@@ -200,7 +204,7 @@ def _limit_strand(
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def rotate_edges(
-    direction: np.ndarray, rotation: np.ndarray, step: float, strands: np.ndarray, out: np.ndarray
+    direction: np.ndarray, rotation: np.ndarray, step: float | np.floating, strands: np.ndarray, out: np.ndarray
 ) -> None:
     """Directions of the `strands` listed, rotated by `step` times `rotation`, which is across them."""
     for index in prange(len(strands)):
@@ -219,7 +223,7 @@ def rotate_edges(
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def resolve_strands(
-    direction: np.ndarray, hair: StrandArrays, goal_weight: np.ndarray, body: SurfaceArrays, share: float
+    direction: np.ndarray, hair: StrandArrays, goal_weight: np.ndarray, body: SurfaceArrays, share: float | np.floating
 ) -> None:
     """From root to tip, push every vertex that is nearer to the body than `share` of its margin out to there; what
     hangs on it moves along. Edges that a goal holds stay. Changes the directions [strand edge 3]."""
@@ -233,7 +237,7 @@ def resolve_strands(
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _resolve_run(
     first: int, last: int, direction: np.ndarray, hair: StrandArrays, goal_weight: np.ndarray, body: SurfaceArrays,
-    share: float,
+    share: float | np.floating,
 ) -> None:  # fmt: skip
     workspace = search_workspace()
     leaf = 0

@@ -1,7 +1,7 @@
 """Newton's method on single strands with contact: the draper for the rod, frame by frame.
 
-Hair first falls without contact, is pushed out of the body and touches it; only then does it feel other hair: felt
-while large motion is still to come, hair against hair locks groups of strands.
+Hair first falls without contact, is pushed out of the body and rests on it; only then do strands interact: while large
+motion is still to come, hair against hair locks groups of strands.
 """
 
 import time

@@ -12,19 +12,23 @@ beyond the edge (tension stiffens), G the gradient of the whole energy, c and n 
 h a stiffness in all directions. Twist is theta's part along the edge; eliminated with the rest, it is quasi-static.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
 from quaffure.energies.body_collision import contact_stiffness
+from quaffure.energies.rod_kernels import Vector, cross, dot
 
 LANES = 8
 """Strands in a block: one 512-bit register of float64. In float32 the stiffness of deep contact would leave nothing of
 the bending stiffness, which is a thousand times less."""
 LEAST_STIFFNESS = 1e-4
 """Stiffness added to every rotation, relative to the bending stiffness: keeps the system positive definite."""
+Symmetric = tuple[Any, Any, Any, Any, Any, Any]  # 00, 10, 11, 20, 21, 22
+Rows = tuple[Vector, Vector, Vector]
 _TINY = 1e-30
+_LEAST_ALIGNMENT = 0.02  # of two edges, as 1 + cos: less, and the model of their twist is worth nothing
 
 
 class StrandModel(NamedTuple):
@@ -56,7 +60,9 @@ class StrandModel(NamedTuple):
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def newton_rotations(model: StrandModel, k_body_collision: float, strands: np.ndarray, rotation: np.ndarray) -> None:
+def newton_rotations(
+    model: StrandModel, k_body_collision: float | np.floating, strands: np.ndarray, rotation: np.ndarray
+) -> None:
     """Fill the rotation theta [rad] of every edge that minimizes the model, for the `strands` listed.
 
     Args:
@@ -68,16 +74,16 @@ def newton_rotations(model: StrandModel, k_body_collision: float, strands: np.nd
         _solve_block(model, k_body_collision, strands[block * LANES : (block + 1) * LANES], rotation)
 
 
-# Rows of the gathered input of an edge, and of what the elimination leaves for the way back.
-_T, _B, _C, _L, _GOAL, _G, _N, _CONTACT, _H = 0, 3, 4, 5, 6, 7, 10, 13, 14
-_INPUTS = 15
-_KU, _KP, _K = 0, 9, 18
-_LEFT = 21
-_STATE = 27  # P_uu 6, P_up 9, P_pp 6, p_u 3, p_p 3
+# Rows of the input of an edge, of what its elimination leaves for the way back, and of the quadratic function.
+_T, _B, _C, _L, _GOAL, _G, _N, _CONTACT, _H, _INPUTS = 0, 3, 4, 5, 6, 7, 10, 13, 14, 15
+_KU, _KP, _K, _LEFT = 0, 9, 18, 21
+_UU, _UP, _PP, _U, _P, _STATE = 0, 6, 15, 21, 24, 27
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _solve_block(model: StrandModel, k_body_collision: float, strands: np.ndarray, rotation: np.ndarray) -> None:
+def _solve_block(
+    model: StrandModel, k_body_collision: float | np.floating, strands: np.ndarray, rotation: np.ndarray
+) -> None:
     edges = model.direction.shape[1]
     inputs = np.zeros((edges + 1, _INPUTS, LANES), np.float64)
     left = np.empty((edges, _LEFT, LANES), np.float64)
@@ -91,7 +97,9 @@ def _solve_block(model: StrandModel, k_body_collision: float, strands: np.ndarra
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _gather(model: StrandModel, k_body_collision: float, strand: int, lane: int, inputs: np.ndarray) -> None:
+def _gather(
+    model: StrandModel, k_body_collision: float | np.floating, strand: int, lane: int, inputs: np.ndarray
+) -> None:
     """Row 0 holds the tangent at the root, row i + 1 edge i and the vertex at its end."""
     for axis in range(3):
         inputs[0, _T + axis, lane] = model.root_direction[strand, axis]
@@ -99,9 +107,8 @@ def _gather(model: StrandModel, k_body_collision: float, strand: int, lane: int,
         row = inputs[edge + 1]
         for axis in range(3):
             row[_T + axis, lane] = model.direction[strand, edge, axis]
-            row[_G + axis, lane] = (
-                model.gradient[strand, edge + 1, axis] + model.around_gradient[strand, edge + 1, axis]
-            )
+            own, other = model.gradient[strand, edge + 1, axis], model.around_gradient[strand, edge + 1, axis]
+            row[_G + axis, lane] = own + other
             row[_N + axis, lane] = model.contact[strand, edge + 1, axis]
         row[_B, lane], row[_C, lane] = model.bending[strand, edge], model.twisting[strand, edge]
         row[_L, lane], row[_GOAL, lane] = model.length[strand, edge], model.goal[strand, edge]
@@ -109,148 +116,178 @@ def _gather(model: StrandModel, k_body_collision: float, strand: int, lane: int,
         row[_H, lane] = model.around_stiffness[strand, edge + 1]
 
 
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _load(array: np.ndarray, row: int, lane: int) -> Vector:
+    return array[row, lane], array[row + 1, lane], array[row + 2, lane]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _store(array: np.ndarray, row: int, lane: int, v: Vector) -> None:
+    array[row, lane], array[row + 1, lane], array[row + 2, lane] = v[0], v[1], v[2]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _load_symmetric(array: np.ndarray, row: int, lane: int) -> Symmetric:
+    return (
+        array[row, lane], array[row + 1, lane], array[row + 2, lane],
+        array[row + 3, lane], array[row + 4, lane], array[row + 5, lane],
+    )  # fmt: skip
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _store_symmetric(array: np.ndarray, row: int, lane: int, m: Symmetric) -> None:
+    array[row, lane], array[row + 1, lane], array[row + 2, lane] = m[0], m[1], m[2]
+    array[row + 3, lane], array[row + 4, lane], array[row + 5, lane] = m[3], m[4], m[5]
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _times(m: Symmetric, v: Vector) -> Vector:
+    """A symmetric matrix times a vector."""
+    return (
+        m[0] * v[0] + m[1] * v[1] + m[3] * v[2],
+        m[1] * v[0] + m[2] * v[1] + m[4] * v[2],
+        m[3] * v[0] + m[4] * v[1] + m[5] * v[2],
+    )
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _inverse(m: Symmetric, least: float) -> Symmetric:
+    """By L D L^T; rounding must not make a pivot less than `least`."""
+    i0 = 1.0 / max(m[0], least)
+    l10, l20 = m[1] * i0, m[3] * i0
+    i1 = 1.0 / max(m[2] - l10 * m[1], least)
+    e21 = m[4] - l20 * m[1]
+    l21 = e21 * i1
+    i2 = 1.0 / max(m[5] - l20 * m[3] - l21 * e21, least)
+    n20 = l10 * l21 - l20
+    return (
+        i0 + l10 * l10 * i1 + n20 * n20 * i2,
+        -l10 * i1 - l21 * n20 * i2,
+        i1 + l21 * l21 * i2,
+        n20 * i2,
+        -l21 * i2,
+        i2,
+    )
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _joint_matrix(before: Vector, t: Vector, bend: float, twist: float) -> Symmetric:
+    """D = B S^T S + C w w^T, S d = d x t - (t_before x t) (w . d) / 2, w . d the twist between the two edges."""
+    inverse = 1.0 / max(1.0 + dot(t, before), _LEAST_ALIGNMENT)
+    w = ((t[0] + before[0]) * inverse, (t[1] + before[1]) * inverse, (t[2] + before[2]) * inverse)
+    k = cross(before, t)
+    q = cross(t, k)
+    across = twist + bend * 0.25 * dot(k, k)
+    half = 0.5 * bend
+    return (
+        bend * (1.0 - t[0] * t[0]) - half * (q[0] * w[0] + w[0] * q[0]) + across * w[0] * w[0],
+        -bend * t[1] * t[0] - half * (q[1] * w[0] + w[1] * q[0]) + across * w[1] * w[0],
+        bend * (1.0 - t[1] * t[1]) - half * (q[1] * w[1] + w[1] * q[1]) + across * w[1] * w[1],
+        -bend * t[2] * t[0] - half * (q[2] * w[0] + w[2] * q[0]) + across * w[2] * w[0],
+        -bend * t[2] * t[1] - half * (q[2] * w[1] + w[2] * q[1]) + across * w[2] * w[1],
+        bend * (1.0 - t[2] * t[2]) - half * (q[2] * w[2] + w[2] * q[2]) + across * w[2] * w[2],
+    )
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _vertex_matrix(state: Symmetric, n: Vector, c: float, h: float) -> Symmetric:
+    """What is known of u_(i+1) with the contact and the surroundings of its vertex."""
+    return (
+        state[0] + h + c * n[0] * n[0],
+        state[1] + c * n[1] * n[0],
+        state[2] + h + c * n[1] * n[1],
+        state[3] + c * n[2] * n[0],
+        state[4] + c * n[2] * n[1],
+        state[5] + h + c * n[2] * n[2],
+    )
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _edge_matrix(d: Symmetric, pp: Symmetric, p: Rows, a: Rows, arm: Vector) -> Symmetric:
+    """A_tt but for tension: D + P_pp + J^T A_ut + (J^T P_up)^T, where J^T v = (l t) x v."""
+    a0 = cross(arm, (a[0][0], a[1][0], a[2][0]))
+    a1 = cross(arm, (a[0][1], a[1][1], a[2][1]))
+    a2 = cross(arm, (a[0][2], a[1][2], a[2][2]))
+    p0 = cross(arm, (p[0][0], p[1][0], p[2][0]))
+    p1 = cross(arm, (p[0][1], p[1][1], p[2][1]))
+    p2 = cross(arm, (p[0][2], p[1][2], p[2][2]))
+    return (
+        d[0] + pp[0] + a0[0] + p0[0],
+        d[1] + pp[1] + a0[1] + p1[0],
+        d[2] + pp[2] + a1[1] + p1[1],
+        d[3] + pp[3] + a0[2] + p2[0],
+        d[4] + pp[4] + a1[2] + p2[1],
+        d[5] + pp[5] + a2[2] + p2[2],
+    )
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _stiffened(m: Symmetric, t: Vector, tension: float, least: float) -> Symmetric:
+    """A_tt with tension (I - t t^T), and a little of I."""
+    return (
+        m[0] + tension * (1.0 - t[0] * t[0]) + least,
+        m[1] - tension * t[1] * t[0],
+        m[2] + tension * (1.0 - t[1] * t[1]) + least,
+        m[3] - tension * t[2] * t[0],
+        m[4] - tension * t[2] * t[1],
+        m[5] + tension * (1.0 - t[2] * t[2]) + least,
+    )
+
+
+@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
+def _reduced(m: Symmetric, rows: Rows, columns: Rows) -> Symmetric:
+    """A symmetric matrix less the symmetric product of `rows` and `columns`, each a tuple of vectors."""
+    return (
+        m[0] - dot(rows[0], columns[0]),
+        m[1] - dot(rows[1], columns[0]),
+        m[2] - dot(rows[1], columns[1]),
+        m[3] - dot(rows[2], columns[0]),
+        m[4] - dot(rows[2], columns[1]),
+        m[5] - dot(rows[2], columns[2]),
+    )
+
+
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _eliminate(row: np.ndarray, before: np.ndarray, state: np.ndarray, force: np.ndarray, left: np.ndarray) -> None:
-    """Take vertex i + 1 and edge i into the quadratic function in `state`, and eliminate the edge's rotation.
-
-    Longer than other functions: cut up, the compiler would not keep its hundred numbers in registers.
-    """
+    """Take vertex i + 1 and edge i into the quadratic function in `state`, and eliminate the edge's rotation."""
     for lane in range(LANES):
-        tx, ty, tz = row[_T, lane], row[_T + 1, lane], row[_T + 2, lane]
-        bx, by, bz = before[_T, lane], before[_T + 1, lane], before[_T + 2, lane]
-        bend, twist, length, goal = row[_B, lane], row[_C, lane], row[_L, lane], row[_GOAL, lane]
-        gx, gy, gz = row[_G, lane], row[_G + 1, lane], row[_G + 2, lane]
-        nx, ny, nz = row[_N, lane], row[_N + 1, lane], row[_N + 2, lane]
-        c, h = row[_CONTACT, lane], row[_H, lane]
-        # M: what is known of u_(i+1).
-        m00 = state[0, lane] + h + c * nx * nx
-        m10 = state[1, lane] + c * ny * nx
-        m11 = state[2, lane] + h + c * ny * ny
-        m20 = state[3, lane] + c * nz * nx
-        m21 = state[4, lane] + c * nz * ny
-        m22 = state[5, lane] + h + c * nz * nz
-        p00, p01, p02 = state[6, lane], state[7, lane], state[8, lane]
-        p10, p11, p12 = state[9, lane], state[10, lane], state[11, lane]
-        p20, p21, p22 = state[12, lane], state[13, lane], state[14, lane]
-        mx, my, mz = state[21, lane] + gx, state[22, lane] + gy, state[23, lane] + gz
-        fx, fy, fz = force[0, lane] - gx, force[1, lane] - gy, force[2, lane] - gz
-        force[0, lane], force[1, lane], force[2, lane] = fx, fy, fz
-        # D = B S^T S + C w w^T, S d = d x t - (t_before x t) (w . d) / 2, w . d the twist between the two edges.
-        inverse = 1.0 / max(1.0 + tx * bx + ty * by + tz * bz, 0.02)
-        wx, wy, wz = (tx + bx) * inverse, (ty + by) * inverse, (tz + bz) * inverse
-        kx, ky, kz = by * tz - bz * ty, bz * tx - bx * tz, bx * ty - by * tx
-        qx, qy, qz = 0.5 * (ty * kz - tz * ky), 0.5 * (tz * kx - tx * kz), 0.5 * (tx * ky - ty * kx)
-        across = twist + bend * 0.25 * (kx * kx + ky * ky + kz * kz)
-        d00 = bend * (1.0 - tx * tx - qx * wx - wx * qx) + across * wx * wx
-        d10 = bend * (-ty * tx - qy * wx - wy * qx) + across * wy * wx
-        d11 = bend * (1.0 - ty * ty - qy * wy - wy * qy) + across * wy * wy
-        d20 = bend * (-tz * tx - qz * wx - wz * qx) + across * wz * wx
-        d21 = bend * (-tz * ty - qz * wy - wz * qy) + across * wz * wy
-        d22 = bend * (1.0 - tz * tz - qz * wz - wz * qz) + across * wz * wz
+        t, g = _load(row, _T, lane), _load(row, _G, lane)
+        bend, length = row[_B, lane], row[_L, lane]
+        arm = (length * t[0], length * t[1], length * t[2])
+        f = _load(force, 0, lane)
+        f = (f[0] - g[0], f[1] - g[1], f[2] - g[2])
+        _store(force, 0, lane, f)
+        m = _vertex_matrix(_load_symmetric(state, _UU, lane), _load(row, _N, lane), row[_CONTACT, lane], row[_H, lane])
+        p = (_load(state, _UP, lane), _load(state, _UP + 3, lane), _load(state, _UP + 6, lane))
+        mu = _load(state, _U, lane)
+        mu = (mu[0] + g[0], mu[1] + g[1], mu[2] + g[2])
+        d = _joint_matrix(_load(before, _T, lane), t, bend, row[_C, lane])
         # A_ut = M J + P_up with J = -l [t]x: a row of M J is l t x that row of M.
-        lx, ly, lz = length * tx, length * ty, length * tz
-        a00, a01, a02 = p00 + ly * m20 - lz * m10, p01 + lz * m00 - lx * m20, p02 + lx * m10 - ly * m00
-        a10, a11, a12 = p10 + ly * m21 - lz * m11, p11 + lz * m10 - lx * m21, p12 + lx * m11 - ly * m10
-        a20, a21, a22 = p20 + ly * m22 - lz * m21, p21 + lz * m20 - lx * m22, p22 + lx * m21 - ly * m20
-        # A_tt = J^T A_ut + (J^T P_up)^T + P_pp + D + geometric + goal; J^T v = l t x v.
-        j00 = ly * a20 - lz * a10
-        j10, j11 = lz * a00 - lx * a20, lz * a01 - lx * a21
-        j20, j21, j22 = lx * a10 - ly * a00, lx * a11 - ly * a01, lx * a12 - ly * a02
-        k00, k01, k02 = ly * p20 - lz * p10, ly * p21 - lz * p11, ly * p22 - lz * p12
-        k11, k12 = lz * p01 - lx * p21, lz * p02 - lx * p22
-        k22 = lx * p12 - ly * p02
-        tension = max(fx * lx + fy * ly + fz * lz, 0.0) + goal
-        least = LEAST_STIFFNESS * bend
-        s00 = j00 + k00 + state[15, lane] + d00 + tension * (1.0 - tx * tx) + least
-        s10 = j10 + k01 + state[16, lane] + d10 - tension * ty * tx
-        s11 = j11 + k11 + state[17, lane] + d11 + tension * (1.0 - ty * ty) + least
-        s20 = j20 + k02 + state[18, lane] + d20 - tension * tz * tx
-        s21 = j21 + k12 + state[19, lane] + d21 - tension * tz * ty
-        s22 = j22 + k22 + state[20, lane] + d22 + tension * (1.0 - tz * tz) + least
-        rx = ly * mz - lz * my + state[24, lane]
-        ry = lz * mx - lx * mz + state[25, lane]
-        rz = lx * my - ly * mx + state[26, lane]
-        # Inverse of A_tt by L D L^T; rounding must not make a pivot negative.
-        i0 = 1.0 / max(s00, least + _TINY)
-        l10, l20 = s10 * i0, s20 * i0
-        i1 = 1.0 / max(s11 - l10 * s10, least + _TINY)
-        e21 = s21 - l20 * s10
-        l21 = e21 * i1
-        i2 = 1.0 / max(s22 - l20 * s20 - l21 * e21, least + _TINY)
-        n20 = l10 * l21 - l20
-        v22 = i2
-        v21 = -l21 * i2
-        v20 = n20 * i2
-        v11 = i1 + l21 * l21 * i2
-        v10 = -l10 * i1 - l21 * n20 * i2
-        v00 = i0 + l10 * l10 * i1 + n20 * n20 * i2
-        # K_u = A_tt^-1 A_ut^T, K_p = A_tt^-1 D, k = A_tt^-1 b.
-        u00, u01, u02 = (
-            v00 * a00 + v10 * a01 + v20 * a02,
-            v00 * a10 + v10 * a11 + v20 * a12,
-            v00 * a20 + v10 * a21 + v20 * a22,
+        x, y, z = cross(arm, (m[0], m[1], m[3])), cross(arm, (m[1], m[2], m[4])), cross(arm, (m[3], m[4], m[5]))
+        a = (
+            (p[0][0] + x[0], p[0][1] + x[1], p[0][2] + x[2]),
+            (p[1][0] + y[0], p[1][1] + y[1], p[1][2] + y[2]),
+            (p[2][0] + z[0], p[2][1] + z[1], p[2][2] + z[2]),
         )
-        u10, u11, u12 = (
-            v10 * a00 + v11 * a01 + v21 * a02,
-            v10 * a10 + v11 * a11 + v21 * a12,
-            v10 * a20 + v11 * a21 + v21 * a22,
-        )
-        u20, u21, u22 = (
-            v20 * a00 + v21 * a01 + v22 * a02,
-            v20 * a10 + v21 * a11 + v22 * a12,
-            v20 * a20 + v21 * a21 + v22 * a22,
-        )
-        o00, o01, o02 = (
-            v00 * d00 + v10 * d10 + v20 * d20,
-            v00 * d10 + v10 * d11 + v20 * d21,
-            v00 * d20 + v10 * d21 + v20 * d22,
-        )
-        o10, o11, o12 = (
-            v10 * d00 + v11 * d10 + v21 * d20,
-            v10 * d10 + v11 * d11 + v21 * d21,
-            v10 * d20 + v11 * d21 + v21 * d22,
-        )
-        o20, o21, o22 = (
-            v20 * d00 + v21 * d10 + v22 * d20,
-            v20 * d10 + v21 * d11 + v22 * d21,
-            v20 * d20 + v21 * d21 + v22 * d22,
-        )
-        kx, ky, kz = v00 * rx + v10 * ry + v20 * rz, v10 * rx + v11 * ry + v21 * rz, v20 * rx + v21 * ry + v22 * rz
-        left[0, lane], left[1, lane], left[2, lane] = u00, u01, u02
-        left[3, lane], left[4, lane], left[5, lane] = u10, u11, u12
-        left[6, lane], left[7, lane], left[8, lane] = u20, u21, u22
-        left[9, lane], left[10, lane], left[11, lane] = o00, o01, o02
-        left[12, lane], left[13, lane], left[14, lane] = o10, o11, o12
-        left[15, lane], left[16, lane], left[17, lane] = o20, o21, o22
-        left[18, lane], left[19, lane], left[20, lane] = kx, ky, kz
-        # What is left for (u_i, theta_(i-1)).
-        state[0, lane] = m00 - (a00 * u00 + a01 * u10 + a02 * u20)
-        state[1, lane] = m10 - (a10 * u00 + a11 * u10 + a12 * u20)
-        state[2, lane] = m11 - (a10 * u01 + a11 * u11 + a12 * u21)
-        state[3, lane] = m20 - (a20 * u00 + a21 * u10 + a22 * u20)
-        state[4, lane] = m21 - (a20 * u01 + a21 * u11 + a22 * u21)
-        state[5, lane] = m22 - (a20 * u02 + a21 * u12 + a22 * u22)
-        state[6, lane] = a00 * o00 + a01 * o10 + a02 * o20
-        state[7, lane] = a00 * o01 + a01 * o11 + a02 * o21
-        state[8, lane] = a00 * o02 + a01 * o12 + a02 * o22
-        state[9, lane] = a10 * o00 + a11 * o10 + a12 * o20
-        state[10, lane] = a10 * o01 + a11 * o11 + a12 * o21
-        state[11, lane] = a10 * o02 + a11 * o12 + a12 * o22
-        state[12, lane] = a20 * o00 + a21 * o10 + a22 * o20
-        state[13, lane] = a20 * o01 + a21 * o11 + a22 * o21
-        state[14, lane] = a20 * o02 + a21 * o12 + a22 * o22
-        state[15, lane] = d00 - (d00 * o00 + d10 * o10 + d20 * o20)
-        state[16, lane] = d10 - (d10 * o00 + d11 * o10 + d21 * o20)
-        state[17, lane] = d11 - (d10 * o01 + d11 * o11 + d21 * o21)
-        state[18, lane] = d20 - (d20 * o00 + d21 * o10 + d22 * o20)
-        state[19, lane] = d21 - (d20 * o01 + d21 * o11 + d22 * o21)
-        state[20, lane] = d22 - (d20 * o02 + d21 * o12 + d22 * o22)
-        state[21, lane] = mx - (a00 * kx + a01 * ky + a02 * kz)
-        state[22, lane] = my - (a10 * kx + a11 * ky + a12 * kz)
-        state[23, lane] = mz - (a20 * kx + a21 * ky + a22 * kz)
-        state[24, lane] = d00 * kx + d10 * ky + d20 * kz
-        state[25, lane] = d10 * kx + d11 * ky + d21 * kz
-        state[26, lane] = d20 * kx + d21 * ky + d22 * kz
+        tension = max(dot(f, arm), 0.0) + row[_GOAL, lane]
+        least = LEAST_STIFFNESS * bend + _TINY
+        s = _edge_matrix(d, _load_symmetric(state, _PP, lane), p, a, arm)
+        inverse = _inverse(_stiffened(s, t, tension, least), least)
+        turned, own = cross(arm, mu), _load(state, _P, lane)
+        k = _times(inverse, (turned[0] + own[0], turned[1] + own[1], turned[2] + own[2]))
+        # Columns of K_u = A_tt^-1 A_ut^T and K_p = A_tt^-1 D.
+        u = (_times(inverse, a[0]), _times(inverse, a[1]), _times(inverse, a[2]))
+        rows = ((d[0], d[1], d[3]), (d[1], d[2], d[4]), (d[3], d[4], d[5]))
+        o = (_times(inverse, rows[0]), _times(inverse, rows[1]), _times(inverse, rows[2]))
+        for axis in range(3):
+            _store(left, _KU + 3 * axis, lane, (u[0][axis], u[1][axis], u[2][axis]))
+            _store(left, _KP + 3 * axis, lane, (o[0][axis], o[1][axis], o[2][axis]))
+            _store(state, _UP + 3 * axis, lane, (dot(a[axis], o[0]), dot(a[axis], o[1]), dot(a[axis], o[2])))
+        _store(left, _K, lane, k)
+        _store_symmetric(state, _UU, lane, _reduced(m, a, u))
+        _store_symmetric(state, _PP, lane, _reduced(d, rows, o))
+        _store(state, _U, lane, (mu[0] - dot(a[0], k), mu[1] - dot(a[1], k), mu[2] - dot(a[2], k)))
+        _store(state, _P, lane, (dot(rows[0], k), dot(rows[1], k), dot(rows[2], k)))
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
@@ -260,43 +297,18 @@ def _substitute(inputs: np.ndarray, left: np.ndarray, strands: np.ndarray, rotat
     path = np.zeros((6, LANES), np.float64)
     found = np.empty((edges, 3, LANES), np.float64)
     for edge in range(edges):
-        row, k, out = inputs[edge + 1], left[edge], found[edge]
+        row, coefficients, out = inputs[edge + 1], left[edge], found[edge]
         for lane in range(LANES):
-            ux, uy, uz = path[0, lane], path[1, lane], path[2, lane]
-            px, py, pz = path[3, lane], path[4, lane], path[5, lane]
-            ax = (
-                k[9, lane] * px
-                + k[10, lane] * py
-                + k[11, lane] * pz
-                - k[18, lane]
-                - k[0, lane] * ux
-                - k[1, lane] * uy
-                - k[2, lane] * uz
+            u, before, k = _load(path, 0, lane), _load(path, 3, lane), _load(coefficients, _K, lane)
+            theta = (
+                dot(_load(coefficients, _KP, lane), before) - dot(_load(coefficients, _KU, lane), u) - k[0],
+                dot(_load(coefficients, _KP + 3, lane), before) - dot(_load(coefficients, _KU + 3, lane), u) - k[1],
+                dot(_load(coefficients, _KP + 6, lane), before) - dot(_load(coefficients, _KU + 6, lane), u) - k[2],
             )
-            ay = (
-                k[12, lane] * px
-                + k[13, lane] * py
-                + k[14, lane] * pz
-                - k[19, lane]
-                - k[3, lane] * ux
-                - k[4, lane] * uy
-                - k[5, lane] * uz
-            )
-            az = (
-                k[15, lane] * px
-                + k[16, lane] * py
-                + k[17, lane] * pz
-                - k[20, lane]
-                - k[6, lane] * ux
-                - k[7, lane] * uy
-                - k[8, lane] * uz
-            )
-            tx, ty, tz, length = row[_T, lane], row[_T + 1, lane], row[_T + 2, lane], row[_L, lane]
-            path[0, lane] = ux + length * (ay * tz - az * ty)
-            path[1, lane] = uy + length * (az * tx - ax * tz)
-            path[2, lane] = uz + length * (ax * ty - ay * tx)
-            path[3, lane], path[4, lane], path[5, lane] = ax, ay, az
-            out[0, lane], out[1, lane], out[2, lane] = ax, ay, az
+            moved, length = cross(theta, _load(row, _T, lane)), row[_L, lane]
+            _store(path, 0, lane, (u[0] + length * moved[0], u[1] + length * moved[1], u[2] + length * moved[2]))
+            _store(path, 3, lane, theta)
+            _store(out, 0, lane, theta)
     for lane in range(len(strands)):
         for edge in range(edges):
             for axis in range(3):

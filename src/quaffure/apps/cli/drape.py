@@ -59,8 +59,9 @@ class DrapeCommand:
     """Ten body shape coefficients separated by commas, or a file that holds them; without it, the mean body."""
     head: Path | None = None
     """The head mesh (.obj) that a groom file was made on; helps to register it."""
-    draper: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(DRAPERS)}}}")] = StrandNewtonDraper.name
-    """The method: one of the solvers (docs/solvers.md), the network, or the supervised baseline (docs/groomgen.md)."""
+    draper: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(DRAPERS)}}}")] = None
+    """The method: one of the solvers (docs/solvers.md), the network, or the supervised baseline (docs/groomgen.md).
+    Without it strand_newton, or with --weights the network."""
     coherent: bool = True
     """With strand_newton: every frame starts from the last one, so that clips do not jump; otherwise each by itself."""
     settle: int = 0
@@ -125,8 +126,12 @@ class DrapeCommand:
         self._report(sequence, *measured.of_all_frames())
 
     @property
+    def _name(self) -> str:
+        return self.draper or (StrandNewtonDraper.name if self.weights is None else NEURAL)
+
+    @property
     def _elastic(self) -> str:
-        return self.elastic or (ROD if self.draper == StrandNewtonDraper.name or self.settle else MODIFIED_COSSERAT)
+        return self.elastic or (ROD if self._name == StrandNewtonDraper.name or self.settle else MODIFIED_COSSERAT)
 
     @property
     def _rest(self) -> str:
@@ -134,34 +139,34 @@ class DrapeCommand:
 
     def _check_options(self) -> None:
         """Refuse options before the work."""
-        if self.draper not in DRAPERS:
-            raise InputError("--draper", f"one of {', '.join(DRAPERS)}", f"'{self.draper}'")
+        if self._name not in DRAPERS:
+            raise InputError("--draper", f"one of {', '.join(DRAPERS)}", f"'{self._name}'")
         if self.settle < 0:
             raise InputError("--settle", "0 or more", f"{self.settle}")
-        if self.settle and (self.draper == StrandNewtonDraper.name or self._elastic != ROD):
+        if self.settle and (self._name == StrandNewtonDraper.name or self._elastic != ROD):
             expected = f"another draper than {StrandNewtonDraper.name}, and the elastic model {ROD}"
-            raise InputError("--settle", expected, f"'{self.draper}' and '{self._elastic}'")
+            raise InputError("--settle", expected, f"'{self._name}' and '{self._elastic}'")
         if self.rest is not None and self._elastic != ROD:
             raise InputError("--rest", f"--elastic {ROD}", f"'{self._elastic}'")
-        if self.draper in (NEURAL, GROOMGEN) and self.elastic not in (None, MODIFIED_COSSERAT):
+        if self._name in (NEURAL, GROOMGEN) and self.elastic not in (None, MODIFIED_COSSERAT):
             raise InputError("--elastic", f"{MODIFIED_COSSERAT} with a network", f"'{self.elastic}'")
         if min(self.stiffness, self.weight) <= 0 or max(self.stiffness, self.weight) > MOST_SCALE:
             found = f"{self.stiffness:g} and {self.weight:g}"
             raise InputError("--stiffness and --weight", f"factors above 0, at most {MOST_SCALE:g}", found)
-        if self.draper in (NEURAL, GROOMGEN) and not self.settle and not self._has_default_loads:
-            expected = f"a solver, or --settle after the draper {self.draper}, which knows one hair and one gravity"
-            raise InputError("--stiffness, --weight, --gravity, --wind", expected, f"'{self.draper}'")
-        if self.draper == GROOMGEN and self.weights is None:
+        if self._name in (NEURAL, GROOMGEN) and not self.settle and not self._has_default_loads:
+            expected = f"a solver, or --settle after the draper {self._name}, which knows one hair and one gravity"
+            raise InputError("--stiffness, --weight, --gravity, --wind", expected, f"'{self._name}'")
+        if self._name == GROOMGEN and self.weights is None:
             raise InputError("--weights", f"weights of quaffure train-groomgen with the draper {GROOMGEN}", "none")
-        if self._elastic in ELASTIC_MODELS and self.draper in SOLVERS:
-            solver(self.draper, terms=hair_terms(self._elastic))  # refuses terms that it does not implement
+        if self._elastic in ELASTIC_MODELS and self._name in SOLVERS:
+            solver(self._name, terms=hair_terms(self._elastic))  # refuses terms that it does not implement
 
     def _draper(self, groom: Groom, body: BodyModel) -> tuple[Draper, Terms]:
         """The draper by name, and the terms of the energy that is measured.
 
         Solvers get the material that the weights were trained for, to be comparable.
         """
-        if self.draper == GROOMGEN and self.weights is not None:
+        if self._name == GROOMGEN and self.weights is not None:
             draper: Draper = load_groomgen(self.weights)[0]
         else:
             draper = load_model(self.weights).draper
@@ -169,8 +174,8 @@ class DrapeCommand:
         if self._elastic == MODIFIED_COSSERAT:
             material = replace(material, k_cosserat=self.stiffness * material.k_cosserat)
         terms = self._terms(groom, body, material)
-        if self.draper in SOLVERS:
-            draper = solver(self.draper, material, None if self.settle else terms)
+        if self._name in SOLVERS:
+            draper = solver(self._name, material, None if self.settle else terms)
         if self.settle:
             draper = SettledDraper(draper, StrandNewtonDraper(material, terms=terms), self.settle)
         if isinstance(draper, StrandNewtonDraper) and self.coherent:

@@ -1,4 +1,4 @@
-"""Metrics of what a picture shows: whether hair hangs, floats above what it should lie on, or jumps from frame to frame."""
+"""Metrics of what a picture shows: whether hair hangs, floats above what should support it, or jumps between frames."""
 
 import numpy as np
 import torch

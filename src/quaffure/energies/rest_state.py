@@ -8,10 +8,14 @@ import torch
 
 from quaffure.config import HairMaterial
 from quaffure.geometry.polyline import integrate_directions_reference
-from quaffure.types import EdgeVectors, Float, Positions, RestLengths, Tensor
+from quaffure.types import Bool, EdgeVectors, Float, Positions, RestLengths, Tensor
 
 if TYPE_CHECKING:
     from quaffure.energies.rod import RodRest
+
+
+HELD_DENSITY = 1e9
+"""Density at rest of held vertices: above all that Eq. 11 could find [kg/m^3]."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,7 @@ class RestState:
         collision_margin: distance D that every vertex keeps from the body [m]; zero at the root.
         stiffness_scale: multiple of a human hair's stiffness that the groom asks for; 1 without.
         goal_weight: weight with which the groom asks for edges to be held [J]; none is without.
+        held: vertices at the end of a held edge, which may come as close to each other as they like.
     """
 
     rest_strands: Float[Tensor, "s n 3"]
@@ -35,13 +40,15 @@ class RestState:
     collision_margin: Float[Tensor, "s n"]
     stiffness_scale: Float[Tensor, "s e"] | None = None
     goal_weight: Float[Tensor, "s e"] | None = None
+    held: Bool[Tensor, "s n"] | None = None
 
     @cached_property
     def rest_density(self) -> Float[Tensor, "s n"]:
         """Density of hair at every vertex of the rest groom (rho_rest) [kg/m^3]."""
         from quaffure.energies.self_collision import densities  # whose energy term reads this class
 
-        return densities(self.rest_strands[None], self.mass, self.smoothing_length)[0]
+        found = densities(self.rest_strands[None], self.mass, self.smoothing_length)[0]
+        return found if self.held is None else torch.where(self.held.to(found.device), HELD_DENSITY, found)
 
     @cached_property
     def stress_free_rod(self) -> "RodRest":

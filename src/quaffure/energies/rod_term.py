@@ -57,18 +57,23 @@ class Rod(EnergyTerm):
     stiffness: float | Float[Tensor, "s e"] = 1.0
 
     def adapt_rest(self, rest: RestState) -> RestState:
-        """With the collision margins of the design.
+        """With the collision margins of the design, and with `RestState.held`.
+
+        In a tie strands are so close that the small changes of a posed scalp would press them apart with all force.
 
         Raises:
             InputError: the design is that of another groom.
         """
-        if self.design is None:
+        goal = rest.goal_weight
+        if self.design is not None:
+            margin, goal = self.design.collision_margin, self.design.rod.goal_weight
+            if margin.shape != rest.collision_margin.shape:
+                expected, found = (tuple(values.shape) for values in (margin, rest.collision_margin))
+                raise InputError("sag-free rest shape", f"the groom that it was made for, {expected}", f"{found}")
+            rest = replace(rest, collision_margin=margin.to(rest.collision_margin))
+        if goal is None:
             return rest
-        margin = self.design.collision_margin
-        if margin.shape != rest.collision_margin.shape:
-            expected, found = (tuple(values.shape) for values in (margin, rest.collision_margin))
-            raise InputError("sag-free rest shape", f"the groom that it was made for, {expected}", f"{found}")
-        return replace(rest, collision_margin=margin.to(rest.collision_margin))
+        return replace(rest, held=torch.nn.functional.pad(goal > 0, (1, 0)))
 
     def prepare(self, rest: RestState, scene: HairScene) -> PosedRod:
         rod = (rest.stress_free_rod if self.design is None else self.design.rod).stiffened(self.stiffness)

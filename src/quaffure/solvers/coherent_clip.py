@@ -34,7 +34,7 @@ class CoherentSetting:
     passes: int = 4
     most_passes: int = 6
     most_move: float = 0.01
-    most_moved: float = 0.045
+    most_moved: float = 0.038
     still: float = 0.004
     moving_share: float = 0.1
     cut_distance: float = 0.25

@@ -157,6 +157,11 @@ class StrandDescent:
             self._move(self._k_body_collision, self._control.most_turn, limit, self._control.backtracks)
 
     @property
+    def has_goals(self) -> bool:
+        """Whether a tie, a clip or gel holds some edges."""
+        return bool((self._rod.goal_weight > 0).any())
+
+    @property
     def own_energy(self) -> float:
         """Energy without hair against hair, which adds to it, at the current directions [J]."""
         return float(self._now.energy[:, 0].sum())

@@ -111,24 +111,30 @@ class StrandNewtonDraper:
         return torch.cat(settled)
 
     def descend(self, energy: HairEnergy, scene: HairScene) -> StrandDescent:
-        """The strands of one sample at rest.
+        """The strands of one sample at rest, from the start that ends lowest.
 
-        Where the posed groom may have less energy than hair that has fallen and settled, hair settles from it as well,
-        and the lower is kept: upright it is the design, from which passes without contact push hair into the head.
+        Hair falls from the posed groom. Where the posed groom may have less energy than what comes out, hair settles
+        from it as well: upright it is the design, from which passes without contact push hair into the head. Tied hair
+        also slides from there along the body: falling, a tail would pass through the head and divide.
         """
         setting = self.setting
         passes = setting.passes - setting.free_passes - setting.contact_passes
-        descent = StrandDescent(energy, scene, setting.control)
-        own_energy_posed = descent.own_energy
-        descent.fall(setting.free_passes)
-        descent.resolve_contact(setting.resolved_share)
-        descent.touch(setting.contact_passes)
-        descent.settle(passes)
-        if descent.settled_energy <= own_energy_posed:
-            return descent
-        from_posed = StrandDescent(energy, scene, setting.control)
-        from_posed.settle(passes)
-        return min(descent, from_posed, key=lambda shape: shape.settled_energy)
+        fallen = StrandDescent(energy, scene, setting.control)
+        own_energy_posed = fallen.own_energy
+        fallen.fall(setting.free_passes)
+        fallen.resolve_contact(setting.resolved_share)
+        fallen.touch(setting.contact_passes)
+        fallen.settle(passes)
+        found = [fallen]
+        if own_energy_posed < fallen.settled_energy:
+            found.append(StrandDescent(energy, scene, setting.control))
+            found[-1].settle(passes)
+        if fallen.has_goals:
+            found.append(StrandDescent(energy, scene, setting.control))
+            found[-1].resolve_contact(setting.resolved_share)
+            found[-1].touch(setting.free_passes + setting.contact_passes)
+            found[-1].settle(passes)
+        return min(found, key=lambda shape: shape.settled_energy)
 
 
 class SettledDraper:

@@ -86,6 +86,8 @@ class CoherentDraper:
     def _followed(self, energy: HairEnergy, scene: PosedScene, direction: Float[Tensor, "s e 3"]) -> StrandDescent:
         setting = self.setting
         descent = StrandDescent(energy, scene, self.draper.setting.control, direction)
+        # A limb may sweep through hair faster than hair may move in a frame.
+        descent.resolve_contact(0.0)
         descent.follow(setting.passes, setting.most_move, setting.most_moved)
         while descent.passes < setting.most_passes and (descent.moved > setting.still).mean() > setting.moving_share:
             descent.follow(1, setting.most_move, setting.most_moved)

@@ -129,9 +129,10 @@ class StrandDescent:
             self._move(np.float32(0.0), most_turn, self._anywhere, backtracks=0)
 
     def resolve_contact(self, share: float) -> None:
-        """Push vertices that are within `share` of their margins out of the body, from root to tip."""
+        """Push vertices that are within `share` of their margins out of the body, from root to tip; the new start."""
         resolve_strands(self.direction, self._hair, self._rod.goal_weight, self._body, np.float32(share))
         self._evaluate(self._k_body_collision)
+        self._start = self._now.positions.copy()
 
     def touch(self, passes: int) -> None:
         """Passes with contact and without other hair."""

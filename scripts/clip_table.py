@@ -1,0 +1,75 @@
+"""Clips by `CoherentDraper`: the table in docs/hanging.md.
+
+python scripts/clip_table.py [FILE.bvh ...] [--styles STYLE ...]; the bundled neck_turn and bow, and 150 frames of each file.
+"""
+
+import time
+from pathlib import Path
+
+import torch
+import tyro
+
+from quaffure.benchmark.appearance import JUMP, jumps
+from quaffure.benchmark.metrics import intersection_percent
+from quaffure.body import BodyModel, Motion, bundled_clip, load_body, resample
+from quaffure.hair import Groom
+from quaffure.io.read_motion import read_motion
+from quaffure.procedural import make_groom
+from quaffure.scene import BodyBatch, Scene
+from quaffure.solvers import CoherentDraper, StrandNewtonDraper
+
+FPS, FRAMES = 30.0, 150
+EVERY = 15
+"""Frames between those that are draped alone as well, to compare energies."""
+COLUMNS = (
+    "style", "clip", "frames", "jumps", "largest [mm]", "energy above frames alone, mean", "most", "inside %",
+    "ms a frame",
+)  # fmt: skip
+
+
+def main(
+    motions: tyro.conf.Positional[tuple[Path, ...]] = (), styles: tuple[str, ...] = ("long_straight", "ponytail")
+) -> None:
+    body = load_body()
+    clips = [bundled_clip("neck_turn", body), bundled_clip("bow", body)]
+    clips += [resample(read_motion(path, body), FPS) for path in motions]
+    print(f"| {' | '.join(COLUMNS)} |")
+    print("|---" * len(COLUMNS) + "|")
+    for name in styles:
+        groom = make_groom(name, body)
+        for clip in clips:
+            print(f"| {' | '.join(_row(groom, body, clip))} |", flush=True)
+
+
+def _row(groom: Groom, body: BodyModel, clip: Motion) -> list[str]:
+    alone = StrandNewtonDraper()
+    follower = CoherentDraper(alone)
+    draped, posed, inside, above, milliseconds = [], [], [], [], []
+    for frame, body_pose in enumerate(clip.body_pose[:FRAMES].split(1)):
+        scene = Scene(groom, BodyBatch(body, body_pose, torch.zeros(1, 10)))
+        posed.append(scene.posed)
+        assert len(scene.surface.vertices)  # the body's search structures are not the draper's time
+        begin = time.perf_counter()
+        draped.append(follower.drape(scene))
+        milliseconds.append(1000 * (time.perf_counter() - begin))
+        inside.append(float(intersection_percent(draped[-1], scene)))
+        if frame % EVERY == 0:
+            energy = alone.energy_of(scene)
+            difference = energy.total(draped[-1], scene) - energy.total(alone.drape(scene), scene)
+            above.append(float(energy.per_vertex(difference)))
+    moved = jumps(torch.cat(draped), torch.cat(posed))
+    return [
+        groom.name,
+        clip.name,
+        f"{len(draped)}",
+        f"{int((moved > JUMP).sum())}",
+        f"{1000 * float(moved.max()):.0f}",
+        f"{sum(above) / len(above):.3f}",
+        f"{max(above):.3f}",
+        f"{sum(inside) / len(inside):.3f}",
+        f"{sorted(milliseconds)[len(milliseconds) // 2]:.0f}",
+    ]
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

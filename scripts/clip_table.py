@@ -1,6 +1,6 @@
 """Clips by `CoherentDraper`: the table in docs/hanging.md.
 
-python scripts/clip_table.py [FILE.bvh ...] [--styles STYLE ...]; the bundled neck_turn and bow, and 150 frames of each file.
+python scripts/clip_table.py [FILE.bvh ...] [--styles STYLE ...]; bundled neck_turn, bow, and 150 frames of each file.
 """
 
 import time

@@ -13,7 +13,7 @@ from quaffure.geometry import Surface
 from quaffure.hair import Groom
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, energy_and_gradient
+from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, energy_and_gradient, solver
 from quaffure.solvers.coherent_clip import CoherentSetting
 from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.strand_newton import SettledDraper
@@ -168,8 +168,32 @@ def test_clips_are_the_same_bits_with_any_number_of_threads(body: BodyModel, sur
     assert torch.equal(*drapes)
 
 
+def test_hair_swings_with_gravity_and_soft_hair_further(body: BodyModel, surface: Surface) -> None:
+    groom = _few(body, surface)
+    scene = _upright(groom, body)
+    design = sag_free_rest(groom, body, surface=surface)
+    swung = {}
+    for stiffness in (0.3, 1.0, 3.0):
+        terms = hair_terms("rod", design, stiffness, (4.0, 0.0, -9.0))
+        moved = StrandNewtonDraper(terms=terms).drape(scene) - scene.posed
+        swung[stiffness] = moved[0, :, -1].mean(dim=0)
+    assert float(swung[1.0][0]) > 0.01
+    assert float(swung[1.0][0]) > 2 * float(swung[1.0][1].abs())
+    assert float(swung[0.3][0]) > float(swung[1.0][0]) > float(swung[3.0][0])
+
+
+def test_a_direction_that_is_not_finite_is_refused() -> None:
+    scene = posed_scene(sphere_groom(strands=3))
+    direction = scene.director[0].clone()
+    direction[1, 2] = float("nan")
+    with pytest.raises(ValueError, match="finite"):
+        StrandDescent(HairEnergy(scene.groom, terms=hair_terms("rod")), scene, direction=direction)
+
+
 def test_other_terms_and_scenes_without_a_body_are_refused() -> None:
     with pytest.raises(InputError, match="elastic model rod"):
         StrandNewtonDraper(terms=hair_terms())
     with pytest.raises(InputError, match="without a body model"):
         StrandNewtonDraper().drape(posed_scene(sphere_groom(strands=3)))
+    with pytest.raises(InputError, match="newton: expected gravity"):
+        solver("newton", terms=hair_terms(acceleration=(0.0, 1.0, -9.81)))

@@ -29,7 +29,7 @@ def drape_motion(
     body_shape: Float[Tensor, "10"],
     on_frames: Callable[[Positions, Scene], None] = lambda draped, scene: None,
 ) -> DrapeSequence:
-    """Drape every frame by itself: quasi-static, no frame knows another.
+    """Drape the frames in their order, each by itself unless the draper follows from frame to frame.
 
     Frames are draped in place, where float32 is finest, and then moved along the path of the motion.
 

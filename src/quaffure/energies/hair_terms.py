@@ -48,7 +48,7 @@ def hair_terms(
         raise InputError("elastic model", f"one of {', '.join(ELASTIC_MODELS)}", repr(elastic))
     if design is not None and elastic != ROD:
         raise InputError("sag-free rest shape", f"the elastic model {ROD}", repr(elastic))
-    if elastic != ROD and not (isinstance(stiffness, float) and stiffness == 1):
+    if elastic != ROD and (isinstance(stiffness, Tensor) or stiffness != 1):
         raise InputError("stiffness", f"the elastic model {ROD}", repr(elastic))
     chosen = (Rod(design, stiffness), Stretch()) if elastic == ROD else ELASTIC_MODELS[elastic]
     return (*chosen, Gravity(acceleration), BodyCollision(), SelfCollision())

@@ -228,15 +228,15 @@ def _leaned(direction: Float[Tensor, "s e 3"], moment: Float[Tensor, "s e 3"]) -
     return (1 - lean.square().sum(-1, keepdim=True)).clamp(min=0).sqrt() * direction + lean
 
 
-_DESIGNS: WeakKeyDictionary[Groom, dict[HairMaterial, SagFreeRest]] = WeakKeyDictionary()
+_DESIGNS: WeakKeyDictionary[Groom, dict[tuple[BodyModel, HairMaterial], SagFreeRest]] = WeakKeyDictionary()
 
 
 def design_of(groom: Groom, body: BodyModel, material: HairMaterial) -> SagFreeRest:
-    """`sag_free_rest`, computed once for a groom and a material. Arguments and errors are the same."""
+    """`sag_free_rest`, computed once for a groom, a body and a material. Arguments and errors are the same."""
     designs = _DESIGNS.setdefault(groom, {})
-    if material not in designs:
-        designs[material] = sag_free_rest(groom, body, material)
-    return designs[material]
+    if (body, material) not in designs:
+        designs[body, material] = sag_free_rest(groom, body, material)
+    return designs[body, material]
 
 
 def residual(groom: Groom, rest: SagFreeRest, material: HairMaterial | None = None) -> Float[Tensor, "s e"]:

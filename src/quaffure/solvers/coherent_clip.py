@@ -24,7 +24,8 @@ class CoherentSetting:
     Attributes:
         passes: of a frame.
         most_passes: of a frame in which strands still move.
-        most_move, most_moved: displacement of a vertex in a pass and in a frame, on top of the head's [m].
+        most_move, most_moved: displacement of a vertex in a pass and in a frame, on top of the head's and of what a
+            limb pushes, to first order [m].
         still: displacement in the last pass below which a strand is at rest [m].
         moving_share: of the strands above which further passes follow.
         cut_distance, cut_angle: mean displacement [m] and rotation [rad] of the roots in one frame from which on the
@@ -118,4 +119,4 @@ class _Frame:
     def rotated_to(self, frame: "_Frame") -> Float[Tensor, "s e 3"]:
         """The directions of the edges, rotated as the scalp has rotated."""
         turn = frame.rotation @ self.rotation.transpose(-1, -2)
-        return torch.einsum("sij,sej->sei", turn, self.direction)
+        return torch.einsum("sij,sej->sei", turn, self.direction.to(turn))

@@ -43,8 +43,8 @@ class StepControl:
         shortening: factor of each.
         yield_distance: over which the force of hair against hair is taken to grow by its own size [m]. Shorter is
             slower; longer, groups of strands move past each other.
-        most_damping: a pass after which the energy of all hair has risen is undone, and the stiffness against the hair
-            around is raised by this factor at most.
+        most_damping: factor by which the stiffness against the hair around is raised at most, when a pass after which
+            the energy of all hair has risen is undone.
     """
 
     most_turn: float = 1.0
@@ -68,7 +68,7 @@ class StrandDescent:
     Attributes:
         direction: unit direction of every edge [strand edge 3].
         passes: done so far.
-        moved: largest displacement of each strand in the last pass, to first order [m].
+        moved: largest displacement of a vertex of each strand in the last pass [m].
     """
 
     def __init__(
@@ -85,9 +85,11 @@ class StrandDescent:
             scene: of one sample.
 
         Raises:
-            ValueError: a posed vertex is not finite.
+            ValueError: a posed vertex or a direction is not finite.
         """
         check_finite(scene.posed)
+        if direction is not None:
+            check_finite(direction)
         self._energy, self._control = energy, control or StepControl()
         rest = energy.rest
         posed_rod = _rod_of(energy, scene)
@@ -122,8 +124,9 @@ class StrandDescent:
         return torch.from_numpy(self._now.positions.copy())[None]
 
     def fall(self, passes: int, most_turn: float = 1.5) -> None:
-        """Passes without contact and without other hair."""
+        """Passes without contact and without other hair; `resolve_contact` has to follow."""
         self._clear_surroundings()
+        self._best = None
         self._evaluate(np.float32(0.0))
         for _ in range(passes):
             self._move(np.float32(0.0), most_turn, self._anywhere, backtracks=0)
@@ -131,6 +134,7 @@ class StrandDescent:
     def resolve_contact(self, share: float) -> None:
         """Push vertices that are within `share` of their margins out of the body, from root to tip; the new start."""
         resolve_strands(self.direction, self._hair, self._rod.goal_weight, self._body, np.float32(share))
+        self._best = None
         self._evaluate(self._k_body_collision)
         self._start = self._now.positions.copy()
 
@@ -208,6 +212,7 @@ class StrandDescent:
 
     def _move(self, k_body_collision: np.float32, most_turn: float, most_move: np.ndarray, backtracks: int) -> None:
         """One pass; without `backtracks` whole steps are taken, whatever they do to the energy."""
+        self.moved[:] = 0.0
         rotation = np.empty_like(self.direction)
         newton_rotations(self._model(), k_body_collision, self._strands, rotation)
         turn = np.float32(most_turn)

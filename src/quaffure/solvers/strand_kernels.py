@@ -244,7 +244,8 @@ def _resolve_run(
     for strand in range(first, last):
         px, py, pz = hair.root[strand, 0], hair.root[strand, 1], hair.root[strand, 2]
         for edge in range(direction.shape[1]):
-            length, margin = hair.length[strand, edge], share * hair.margin[strand, edge + 1]
+            length, full = hair.length[strand, edge], hair.margin[strand, edge + 1]
+            margin = min(share * full, full)  # hair that was designed inside the skin stays there
             t = direction[strand, edge]
             x, y, z = px + length * t[0], py + length * t[1], pz + length * t[2]
             distance, nx, ny, nz, found = distance_within(x, y, z, margin, leaf, body, workspace)

@@ -98,7 +98,8 @@ class StrandNewtonDraper:
         descents = [self.descend(energy, scene.sample(index)) for index in range(len(scene.posed))]
         positions = torch.cat([descent.positions for descent in descents])
         seconds = time.perf_counter() - begin
-        return positions, stopping_report(energy, scene, positions, self.setting.passes, seconds)
+        passes = max(descent.passes for descent in descents)
+        return positions, stopping_report(energy, scene, positions, passes, seconds)
 
     def settle(self, scene: HairScene, start: Positions, passes: int) -> Positions:
         """More passes with all terms from any drape [m]; lengths become those at rest."""

@@ -148,9 +148,9 @@ class DrapeCommand:
             raise InputError("--settle", expected, f"'{self._name}' and '{self._elastic}'")
         if self.rest is not None and self._elastic != ROD:
             raise InputError("--rest", f"--elastic {ROD}", f"'{self._elastic}'")
-        if self._name in (NEURAL, GROOMGEN) and self.elastic not in (None, MODIFIED_COSSERAT):
+        if self._name in (NEURAL, GROOMGEN) and not self.settle and self.elastic not in (None, MODIFIED_COSSERAT):
             raise InputError("--elastic", f"{MODIFIED_COSSERAT} with a network", f"'{self.elastic}'")
-        if min(self.stiffness, self.weight) <= 0 or max(self.stiffness, self.weight) > MOST_SCALE:
+        if not (0 < self.stiffness <= MOST_SCALE and 0 < self.weight <= MOST_SCALE):
             found = f"{self.stiffness:g} and {self.weight:g}"
             raise InputError("--stiffness and --weight", f"factors above 0, at most {MOST_SCALE:g}", found)
         if self._name in (NEURAL, GROOMGEN) and not self.settle and not self._has_default_loads:
@@ -158,7 +158,9 @@ class DrapeCommand:
             raise InputError("--stiffness, --weight, --gravity, --wind", expected, f"'{self._name}'")
         if self._name == GROOMGEN and self.weights is None:
             raise InputError("--weights", f"weights of quaffure train-groomgen with the draper {GROOMGEN}", "none")
-        if self._elastic in ELASTIC_MODELS and self._name in SOLVERS:
+        if self.stiffness != 1 and self._elastic not in (ROD, MODIFIED_COSSERAT):
+            raise InputError("--stiffness", f"the elastic model {ROD} or {MODIFIED_COSSERAT}", f"'{self._elastic}'")
+        if self._elastic in ELASTIC_MODELS and self._name in SOLVERS and not self.settle:
             solver(self._name, terms=hair_terms(self._elastic))  # refuses terms that it does not implement
 
     def _draper(self, groom: Groom, body: BodyModel) -> tuple[Draper, Terms]:
@@ -175,7 +177,8 @@ class DrapeCommand:
             material = replace(material, k_cosserat=self.stiffness * material.k_cosserat)
         terms = self._terms(groom, body, material)
         if self._name in SOLVERS:
-            draper = solver(self._name, material, None if self.settle else terms)
+            start = hair_terms(acceleration=self._acceleration) if self.settle else terms
+            draper = solver(self._name, material, start)
         if self.settle:
             draper = SettledDraper(draper, StrandNewtonDraper(material, terms=terms), self.settle)
         if isinstance(draper, StrandNewtonDraper) and self.coherent:

@@ -17,7 +17,9 @@ from jaxtyping import Int
 from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
 from quaffure.energies.energy_term import Terms
+from quaffure.energies.gravity import GRAVITY, Gravity
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.errors import InputError
 from quaffure.geometry.cell_list import check_finite
 from quaffure.scene import HairScene, PosedScene
 from quaffure.solvers.lbfgs import LbfgsDraper
@@ -71,9 +73,12 @@ class NewtonDraper:
     ) -> None:
         """
         Raises:
-            InputError: terms other than Eqs. 6, 7, 9, 10 and 11, whose second derivatives it has.
+            InputError: terms other than Eqs. 6, 7, 9, 10 and 11, whose second derivatives it has, or another gravity.
         """
         refuse_other_terms(self.name, terms)
+        accelerations = {term.acceleration for term in terms or () if isinstance(term, Gravity)}
+        if accelerations - {GRAVITY}:
+            raise InputError(f"solver {self.name}", f"gravity {GRAVITY} alone", f"{accelerations.pop()}")
         self.material = material or HairMaterial()
         self.tolerance, self.steps = tolerance, steps
 

@@ -116,7 +116,7 @@ class StrandNewtonDraper:
 
         Hair falls from the posed groom. Where the posed groom may have less energy than what comes out, hair settles
         from it as well: upright it is the design, from which passes without contact push hair into the head. Tied hair
-        also slides from there along the body: falling, a tail would pass through the head and divide.
+        also settles from there with contact: falling, a tail would pass through the head and divide.
         """
         setting = self.setting
         passes = setting.passes - setting.free_passes - setting.contact_passes

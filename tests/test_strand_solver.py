@@ -89,7 +89,7 @@ def test_own_energy_and_gradient_are_those_of_the_terms() -> None:
     own = energy.without("self_collision")
     total, gradient = energy_and_gradient(own, scene, descent.positions)
     assert float(energy.by_term(descent.positions, scene)["body_collision"]) > 0.01 * float(total)
-    evaluated = descent._now  # what a pass starts from
+    evaluated = descent._now  # what a pass starts from, up to date since its positions were asked for
     assert evaluated.energy.sum() == pytest.approx(float(total), rel=1e-4)
     found = torch.from_numpy(evaluated.gradient)[None].clone()
     found[:, :, 0] = 0

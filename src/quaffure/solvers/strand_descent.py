@@ -115,28 +115,27 @@ class StrandDescent:
         self.direction = _float32(directors(scene.posed[0]) if direction is None else direction).copy()
         self.passes, self.moved = 0, np.zeros(strands, np.float32)
         self._damping, self._best = 0.0, None  # type: float, _State | None
-        self._evaluate(self._k_body_collision)
-        self._start = self._now.positions.copy()
+        # Stiffness of contact that `_now` was evaluated with; None where the directions have changed since.
+        self._k_of_now: np.float32 | None = None
+        self._start: np.ndarray | None = None
 
     @property
     def positions(self) -> Positions:
         """Vertices of the current directions, a batch of one [m]."""
+        self._evaluate(self._k_body_collision)
         return torch.from_numpy(self._now.positions.copy())[None]
 
     def fall(self, passes: int, most_turn: float = 1.5) -> None:
-        """Passes without contact and without other hair; `resolve_contact` has to follow."""
+        """Passes without contact and without other hair."""
         self._clear_surroundings()
         self._best = None
-        self._evaluate(np.float32(0.0))
         for _ in range(passes):
             self._move(np.float32(0.0), most_turn, self._anywhere, backtracks=0)
 
     def resolve_contact(self, share: float) -> None:
         """Push vertices that are within `share` of their margins out of the body, from root to tip; the new start."""
         resolve_strands(self.direction, self._hair, self._rod.goal_weight, self._body, np.float32(share))
-        self._best = None
-        self._evaluate(self._k_body_collision)
-        self._start = self._now.positions.copy()
+        self._best = self._k_of_now = self._start = None
 
     def touch(self, passes: int) -> None:
         """Passes with contact and without other hair."""
@@ -157,6 +156,8 @@ class StrandDescent:
         head is on its way."""
         for _ in range(passes):
             self._model_surroundings(self._with_density()[1])
+            if self._start is None:
+                self._start = self._now.positions.copy()
             gone = np.linalg.norm(self._now.positions - self._start, axis=-1).max(axis=-1)
             limit = np.clip(most_moved - gone, 0.0, most_move)
             self._move(self._k_body_collision, self._control.most_turn, limit, self._control.backtracks)
@@ -169,6 +170,7 @@ class StrandDescent:
     @property
     def own_energy(self) -> float:
         """Energy without hair against hair, which adds to it, at the current directions [J]."""
+        self._evaluate(self._k_body_collision)
         return float(self._now.energy[:, 0].sum())
 
     @property
@@ -177,9 +179,11 @@ class StrandDescent:
         return math.inf if self._best is None else self._best.energy
 
     def _evaluate(self, k_body_collision: np.float32) -> None:
-        evaluate_strands(
-            self.direction, self._strands, self._hair, self._rod, self._around, self._body, k_body_collision, self._now
-        )
+        """Bring `_now` up to date, where it is not."""
+        if self._k_of_now != k_body_collision:
+            hair = self._hair, self._rod, self._around, self._body
+            evaluate_strands(self.direction, self._strands, *hair, k_body_collision, self._now)
+            self._k_of_now = k_body_collision
 
     def _clear_surroundings(self) -> None:
         self._around.gradient[:], self._around.stiffness[:] = 0.0, 0.0
@@ -189,6 +193,7 @@ class StrandDescent:
         total, gradient = self._with_density()
         if self._best is not None and not total < self._best.energy:
             self.direction[:] = self._best.direction
+            self._k_of_now = None
             self._evaluate(self._k_body_collision)
             self._damping = min(max(4 * self._damping, 0.5), self._control.most_damping)
         else:
@@ -197,6 +202,7 @@ class StrandDescent:
         self._model_surroundings(self._best.density_gradient)
 
     def _with_density(self) -> tuple[float, np.ndarray]:
+        self._evaluate(self._k_body_collision)
         positions = torch.from_numpy(self._now.positions)
         density_energy, gradient = self_collision_and_gradient(positions, self._energy.rest, self._energy.material)
         return self.own_energy + density_energy, gradient.numpy()
@@ -212,6 +218,7 @@ class StrandDescent:
 
     def _move(self, k_body_collision: np.float32, most_turn: float, most_move: np.ndarray, backtracks: int) -> None:
         """One pass; without `backtracks` whole steps are taken, whatever they do to the energy."""
+        self._evaluate(k_body_collision)
         self.moved[:] = 0.0
         rotation = np.empty_like(self.direction)
         newton_rotations(self._model(), k_body_collision, self._strands, rotation)

@@ -160,8 +160,10 @@ class DrapeCommand:
             raise InputError("--weights", f"weights of quaffure train-groomgen with the draper {GROOMGEN}", "none")
         if self.stiffness != 1 and self._elastic not in (ROD, MODIFIED_COSSERAT):
             raise InputError("--stiffness", f"the elastic model {ROD} or {MODIFIED_COSSERAT}", f"'{self._elastic}'")
-        if self._elastic in ELASTIC_MODELS and self._name in SOLVERS and not self.settle:
-            solver(self._name, terms=hair_terms(self._elastic))  # refuses terms that it does not implement
+        if self._name in SOLVERS and not self.settle:
+            solver(
+                self._name, terms=hair_terms(self._elastic, acceleration=self._acceleration)
+            )  # refuses terms that it does not implement
 
     def _draper(self, groom: Groom, body: BodyModel) -> tuple[Draper, Terms]:
         """The draper by name, and the terms of the energy that is measured.

@@ -112,6 +112,7 @@ def _strands(
         sample = item // runs
         body = sample_arrays(surface, sample)
         workspace = search_workspace()
+        contact = np.empty((positions.shape[2], 4), np.float32)
         seed = 0
         for strand in range((item % runs) * _RUN, min(strands, (item % runs + 1) * _RUN)):
             x, out, own_terms = positions[sample, strand], gradient[sample, strand], terms[sample, strand]
@@ -124,7 +125,9 @@ def _strands(
                 hair.acceleration,
                 out,
             )
-            own_terms[3], seed = _contact(x, hair.margin[strand], hair.stiffness[2], body, seed, workspace, out)
+            own_terms[3], seed = contact_of_strand(
+                x, hair.margin[strand], hair.stiffness[2], body, seed, workspace, out, contact
+            )
 
 
 @njit(cache=True, fastmath=True, inline="always")
@@ -157,11 +160,14 @@ def _elastic_and_gravity(
 
 
 @njit(cache=True, fastmath=True, inline="always")
-def _contact(
-    x: np.ndarray, margin: np.ndarray, k_body_collision: float, body: SurfaceArrays, seed: int,
-    workspace: tuple[np.ndarray, np.ndarray], gradient: np.ndarray,
+def contact_of_strand(
+    x: np.ndarray, margin: np.ndarray, k_body_collision: float | np.floating, body: SurfaceArrays, seed: int,
+    workspace: tuple[np.ndarray, np.ndarray], gradient: np.ndarray, contact: np.ndarray,
 ) -> tuple[float, int]:  # fmt: skip
-    """Eq. 10 of a strand, and the first face in contact: a good `seed` for the next strand. Adds to the gradient."""
+    """Eq. 10 of a strand, and the first face in contact: a good `seed` for the next strand. Adds to the gradient.
+
+    Fills `contact` [vertex 4] where a face is found: unit normal, and how far within its margin the vertex is [m].
+    """
     energy, leaf, first = 0.0, seed, -1
     for vertex in range(1, len(x)):
         distance, nx, ny, nz, found = distance_within(
@@ -172,6 +178,8 @@ def _contact(
         leaf = found
         if first < 0:
             first = found
+        contact[vertex, 0], contact[vertex, 1], contact[vertex, 2] = nx, ny, nz
+        contact[vertex, 3] = max(margin[vertex] - distance, np.float32(0.0))
         slope, own_energy = contact_force(distance, margin[vertex], k_body_collision)
         energy += own_energy
         gradient[vertex, 0] += slope * nx

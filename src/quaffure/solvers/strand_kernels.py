@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from quaffure.energies.body_collision import contact_force
+from quaffure.energies.fused_strand import contact_of_strand
 from quaffure.energies.rod_kernels import RodArrays, rod_of_strand, rod_workspace
 from quaffure.geometry.bvh import search_workspace
 from quaffure.geometry.cell_list import interleaved
@@ -101,7 +101,9 @@ def _evaluate_run(
         energy += float(rod_of_strand(x, hair.rotation[strand], rest, strand, work, gradient))
         contact[:, 3] = _ZERO
         if k_body_collision > _ZERO:
-            pressed, leaf = _press(x, hair.margin[strand], k_body_collision, body, leaf, workspace, gradient, contact)
+            pressed, leaf = contact_of_strand(
+                x, hair.margin[strand], k_body_collision, body, leaf, workspace, gradient, contact
+            )
             energy += pressed
         out.energy[strand, 0] = energy
         out.energy[strand, 1] = _squeeze(x, around.gradient[strand], around.stiffness[strand], around.positions[strand])
@@ -138,32 +140,6 @@ def _squeeze(x: np.ndarray, slope: np.ndarray, stiffness: np.ndarray, positions:
             moved = x[vertex, axis] - positions[vertex, axis]
             energy += (slope[vertex, axis] + _HALF * stiffness[vertex] * moved) * moved
     return energy
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def _press(
-    x: np.ndarray, margin: np.ndarray, k_body_collision: float | np.floating, body: SurfaceArrays, seed: int,
-    workspace: tuple[np.ndarray, np.ndarray], gradient: np.ndarray, contact: np.ndarray,
-) -> tuple[float, int]:  # fmt: skip
-    """Eq. 10 of a strand, and the first face in contact: a good `seed` for the next strand. Adds to the gradient."""
-    energy, leaf, first = 0.0, seed, -1
-    for vertex in range(1, len(x)):
-        distance, nx, ny, nz, found = distance_within(
-            x[vertex, 0], x[vertex, 1], x[vertex, 2], margin[vertex], leaf, body, workspace
-        )
-        if found < 0:
-            continue
-        leaf = found
-        if first < 0:
-            first = found
-        contact[vertex, 0], contact[vertex, 1], contact[vertex, 2] = nx, ny, nz
-        contact[vertex, 3] = max(margin[vertex] - distance, _ZERO)
-        slope, own_energy = contact_force(distance, margin[vertex], k_body_collision)
-        energy += own_energy
-        gradient[vertex, 0] += slope * nx
-        gradient[vertex, 1] += slope * ny
-        gradient[vertex, 2] += slope * nz
-    return energy, (first if first >= 0 else seed)
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")

@@ -1,9 +1,12 @@
 """The command line: what it writes, and one line with exit code 2 for every mistake that a user can make."""
 
+import importlib.util
 import json
+import os
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,17 +14,21 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.apps.cli.drape import duration, with_preparation
+from quaffure.apps.cli.drape_report import Stopwatch, duration, with_preparation
+from quaffure.apps.cli.kernel_cache import is_cached
 from quaffure.apps.cli.main import main
-from quaffure.body import CLIP_NAMES, BodyModel, PosedBody, load_body
+from quaffure.baselines import PosedDraper
+from quaffure.benchmark.metrics import UNITS, DrapeMetrics
+from quaffure.body import CLIP_NAMES, BodyModel, Motion, PosedBody, load_body
 from quaffure.config import HairMaterial
-from quaffure.drape_motion import FRAMES_AT_ONCE
+from quaffure.drape_motion import FRAMES_AT_ONCE, drape_motion
 from quaffure.errors import InputError
 from quaffure.hair import Groom
 from quaffure.io import read_drape, write_drape, write_groom, write_usd
 from quaffure.io.read_strands import read_strands
 from quaffure.model import NetworkConfig, build_network, quaffure_model, save_network
 from quaffure.procedural import STYLES, make_groom
+from quaffure.scene import BodyBatch, Scene
 from tests.synthetic_drape import drape as synthetic_drape
 from tests.synthetic_drape import patch_of_strands
 from tests.test_bvh import TWO_JOINTS
@@ -142,6 +149,8 @@ def test_drape_writes_every_format_and_prints_figures(
     assert printed["meta"]["groom"] == groom.name
     assert printed["milliseconds"] > 0
     assert printed["with_preparation"] is True
+    assert list(printed["seconds"]) == ["loading", "draping", "metrics", "files", "pictures"]
+    assert all(seconds > 0 for seconds in printed["seconds"].values())
     metrics = printed["per_frame"]["posed"]
     assert all(len(per_frame) == 3 for per_frame in metrics.values())
     assert max(metrics["orientation_error_deg"]) < 1e-3
@@ -155,7 +164,10 @@ def test_adam_settles_one_frame_and_serves_as_reference(
     groom, reference = str(inputs / "tiny.npz"), tmp_path / "adam.npz"
     main(["drape", groom, "--draper", "adam", "--frames", "40:41", "--out", str(reference)])
     table = capfd.readouterr().out
-    assert "body_intersection_percent" in table
+    assert "body_intersection_percent │ %" in table
+    assert "energy                    │ m g L per vertex" in table
+    assert "definitions: docs/metrics.md" in table
+    assert "time: loading " in table
     assert str(reference) in table.replace("\n", "")
     out = ["--out", str(tmp_path / "posed.npz"), "--json"]
     main([*posed(groom, "--frames", "40:41", "--reference", str(reference)), *out])
@@ -208,6 +220,41 @@ def test_settling_lowers_the_energy(tmp_path: Path, inputs: Path, capfd: pytest.
         energies += report["per_frame"][row]["energy"]
     assert report["meta"]["elastic"] == "rod"
     assert energies[1] < energies[0]
+
+
+def test_every_metric_has_a_unit(body: BodyModel, groom: Groom) -> None:
+    scene = Scene(groom, BodyBatch(body, torch.zeros(3, 81), torch.zeros(3, 10)))
+    reference = drape_motion(PosedDraper(), groom, body, Motion(torch.zeros(3, 81), 30.0, "rest"), torch.zeros(10))
+    measured = DrapeMetrics(groom, HairMaterial(), reference)
+    measured.add(scene.posed, scene)
+    found, _ = measured.of_all_frames()
+    assert set(found) <= set(UNITS)
+    assert set(UNITS) - set(found) == {"jitter"}  # only of a reference that moves
+
+
+def test_time_is_counted_to_the_step_that_ends() -> None:
+    times = Stopwatch()
+    for step in ("draping", "metrics", "draping"):
+        before = sum(times.seconds.values())
+        times.lap(step)
+        assert sum(times.seconds.values()) >= before
+    assert list(times.seconds) == ["draping", "metrics"]
+
+
+def test_a_cold_cache_of_kernels_is_noticed(tmp_path: Path) -> None:
+    source = tmp_path / "kernels.py"
+    source.write_text("from numba import njit\n@njit(cache=True)\ndef twice(x):\n    return 2 * x\n", encoding="utf-8")
+    specification = importlib.util.spec_from_file_location("kernels", source)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    assert not is_cached(module.twice)
+    module.twice(1)
+    assert is_cached(module.twice)
+    os.utime(source, (time.time() + 60,) * 2)  # the source has changed since
+    assert not is_cached(module.twice)
+    assert is_cached(len)  # as where numba is switched off
 
 
 def test_grooms_keep_their_contract(capfd: pytest.CaptureFixture[str]) -> None:
@@ -504,6 +551,8 @@ def test_missing_weights(refusal: Refusal) -> None:
     [
         (["drape", "bob", "--draper", "magic"], "--draper: expected one of strand_newton, adam"),
         (["drape", "bob", "--settle", "3"], "--settle: expected another draper than strand_newton"),
+        (["drape", "bob", "--stiffness", "0"], "--stiffness: expected a factor above 0, at most 100, found 0"),
+        (["drape", "bob", "--weight", "1e3"], "--weight: expected a factor above 0, at most 100, found 1000"),
         (["drape", "bob", "--colour", "red"], "--colour"),
         (["drape"], "GROOM"),
         (["drape", "bob", "--motion"], "--motion"),

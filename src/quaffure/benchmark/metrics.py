@@ -24,6 +24,23 @@ from quaffure.scene import BodyBatch, HairScene, Scene
 from quaffure.types import Bool, Energy, Float, Positions, Tensor
 
 PerFrame = dict[str, Float[Tensor, " b"]]
+ENERGY_UNIT = "m g L per vertex"
+UNITS = {
+    "body_intersection_percent": "%",
+    "length_error_percent": "%",
+    "length_error_percent_max": "%",
+    "orientation_error_deg": "deg",
+    "density_excess_percent": "%",
+    "off_vertical_deg": "deg",
+    "in_the_air_percent": "%",
+    "energy": ENERGY_UNIT,
+    "excess_energy": ENERGY_UNIT,
+    "distance_mm": "mm",
+    "jumps": "tips",
+    "largest_jump_mm": "mm",
+    "jitter": "of the reference",
+}
+"""Unit of every metric, by its name."""
 
 
 class DrapeMetrics:

@@ -1,28 +1,29 @@
 """`quaffure drape`: drape a groom on a moving body, and write draped hair, pictures, video or USD."""
 
-from collections.abc import Sized
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
 
-from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar
+from quaffure.apps.cli.console import console, progress_bar
+from quaffure.apps.cli.drape_report import Stopwatch, frames_text, print_drape_json, report_drape
 from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, motion_of
-from quaffure.apps.cli.outputs import check_outputs, write_output
+from quaffure.apps.cli.kernel_cache import is_cached
+from quaffure.apps.cli.outputs import PICTURES, check_outputs, write_output
 from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
-from quaffure.benchmark.metrics import DrapeMetrics, PerFrame
+from quaffure.benchmark.metrics import DrapeMetrics
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import HairMaterial
-from quaffure.drape_motion import FRAMES_AT_ONCE, drape_motion
+from quaffure.drape_motion import drape_motion
 from quaffure.draper import Draper
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.gravity import GRAVITY, Acceleration
 from quaffure.energies.hair_terms import ELASTIC_MODELS, MODIFIED_COSSERAT, ROD, hair_terms
 from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
-from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.geometry.cell_list import sort_into_cells
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import interpolation_of
 from quaffure.io.drape_file import read_drape
@@ -32,8 +33,9 @@ from quaffure.scene import Scene
 from quaffure.solvers.by_name import SOLVERS, solver
 from quaffure.solvers.coherent_clip import CoherentDraper
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
+from quaffure.solvers.strand_recursion import newton_rotations
 from quaffure.training.pose_sampler import LARGEST_COEFFICIENT
-from quaffure.types import Float, Positions, Tensor
+from quaffure.types import Positions
 
 NEURAL, GROOMGEN = "neural", GroomGenDraper.name
 DRAPERS = (*SOLVERS, NEURAL, GROOMGEN)
@@ -93,6 +95,7 @@ class DrapeCommand:
     def run(self) -> None:
         console.quiet = self.json
         check_outputs(self.out)
+        times = Stopwatch()
         body = load_body()
         motion = motion_of(self.motion, body, self.in_place).frames(self.frames)
         body_shape = body_shape_of(self.shape)
@@ -100,6 +103,8 @@ class DrapeCommand:
             console.print(f"shape: beyond the trained and measured +-{LARGEST_COEFFICIENT:g} standard deviations")
         reference = None if self.reference is None else read_drape(self.reference)
         self._check_options()
+        if not all(map(is_cached, self._kernels)):
+            console.print("compiling kernels, first run only: some minutes more")
         console.print(f"reading the groom {self.groom}")
         groom = load_groom(self.groom, body, self.head)
         draper, terms = self._draper(groom, body)
@@ -107,23 +112,41 @@ class DrapeCommand:
         shape = (len(motion), *groom.rest_strands.shape)
         if reference is not None and reference.strands.shape != shape:
             raise InputError(f"{self.reference}", f"strands {shape}", f"{reference.strands.shape}")
-        console.print(f"draping {len(groom)} strands in {_frames(len(motion))} with {draper.name}")
+        console.print(f"draping {len(groom)} strands in {frames_text(len(motion))} with {draper.name}")
         measured = DrapeMetrics(groom, draper.material, reference, terms)
+        times.lap("loading")
         with progress_bar("draping", len(motion), transient=True) as update:
 
             def on_frames(draped: Positions, scene: Scene) -> None:
+                times.lap("draping")
                 measured.add(draped, scene)
+                times.lap("metrics")
                 update(advance=len(draped))
 
             sequence = drape_motion(draper, groom, body, motion, body_shape, on_frames)
-        sequence.meta["elastic"] = self._elastic
-        if self._elastic == ROD:
-            sequence.meta["rest"] = self._rest
-        sequence.meta["stiffness"], sequence.meta["acceleration"] = self.stiffness, self._acceleration
+        self._describe(sequence.meta)
+        times.lap("draping")
         for path in self.out:
             console.print(f"writing {path}")
             write_output(path, sequence, interpolation)
-        self._report(sequence, *measured.of_all_frames())
+            times.lap("pictures" if path.suffix.lower() in PICTURES else "files")
+        if self.json:
+            print_drape_json(sequence, *measured.of_all_frames(), times)
+        else:
+            report_drape(sequence, *measured.of_all_frames(), times, self.out)
+
+    @property
+    def _kernels(self) -> tuple[object, ...]:
+        """One kernel of the metrics, and one of the solver that takes longest to compile, where it runs."""
+        runs_newton = self._name == StrandNewtonDraper.name or self.settle
+        return (sort_into_cells, newton_rotations) if runs_newton else (sort_into_cells,)
+
+    def _describe(self, meta: dict[str, Any]) -> None:
+        """Note the energy that was minimized."""
+        meta["elastic"] = self._elastic
+        if self._elastic == ROD:
+            meta["rest"] = self._rest
+        meta["stiffness"], meta["acceleration"] = self.stiffness, self._acceleration
 
     @property
     def _name(self) -> str:
@@ -150,9 +173,9 @@ class DrapeCommand:
             raise InputError("--rest", f"--elastic {ROD}", f"'{self._elastic}'")
         if self._name in (NEURAL, GROOMGEN) and not self.settle and self.elastic not in (None, MODIFIED_COSSERAT):
             raise InputError("--elastic", f"{MODIFIED_COSSERAT} with a network", f"'{self.elastic}'")
-        if not (0 < self.stiffness <= MOST_SCALE and 0 < self.weight <= MOST_SCALE):
-            found = f"{self.stiffness:g} and {self.weight:g}"
-            raise InputError("--stiffness and --weight", f"factors above 0, at most {MOST_SCALE:g}", found)
+        for option, factor in (("--stiffness", self.stiffness), ("--weight", self.weight)):
+            if not 0 < factor <= MOST_SCALE:
+                raise InputError(option, f"a factor above 0, at most {MOST_SCALE:g}", f"{factor:g}")
         if self._name in (NEURAL, GROOMGEN) and not self.settle and not self._has_default_loads:
             expected = f"a solver, or --settle after the draper {self._name}, which knows one hair and one gravity"
             raise InputError("--stiffness, --weight, --gravity, --wind", expected, f"'{self._name}'")
@@ -206,42 +229,3 @@ class DrapeCommand:
         if bool(design.unstable.any()):
             console.print(f"{int(design.unstable.sum())} strands will not keep the design")
         return hair_terms(ROD, design, self.stiffness, self._acceleration)
-
-    def _report(self, sequence: DrapeSequence, draped: PerFrame, posed: PerFrame) -> None:
-        named = {"posed": posed, str(sequence.meta["draper"]): draped}
-        if self.json:
-            rows = {name: {key: values.tolist() for key, values in row.items()} for name, row in named.items()}
-            times = {"milliseconds": sequence.meta["milliseconds"], "with_preparation": with_preparation(sequence)}
-            print_json({"per_frame": rows, **times, "meta": sequence.meta})
-            return
-        title = f"{sequence.meta['groom']} on {sequence.meta['motion']}, {_frames(len(sequence))}"
-        print_rows([_table_row(key, named, draped[key]) for key in draped], title)
-        first = ", with the preparation of kernels and groom" if with_preparation(sequence) else ""
-        taken = duration(float(sequence.meta["milliseconds"]))
-        console.print(f"{taken} a drape{first}; written: {', '.join(map(str, self.out))}")
-
-
-def _table_row(key: str, named: dict[str, PerFrame], draped: Float[Tensor, " frames"]) -> dict[str, object]:
-    """Mean and worst frame of a metric for each row, and how often the drape is better than the posed groom."""
-    row: dict[str, object] = {"metric": key}
-    for name, values in named.items():
-        known = values.get(key)
-        row[name] = "" if known is None else float(known.mean())
-        row[f"{name}, worst frame"] = "" if known is None else float(known.max())
-    # Posed hair has no orientation error by definition: no drape has less.
-    compared = key in named["posed"] and key != "orientation_error_deg"
-    row["frames better"] = f"{int((draped < named['posed'][key]).sum())} of {len(draped)}" if compared else ""
-    return row
-
-
-def with_preparation(sequence: Sized) -> bool:
-    """Whether its time includes the preparation of kernels and groom; in long clips only later frames count."""
-    return len(sequence) <= FRAMES_AT_ONCE
-
-
-def duration(milliseconds: float) -> str:
-    return f"{milliseconds:.3g} ms" if milliseconds < 1000 else f"{milliseconds / 1000:.3g} s"
-
-
-def _frames(count: int) -> str:
-    return "1 frame" if count == 1 else f"{count} frames"

@@ -8,7 +8,8 @@ from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation, with_strands
 from quaffure.io.atomic import check_output
 
-SUFFIXES = (".npz", ".usd", ".usda", ".usdc", ".png", ".mp4")
+PICTURES = (".png", ".mp4")
+SUFFIXES = (".npz", ".usd", ".usda", ".usdc", *PICTURES)
 MOST_BYTES = 4e9
 """Limit of the strands in memory that a file is written from."""
 

@@ -1,0 +1,84 @@
+"""What `quaffure drape` prints about a drape: metrics with their units, and where the time went."""
+
+import time
+from collections.abc import Sized
+from pathlib import Path
+from typing import Any
+
+from quaffure.apps.cli.console import console, print_json, print_rows
+from quaffure.benchmark.metrics import UNITS, PerFrame
+from quaffure.drape_motion import FRAMES_AT_ONCE
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.types import Float, Tensor
+
+DEFINITIONS = "docs/metrics.md"
+
+
+class Stopwatch:
+    """Adds up the wall time of steps, from the end of the step before.
+
+    Attributes:
+        seconds: by step, in the order of their first laps.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, step: str) -> None:
+        """Count the time since the last lap as that of this step."""
+        now = time.perf_counter()
+        self.seconds[step] = self.seconds.get(step, 0.0) + now - self._last
+        self._last = now
+
+    def __str__(self) -> str:
+        return ", ".join(f"{step} {duration(1000 * seconds)}" for step, seconds in self.seconds.items())
+
+
+def report_drape(
+    sequence: DrapeSequence, draped: PerFrame, posed: PerFrame, times: Stopwatch, written: tuple[Path, ...]
+) -> None:
+    """Print the table of a drape's metrics and of the posed groom's, the time of a drape and of every step."""
+    named = {"posed": posed, str(sequence.meta["draper"]): draped}
+    title = f"{sequence.meta['groom']} on {sequence.meta['motion']}, {frames_text(len(sequence))}"
+    print_rows([_table_row(key, named, draped[key]) for key in draped], title)
+    console.print(f"means over frames unless marked as worst; definitions: {DEFINITIONS}")
+    first = ", with the preparation of kernels and groom" if with_preparation(sequence) else ""
+    taken = duration(float(sequence.meta["milliseconds"]))
+    console.print(f"time: {times}; {taken} a drape{first}")
+    console.print(f"written: {', '.join(map(str, written))}")
+
+
+def print_drape_json(sequence: DrapeSequence, draped: PerFrame, posed: PerFrame, times: Stopwatch) -> None:
+    """Print the same as JSON, metrics frame by frame."""
+    named = {"posed": posed, str(sequence.meta["draper"]): draped}
+    rows = {name: {key: values.tolist() for key, values in row.items()} for name, row in named.items()}
+    report: dict[str, Any] = {"per_frame": rows, "milliseconds": sequence.meta["milliseconds"]}
+    report |= {"with_preparation": with_preparation(sequence), "seconds": times.seconds, "meta": sequence.meta}
+    print_json(report)
+
+
+def _table_row(key: str, named: dict[str, PerFrame], draped: Float[Tensor, " frames"]) -> dict[str, object]:
+    """Mean and worst frame of a metric for each row, and how often the drape is better than the posed groom."""
+    row: dict[str, object] = {"metric": key, "unit": UNITS[key]}
+    for name, values in named.items():
+        known = values.get(key)
+        row[name] = "" if known is None else float(known.mean())
+        row[f"{name}, worst frame"] = "" if known is None else float(known.max())
+    # Posed hair has no orientation error by definition: no drape has less.
+    compared = key in named["posed"] and key != "orientation_error_deg"
+    row["frames better"] = f"{int((draped < named['posed'][key]).sum())} of {len(draped)}" if compared else ""
+    return row
+
+
+def with_preparation(sequence: Sized) -> bool:
+    """Whether its time includes the preparation of kernels and groom; in long clips only later frames count."""
+    return len(sequence) <= FRAMES_AT_ONCE
+
+
+def duration(milliseconds: float) -> str:
+    return f"{milliseconds:.3g} ms" if milliseconds < 1000 else f"{milliseconds / 1000:.3g} s"
+
+
+def frames_text(count: int) -> str:
+    return "1 frame" if count == 1 else f"{count} frames"

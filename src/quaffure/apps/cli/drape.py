@@ -79,9 +79,9 @@ class DrapeCommand:
     weight: float = 1.0
     """Multiple of the hair's weight."""
     gravity: str = "0,0,-9.81"
-    """Acceleration X,Y,Z of gravity in the world, z up [m/s^2]."""
+    """Acceleration X,Y,Z of gravity along the world's axes: z is up, the body at rest faces -y [m/s^2]."""
     wind: str = "0,0,0"
-    """Acceleration X,Y,Z by a wind that pulls all hair alike [m/s^2]."""
+    """Acceleration X,Y,Z by a wind that pulls all hair alike, along the same axes: 0,-3,0 blows from behind [m/s^2]."""
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones; those of `quaffure train-groomgen` for groomgen."""
     reference: Path | None = None

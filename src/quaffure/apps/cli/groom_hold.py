@@ -40,7 +40,7 @@ class HoldGroom:
     where: tuple[str, ...] = ("all",)
     """Roots of the strands: all, left, right, front, crown or nape, or conditions such as "x>0.02" and "v<0.5"; all of
     them have to hold. u (from the right ear to the left) and v (from forehead to nape) run from 0 to 1 over the scalp,
-    x (to the left), y (to the back) and z (up) are metres from the Head joint."""
+    x (to the body's left), y (to its back) and z (up) are metres from the Head joint; the body faces -y."""
     length: float | None = None
     """Hold this length of hair from the root on [m], as gel or a clip does."""
     tie: float | None = None

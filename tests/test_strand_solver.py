@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from quaffure.body import BodyModel, bundled_clip
+from quaffure.drape_motion import drape_motion
 from quaffure.energies import HairEnergy, sag_free_rest
 from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
@@ -155,6 +156,18 @@ def test_a_cut_in_the_motion_starts_anew(body: BodyModel, surface: Surface) -> N
     follower = CoherentDraper()
     follower.drape(bowed)
     torch.testing.assert_close(follower.drape(upright), StrandNewtonDraper().drape(upright))
+
+
+def test_a_motion_is_draped_the_same_whatever_was_draped_before(body: BodyModel, surface: Surface) -> None:
+    """The bow has just begun: near enough to upright hair for its first frame to follow."""
+    groom = _few(body, surface, count=20)
+    motion = bundled_clip("bow", body).frames("14:16")
+    follower = CoherentDraper()
+    once = drape_motion(follower, groom, body, motion, torch.zeros(10)).strands
+    again = drape_motion(follower, groom, body, motion, torch.zeros(10)).strands
+    continued = drape_motion(follower, groom, body, motion, torch.zeros(10), follows=True).strands
+    assert np.array_equal(again, once)
+    assert not np.array_equal(continued, once)
 
 
 def test_clips_are_the_same_bits_with_any_number_of_threads(body: BodyModel, surface: Surface) -> None:

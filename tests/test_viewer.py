@@ -432,6 +432,36 @@ class SlowDraper:
         return scene.posed + 0.01
 
 
+class Follower:
+    """The posed groom, from a draper that counts how often it starts anew."""
+
+    name, material = "strand_newton", HairMaterial()
+
+    def __init__(self) -> None:
+        self.restarts = 0
+
+    def restart(self) -> None:
+        self.restarts += 1
+
+    def drape(self, scene: Scene) -> Positions:
+        return scene.posed
+
+
+def test_hair_follows_in_a_clip_and_starts_anew_in_another(page: Page, catalogue: Catalogue) -> None:
+    follower = Follower()
+    page.session.ask_edit("draper", lambda state: replace(state, draper=follower))
+    page.session.ask_edit("motion", lambda state: state.playing(catalogue.motion("nod")))
+    settled(page)
+    assert follower.restarts == 1
+    page.session.ask_edit("frame", lambda state: state.at(3))
+    settled(page)
+    assert follower.restarts == 1
+    page.session.ask_edit("motion", lambda state: state.playing(catalogue.motion(REST)))
+    page.session.ask_edit("draper", lambda state: replace(state, draper=catalogue.draper("neural")))
+    settled(page)
+    assert follower.restarts == 2
+
+
 def test_a_solver_waits_for_its_button(page: Page, catalogue: Catalogue) -> None:
     """The network's drape is shown meanwhile."""
     page.session.ask_edit("draper", lambda state: replace(state, draper=SlowDraper()))

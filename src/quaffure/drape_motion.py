@@ -11,7 +11,7 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.body.motion import Motion
 from quaffure.config import HairMaterial
-from quaffure.draper import Draper
+from quaffure.draper import ClipDraper, Draper
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.hair.strands import held_parts_of
@@ -28,6 +28,7 @@ def drape_motion(
     motion: Motion,
     body_shape: Float[Tensor, "10"],
     on_frames: Callable[[Positions, Scene], None] = lambda draped, scene: None,
+    follows: bool = False,
 ) -> DrapeSequence:
     """Drape the frames in their order, each by itself unless the draper follows from frame to frame.
 
@@ -35,11 +36,14 @@ def drape_motion(
 
     Args:
         on_frames: called with each batch of frames' drapes and scene, in place.
+        follows: the frames follow those that the draper draped last; otherwise the first is settled anew.
 
     Returns:
         The drapes. `meta` says what made them, and `milliseconds`, the median wall time of one drape, from pose in to
         strands out, in batches of `FRAMES_AT_ONCE`, the first batch left out where there are others.
     """
+    if isinstance(draper, ClipDraper) and not follows:
+        draper.restart()
     strands, posed, vertices, times = [], [], [], []
     for body_pose in motion.body_pose.split(FRAMES_AT_ONCE):
         start = time.perf_counter()

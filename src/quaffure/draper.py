@@ -28,6 +28,15 @@ class Draper(Protocol):
         ...
 
 
+@runtime_checkable
+class ClipDraper(Draper, Protocol):
+    """A draper whose frames depend on those that it draped before."""
+
+    def restart(self) -> None:
+        """Settle the next frame anew."""
+        ...
+
+
 @dataclass(frozen=True)
 class StoppingReport:
     """Where an iterative draper stopped.

@@ -20,6 +20,7 @@ from quaffure.apps.viewer.hair_colours import hair_colours
 from quaffure.apps.viewer.panel import Panel
 from quaffure.apps.viewer.scene_nodes import SceneNodes
 from quaffure.apps.viewer.view_state import Drape, ViewState
+from quaffure.draper import ClipDraper
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
@@ -86,7 +87,9 @@ class Session:
         self.thread.request("display", lambda: self._set_display(Display(strand_count, mark_inside)))
 
     def _edit(self, change: Callable[[ViewState], ViewState]) -> None:
-        self.state = change(self.state)
+        before, self.state = self.state, change(self.state)
+        if self.state.motion is not before.motion and isinstance(self.state.draper, ClipDraper):
+            self.state.draper.restart()
 
     def drape(self) -> None:
         """Drape the state after a change: by the network if the draper is too slow to follow every change."""

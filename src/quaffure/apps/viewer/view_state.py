@@ -87,11 +87,13 @@ class ViewState:
         return body_pose
 
     def drape(self) -> "Drape":
-        """Drape the groom. Takes as long as the draper takes."""
+        """Drape the groom; one that follows from frame to frame continues from its last drape. Takes as long as the
+        draper takes."""
         frame = self.motion.select(slice(self.frame, self.frame + 1))
         pose = replace(frame, body_pose=self.body_pose())
         with network_clock(self.draper) as network_times:
-            sequence = drape_motion(self.draper, self.groom, self.body, pose, torch.tensor(self.body_shape))
+            shape = torch.tensor(self.body_shape)
+            sequence = drape_motion(self.draper, self.groom, self.body, pose, shape, follows=True)
         sequence.meta["frame"] = self.frame
         return Drape(self, sequence, sum(network_times) if network_times else None)
 

@@ -1,5 +1,7 @@
 """Newton's method on single strands: elimination against a dense solve, passes against the energy in torch, drapes."""
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
@@ -201,6 +203,18 @@ def test_a_direction_that_is_not_finite_is_refused() -> None:
     direction[1, 2] = float("nan")
     with pytest.raises(ValueError, match="finite"):
         StrandDescent(HairEnergy(scene.groom, terms=hair_terms("rod")), scene, direction=direction)
+
+
+def test_the_design_is_that_of_the_scenes_body(body: BodyModel, surface: Surface) -> None:
+    groom = _few(body, surface, count=10)
+    wider = replace(body, rest_vertices=1.02 * body.rest_vertices)
+    newton = StrandNewtonDraper()
+    first = newton.energy_of(_upright(groom, body))
+    assert newton.energy_of(_upright(groom, body)) is first
+    margin = newton.energy_of(_upright(groom, wider)).rest.collision_margin
+    expected = sag_free_rest(groom, wider).collision_margin.float()
+    torch.testing.assert_close(margin, expected)
+    assert not torch.allclose(margin, first.rest.collision_margin)
 
 
 def test_other_terms_and_scenes_without_a_body_are_refused() -> None:

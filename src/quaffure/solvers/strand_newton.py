@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import torch
 
+from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper, StoppingReport
 from quaffure.energies.energy_term import Terms
@@ -70,26 +71,30 @@ class StrandNewtonDraper:
         self.material = material or HairMaterial()
         self.setting = setting or StrandNewtonSetting()
         self._terms = terms
-        self._energy: tuple[Groom, HairEnergy] | None = None
+        self._energy: tuple[Groom, BodyModel | None, HairEnergy] | None = None
 
     def drape(self, scene: HairScene) -> Positions:
         """Draped vertices of every sample [m, world]."""
         return self.solve(scene)[0]
 
     def energy_of(self, scene: HairScene) -> HairEnergy:
-        """The energy that is minimized; that of the last groom is kept.
+        """The energy that is minimized; that of the last groom and body is kept.
 
         Raises:
             InputError: the draper has no terms, and the scene no body on which hair was designed.
         """
-        if self._energy is None or self._energy[0] is not scene.groom:
+        body = None if self._terms is not None else self._body_of(scene)
+        if self._energy is None or self._energy[0] is not scene.groom or self._energy[1] is not body:
             terms = self._terms
-            if terms is None:
-                if not isinstance(scene, Scene):
-                    raise InputError(f"solver {self.name}", "energy terms for a scene without a body model", "none")
-                terms = hair_terms(ROD, design_of(scene.groom, scene.bodies.body, self.material))
-            self._energy = scene.groom, HairEnergy(scene.groom, self.material, terms)
-        return self._energy[1]
+            if body is not None:
+                terms = hair_terms(ROD, design_of(scene.groom, body, self.material))
+            self._energy = scene.groom, body, HairEnergy(scene.groom, self.material, terms)
+        return self._energy[2]
+
+    def _body_of(self, scene: HairScene) -> BodyModel:
+        if not isinstance(scene, Scene):
+            raise InputError(f"solver {self.name}", "energy terms for a scene without a body model", "none")
+        return scene.bodies.body
 
     def solve(self, scene: HairScene) -> tuple[Positions, StoppingReport]:
         """Draped vertices [m] and where the solver stopped. Every sample is solved by itself."""

@@ -137,11 +137,8 @@ def _elastic_and_gravity(
 ) -> tuple[float, float, float]:  # fmt: skip
     """Eqs. 6, 7 and 9 of a strand; fills its gradient."""
     k_cosserat, k_stretch = stiffness[0], stiffness[1]
-    shear, stretch, weight = 0.0, 0.0, 0.0
-    for vertex in range(len(mass)):
-        for axis in range(3):
-            gradient[vertex, axis] = -mass[vertex] * acceleration[axis]
-            weight -= mass[vertex] * acceleration[axis] * (x[vertex, axis] - x[0, axis])
+    shear, stretch = 0.0, 0.0
+    weight = gravity_of_strand(x, mass, acceleration, gradient)
     for edge in range(len(rest_length)):
         ex, ey, ez = x[edge + 1, 0] - x[edge, 0], x[edge + 1, 1] - x[edge, 1], x[edge + 1, 2] - x[edge, 2]
         inverse = np.float32(1.0) / rest_length[edge]
@@ -157,6 +154,18 @@ def _elastic_and_gravity(
             gradient[edge, axis] -= force
             gradient[edge + 1, axis] += force
     return shear, stretch, weight
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def gravity_of_strand(x: np.ndarray, mass: np.ndarray, acceleration: np.ndarray, gradient: np.ndarray) -> float:
+    """Eq. 9 of a strand, from its root; fills the gradient."""
+    energy = 0.0
+    for vertex in range(len(mass)):
+        for axis in range(3):
+            force = mass[vertex] * acceleration[axis]
+            gradient[vertex, axis] = -force
+            energy -= force * (x[vertex, axis] - x[0, axis])
+    return energy
 
 
 @njit(cache=True, fastmath=True, inline="always")

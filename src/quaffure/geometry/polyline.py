@@ -58,22 +58,31 @@ class _IntegrateDirections(torch.autograd.Function):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _integrate(root: np.ndarray, vectors: np.ndarray, rest_length: np.ndarray, positions: np.ndarray) -> None:
-    batch, strands, edges, _ = vectors.shape
+    batch, strands = vectors.shape[:2]
     for index in prange(batch * strands):
         sample, strand = index // strands, index % strands
-        x, y, z = root[sample, strand]
-        positions[sample, strand, 0, 0] = x
-        positions[sample, strand, 0, 1] = y
-        positions[sample, strand, 0, 2] = z
-        for edge in range(edges):
-            vx, vy, vz = vectors[sample, strand, edge]
-            scale = rest_length[strand, edge] / np.sqrt(vx * vx + vy * vy + vz * vz + np.float32(1e-24))
-            x += scale * vx
-            y += scale * vy
-            z += scale * vz
-            positions[sample, strand, edge + 1, 0] = x
-            positions[sample, strand, edge + 1, 1] = y
-            positions[sample, strand, edge + 1, 2] = z
+        integrate_strand(
+            root[sample, strand], vectors[sample, strand], rest_length[strand], False, positions[sample, strand]
+        )
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def integrate_strand(
+    root: np.ndarray, vectors: np.ndarray, length: np.ndarray, are_unit: bool, positions: np.ndarray
+) -> None:
+    """Fill the vertices [vertex 3] of one strand whose edges point along `vectors`. Where these are unit vectors, the
+    constant `are_unit` saves their norms: the branch goes when the function is inlined."""
+    x, y, z = root[0], root[1], root[2]
+    positions[0, 0], positions[0, 1], positions[0, 2] = x, y, z
+    for edge in range(len(length)):
+        vx, vy, vz = vectors[edge, 0], vectors[edge, 1], vectors[edge, 2]
+        scale = length[edge]
+        if not are_unit:
+            scale /= np.sqrt(vx * vx + vy * vy + vz * vz + np.float32(1e-24))
+        x += scale * vx
+        y += scale * vy
+        z += scale * vz
+        positions[edge + 1, 0], positions[edge + 1, 1], positions[edge + 1, 2] = x, y, z
 
 
 @njit(cache=True, parallel=True, fastmath=True)

@@ -96,15 +96,16 @@ class StrandDescent:
         self._rod = posed_rod.arrays
         self._body = scene.surface.sample_arrays(0)
         rotation, mass = _float32(posed_rod.rotation[0]), _float32(rest.mass)
-        weight = mass[..., None] * np.array(energy.acceleration, np.float32)
+        acceleration = np.array(energy.acceleration, np.float32)
         root, length = _float32(scene.posed[0, :, 0]), _float32(rest.rest_length)
-        self._hair = StrandArrays(rotation, root, length, weight, _float32(rest.collision_margin))
+        self._hair = StrandArrays(rotation, root, length, mass, acceleration, _float32(rest.collision_margin))
         self._root_direction = np.einsum("sij,sj->si", rotation, self._rod.root_frame[:, 0]).astype(np.float32)
         self._k_body_collision = np.float32(energy.material.k_body_collision)
         strands, vertices = mass.shape
         self._strands = np.arange(strands)
         self._anywhere = np.full(strands, 1e6, np.float32)
-        self._own_weight = STANDARD_GRAVITY * mass
+        # The unit of forces between strands, which push apart without gravity too: no less than their weight on earth.
+        self._own_weight = max(STANDARD_GRAVITY, math.hypot(*energy.acceleration)) * mass
         self._most_force = MAX_FORCE * self._own_weight.sum(axis=1, keepdims=True)
         self._now, self._trial = _evaluation(strands, vertices), _evaluation(strands, vertices)
         self._around = Surroundings(

@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-from quaffure.energies.fused_strand import contact_of_strand
+from quaffure.energies.fused_strand import contact_of_strand, gravity_of_strand
 from quaffure.energies.rod_kernels import RodArrays, rod_of_strand, rod_workspace
 from quaffure.geometry.bvh import search_workspace
 from quaffure.geometry.cell_list import interleaved
+from quaffure.geometry.polyline import integrate_strand
 from quaffure.geometry.surface import SurfaceArrays
 from quaffure.geometry.surface_distance import distance_within
 
@@ -29,14 +30,16 @@ class StrandArrays(NamedTuple):
         rotation: of every scalp triangle from rest [strand 3 3].
         root: positions of the roots [m], [strand 3].
         length: of every edge [m], [strand edge].
-        weight: force of gravity on every vertex [N], [strand vertex 3].
+        mass: of every vertex [kg], [strand vertex].
+        acceleration: g of Eq. 9 [m/s^2], [3].
         margin: D of Eq. 10 [m], [strand vertex].
     """
 
     rotation: np.ndarray
     root: np.ndarray
     length: np.ndarray
-    weight: np.ndarray
+    mass: np.ndarray
+    acceleration: np.ndarray
     margin: np.ndarray
 
 
@@ -96,8 +99,8 @@ def _evaluate_run(
     leaf = 0
     for strand in strands:
         x, gradient, contact = out.positions[strand], out.gradient[strand], out.contact[strand]
-        _integrate(direction[strand], hair.root[strand], hair.length[strand], x)
-        energy = _weigh(x, hair.weight[strand], gradient)
+        integrate_strand(hair.root[strand], direction[strand], hair.length[strand], True, x)
+        energy = gravity_of_strand(x, hair.mass[strand], hair.acceleration, gradient)
         energy += float(rod_of_strand(x, hair.rotation[strand], rest, strand, work, gradient))
         contact[:, 3] = _ZERO
         if k_body_collision > _ZERO:
@@ -107,28 +110,6 @@ def _evaluate_run(
             energy += pressed
         out.energy[strand, 0] = energy
         out.energy[strand, 1] = _squeeze(x, around.gradient[strand], around.stiffness[strand], around.positions[strand])
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def _integrate(direction: np.ndarray, root: np.ndarray, length: np.ndarray, x: np.ndarray) -> None:
-    px, py, pz = root[0], root[1], root[2]
-    x[0, 0], x[0, 1], x[0, 2] = px, py, pz
-    for edge in range(len(length)):
-        px += length[edge] * direction[edge, 0]
-        py += length[edge] * direction[edge, 1]
-        pz += length[edge] * direction[edge, 2]
-        x[edge + 1, 0], x[edge + 1, 1], x[edge + 1, 2] = px, py, pz
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def _weigh(x: np.ndarray, weight: np.ndarray, gradient: np.ndarray) -> float:
-    """Eq. 9 of a strand, from its root; fills the gradient."""
-    energy = 0.0
-    for vertex in range(len(x)):
-        for axis in range(3):
-            gradient[vertex, axis] = -weight[vertex, axis]
-            energy -= weight[vertex, axis] * (x[vertex, axis] - x[0, axis])
-    return energy
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")

@@ -83,6 +83,12 @@ def test_compiled_rod_keeps_the_design_and_its_margins(body: BodyModel, surface:
         HairEnergy(groom.select(torch.arange(5)), terms=hair_terms("rod", design))
     with pytest.raises(InputError, match="the elastic model rod"):
         hair_terms("cosserat", design)
+    shape = tuple(groom.rest_lengths.shape)
+    HairEnergy(groom, terms=hair_terms("rod", design, torch.full(shape, 2.0)))
+    with pytest.raises(
+        InputError, match=r"stiffness: expected a number or one of each edge, \(\d+, 23\), found \(1, 23\)"
+    ):
+        HairEnergy(groom, terms=hair_terms("rod", design, torch.ones(1, 23)))
     turned = scene.posed.mean(dim=1, keepdim=True) - scene.posed  # a half turn and a reflection: not rigid
     assert float(energy.only("elastic").total(turned, scene)) > float(energy.only("elastic").total(scene.posed, scene))
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from quaffure.body import BodyModel, bundled_clip
+from quaffure.config import STANDARD_GRAVITY
 from quaffure.drape_motion import drape_motion
 from quaffure.energies import HairEnergy, sag_free_rest
 from quaffure.energies.hair_terms import hair_terms
@@ -19,8 +20,8 @@ from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, energy_and_gradient, solver
 from quaffure.solvers.coherent_clip import CoherentSetting
 from quaffure.solvers.strand_descent import StrandDescent
-from quaffure.solvers.strand_newton import SettledDraper
-from quaffure.solvers.strand_recursion import StrandModel, newton_rotations
+from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonSetting
+from quaffure.solvers.strand_recursion import LEAST_ALIGNMENT, StrandModel, newton_rotations
 from quaffure.solvers.strand_reference import newton_rotations_reference
 from tests.scenes import posed_scene, sphere_groom
 
@@ -57,6 +58,18 @@ def test_elimination_solves_the_dense_system(strands: int) -> None:
     model = _random_model(strands)
     rotation = np.full((strands, 23, 3), np.nan, np.float32)
     newton_rotations(model, np.float32(CONTACT), np.arange(strands), rotation)
+    expected = newton_rotations_reference(model, CONTACT)
+    error = (torch.from_numpy(rotation) - expected).norm(dim=-1) / expected.norm(dim=-1).mean()
+    assert float(error.max()) < 1e-4
+
+
+def test_elimination_solves_the_dense_system_where_an_edge_folds_back() -> None:
+    model = _random_model(8)
+    folded = 0.05 * _unit(np.random.default_rng(1), 8) - model.direction[:, 4]
+    model.direction[:, 5] = folded / np.linalg.norm(folded, axis=-1, keepdims=True)
+    assert (1 + (model.direction[:, 4] * model.direction[:, 5]).sum(-1) < LEAST_ALIGNMENT).all()
+    rotation = np.empty((8, 23, 3), np.float32)
+    newton_rotations(model, np.float32(CONTACT), np.arange(8), rotation)
     expected = newton_rotations_reference(model, CONTACT)
     error = (torch.from_numpy(rotation) - expected).norm(dim=-1) / expected.norm(dim=-1).mean()
     assert float(error.max()) < 1e-4
@@ -195,6 +208,28 @@ def test_hair_swings_with_gravity_and_soft_hair_further(body: BodyModel, surface
     assert float(swung[1.0][0]) > 0.01
     assert float(swung[1.0][0]) > 2 * float(swung[1.0][1].abs())
     assert float(swung[0.3][0]) > float(swung[1.0][0]) > float(swung[3.0][0])
+
+
+@pytest.mark.parametrize(("pull", "unit"), [(0.0, 1.0), (0.5, 1.0), (8.0, 8.0)])
+def test_forces_between_strands_are_limited_in_units_of_their_weight(pull: float, unit: float) -> None:
+    """Heavier hair presses harder; hair without weight still pushes apart."""
+    scene = posed_scene(sphere_groom(strands=5))
+    usual, other = (
+        StrandDescent(
+            HairEnergy(scene.groom, terms=hair_terms("rod", acceleration=(0.0, share * STANDARD_GRAVITY, 0.0))), scene
+        )
+        for share in (1.0, pull)
+    )
+    assert other._most_force == pytest.approx(unit * usual._most_force, rel=1e-5)
+    assert usual._most_force[:, 0] == pytest.approx(
+        10 * STANDARD_GRAVITY * HairEnergy(scene.groom).rest.mass.sum(1).numpy()
+    )
+
+
+def test_a_setting_needs_as_many_passes_as_its_parts() -> None:
+    StrandNewtonSetting(passes=5)
+    with pytest.raises(ValueError, match="at least 5, free and contact passes, found 4"):
+        StrandNewtonSetting(passes=4)
 
 
 def test_a_direction_that_is_not_finite_is_refused() -> None:

@@ -9,8 +9,6 @@ from quaffure.geometry.signed_distance import signed_distance
 from quaffure.scene import HairScene
 from quaffure.types import Bool, Float, Positions, Tensor
 
-OUTER_EDGES = slice(11, 22)
-"""Edges 12 to 22 of 23, whose direction shows how hair hangs: the inner half follows the head, the last may curl."""
 GAP = 8e-3
 """Hair farther than this from the skin and from the nearest hair below it is in the air [m]."""
 JUMP = 0.05
@@ -18,8 +16,10 @@ JUMP = 0.05
 
 
 def off_vertical(draped: Positions) -> Float[Tensor, " b"]:
-    """Median angle of the outer edges to gravity [deg]."""
-    direction = torch.nn.functional.normalize(draped.diff(dim=2)[:, :, OUTER_EDGES], dim=-1)
+    """Median angle of the outer edges to gravity [deg]: 12 to 22 of 23. The inner half follows the head, the last edge
+    may curl."""
+    edges = draped.shape[2] - 1
+    direction = torch.nn.functional.normalize(draped.diff(dim=2)[:, :, edges // 2 : edges - 1], dim=-1)
     angle = torch.rad2deg(torch.arccos((-direction[..., 2]).clamp(-1, 1)))
     return angle.flatten(1).median(dim=1).values
 

@@ -62,9 +62,11 @@ class Rod(EnergyTerm):
         In a tie strands are so close that the small changes of a posed scalp would press them apart with all force.
 
         Raises:
-            InputError: the design is that of another groom.
+            InputError: the design is that of another groom, or the stiffness not one number nor one of each edge.
         """
-        goal = rest.goal_weight
+        goal, edges = rest.goal_weight, tuple(rest.rest_length.shape)
+        if isinstance(self.stiffness, Tensor) and tuple(self.stiffness.shape) != edges:
+            raise InputError("stiffness", f"a number or one of each edge, {edges}", f"{tuple(self.stiffness.shape)}")
         if self.design is not None:
             margin, goal = self.design.collision_margin, self.design.rod.goal_weight
             if margin.shape != rest.collision_margin.shape:

@@ -31,7 +31,7 @@ class StrandNewtonSetting:
     """Numbers of passes, and what they may do.
 
     Attributes:
-        passes: in all.
+        passes: in all; the rest of them is with all terms.
         free_passes: without contact.
         resolved_share: of their margins that vertices are pushed out to after these.
         contact_passes: without other hair.
@@ -43,6 +43,14 @@ class StrandNewtonSetting:
     resolved_share: float = 0.9
     contact_passes: int = 2
     control: StepControl = field(default_factory=StepControl)
+
+    def __post_init__(self) -> None:
+        """Raises:
+        ValueError: fewer passes in all than without contact and without other hair.
+        """
+        least = self.free_passes + self.contact_passes
+        if self.passes < least:
+            raise ValueError(f"passes: expected at least {least}, free and contact passes, found {self.passes}")
 
 
 class StrandNewtonDraper:

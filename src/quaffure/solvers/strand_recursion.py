@@ -25,10 +25,11 @@ LANES = 8
 the bending stiffness, which is a thousand times less."""
 LEAST_STIFFNESS = 1e-4
 """Stiffness added to every rotation, relative to the bending stiffness: keeps the system positive definite."""
+LEAST_ALIGNMENT = 0.02
+"""Of two edges, as 1 + cos: where it is less, the model of their twist is worth nothing."""
 Symmetric = tuple[Any, Any, Any, Any, Any, Any]  # 00, 10, 11, 20, 21, 22
 Rows = tuple[Vector, Vector, Vector]
 _TINY = 1e-30
-_LEAST_ALIGNMENT = 0.02  # of two edges, as 1 + cos: less, and the model of their twist is worth nothing
 
 
 class StrandModel(NamedTuple):
@@ -173,7 +174,7 @@ def _inverse(m: Symmetric, least: float) -> Symmetric:
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def _joint_matrix(before: Vector, t: Vector, bend: float, twist: float) -> Symmetric:
     """D = B S^T S + C w w^T, S d = d x t - (t_before x t) (w . d) / 2, w . d the twist between the two edges."""
-    inverse = 1.0 / max(1.0 + dot(t, before), _LEAST_ALIGNMENT)
+    inverse = 1.0 / max(1.0 + dot(t, before), LEAST_ALIGNMENT)
     w = ((t[0] + before[0]) * inverse, (t[1] + before[1]) * inverse, (t[2] + before[2]) * inverse)
     k = cross(before, t)
     q = cross(t, k)

@@ -3,7 +3,7 @@
 import torch
 
 from quaffure.geometry.rotation import cross_product_matrix
-from quaffure.solvers.strand_recursion import LEAST_STIFFNESS, StrandModel
+from quaffure.solvers.strand_recursion import LEAST_ALIGNMENT, LEAST_STIFFNESS, StrandModel
 from quaffure.types import Float, Tensor
 
 
@@ -47,7 +47,8 @@ def _joint_matrices(model: StrandModel) -> Float[Tensor, "s e 3 3"]:
         for field in (model.direction, model.root_direction, model.bending, model.twisting)
     )
     before = torch.cat([root_direction[:, None], direction[:, :-1]], dim=1)
-    twist_axis = (direction + before) / (1 + (direction * before).sum(-1, keepdim=True))
+    alignment = (1 + (direction * before).sum(-1, keepdim=True)).clamp(min=LEAST_ALIGNMENT)
+    twist_axis = (direction + before) / alignment
     half = 0.5 * torch.linalg.cross(before, direction)
     strain = -cross_product_matrix(direction) - half[..., :, None] * twist_axis[..., None, :]
     bent = torch.einsum("seab,seac->sebc", strain, strain)

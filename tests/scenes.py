@@ -6,9 +6,11 @@ import numpy as np
 import torch
 from scipy.spatial import ConvexHull
 
+from quaffure.body import BodyModel, bundled_clip
 from quaffure.geometry import Surface, directors, posed_surface, surface_topology
 from quaffure.hair import Groom
-from quaffure.scene import PosedScene
+from quaffure.procedural import make_groom
+from quaffure.scene import BodyBatch, PosedScene, Scene
 
 
 def sphere_mesh(radius: float = 0.1, count: int = 400) -> tuple[torch.Tensor, torch.Tensor]:
@@ -49,6 +51,30 @@ def sphere_groom(**options: int | float) -> Groom:
         root_barycentric=torch.full((count, 3), 1 / 3),
         root_uv=torch.rand(count, 2, generator=torch.Generator().manual_seed(1)),
     )
+
+
+def few_strands(body: BodyModel, surface: Surface, style: str = "long_straight", count: int = 60) -> Groom:
+    """About `count` strands of a bundled style, evenly spread over its list."""
+    groom = make_groom(style, body, surface=surface)
+    return groom.select(torch.arange(0, len(groom), len(groom) // count))
+
+
+def upright_scene(groom: Groom, body: BodyModel) -> Scene:
+    """On the mean body in its rest pose."""
+    return Scene(groom, BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
+
+
+def clip_scene(groom: Groom, body: BodyModel, clip: str, frames: slice) -> Scene:
+    """On the mean body in some frames of a bundled clip."""
+    body_pose = bundled_clip(clip, body).body_pose[frames]
+    return Scene(groom, BodyBatch(body, body_pose, torch.zeros(len(body_pose), 10)))
+
+
+def random_bodies(body: BodyModel, count: int) -> BodyBatch:
+    """Bodies of random shapes, every joint of which is rotated a little."""
+    generator = torch.Generator().manual_seed(0)
+    pose = 0.15 * torch.randn(count, 81, generator=generator)
+    return BodyBatch(body, pose, torch.randn(count, 10, generator=generator))
 
 
 def posed_scene(groom: Groom, posed: torch.Tensor | None = None, surface: Surface | None = None) -> PosedScene:

@@ -33,6 +33,8 @@ from quaffure.model.inference_network import StrandTexels, fast_bfloat16, folded
 from quaffure.model.initial_shape import InitialShape, empty_shape, fill_initial_shape, initial_shape_reference
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
+from tests.scenes import random_bodies
+from tests.training_runs import perturbed
 
 CONFIG = NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=16, strand_width=32)
 MATERIAL = HairMaterial()
@@ -47,9 +49,7 @@ def groom(body: BodyModel) -> Groom:
 
 @pytest.fixture(scope="module")
 def bodies(body: BodyModel) -> BodyBatch:
-    generator = torch.Generator().manual_seed(0)
-    pose = 0.15 * torch.randn(3, 81, generator=generator)
-    return BodyBatch(body, pose, torch.randn(3, 10, generator=generator))
+    return random_bodies(body, 3)
 
 
 @pytest.fixture(scope="module")
@@ -58,9 +58,7 @@ def network() -> DirectionNetwork:
     torch.manual_seed(0)
     network = build_network(CONFIG)
     assert isinstance(network, DirectionNetwork)
-    for parameter in network.parameters():
-        parameter.data += 0.06 * torch.randn_like(parameter)
-    return network.eval()
+    return perturbed(network)
 
 
 @pytest.fixture

@@ -33,7 +33,8 @@ from quaffure.model.network_config import from_file_values
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Tensor
-from tests.training_runs import tiny_groom
+from tests.scenes import random_bodies
+from tests.training_runs import perturbed, tiny_groom
 
 CONFIG = NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=8, strand_width=16)
 MATERIAL = HairMaterial()
@@ -51,18 +52,12 @@ class Swirled(DirectionNetwork):
 
 @pytest.fixture(scope="module")
 def scene(body: BodyModel) -> Scene:
-    generator = torch.Generator().manual_seed(0)
-    pose = 0.15 * torch.randn(2, 81, generator=generator)
-    return Scene(tiny_groom(body), BodyBatch(body, pose, torch.randn(2, 10, generator=generator)))
+    return Scene(tiny_groom(body), random_bodies(body, 2))
 
 
 def network_of(kind: type[DirectionNetwork]) -> DirectionNetwork:
     torch.manual_seed(0)
-    network = kind(CONFIG)
-    with torch.no_grad():
-        for parameter in network.parameters():
-            parameter += 0.06 * torch.randn_like(parameter)
-    return network.eval()
+    return perturbed(kind(CONFIG))
 
 
 def test_one_drape_enters_few_functions(body: BodyModel) -> None:

@@ -33,6 +33,7 @@ from quaffure.model import (
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
+from tests.training_runs import perturbed
 
 MATERIAL = HairMaterial()
 SHAPE = InitialShapeConfig()
@@ -60,10 +61,7 @@ def scene(body: BodyModel, groom: Groom) -> Scene:
 def shaken(config: NetworkConfig, strength: float = 0.05) -> NeuralDraper:
     """A network whose last layer is not zero, as if it had learnt something."""
     torch.manual_seed(0)
-    network = build_network(config)
-    for parameter in network.parameters():
-        parameter.data += strength * torch.randn_like(parameter)
-    return NeuralDraper(network.eval(), MATERIAL)
+    return NeuralDraper(perturbed(build_network(config), strength), MATERIAL)
 
 
 def without_and_with_contact(scene: Scene) -> tuple[Positions, Positions]:

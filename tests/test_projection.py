@@ -15,13 +15,12 @@ from quaffure.model.projection import project_reference
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
+from tests.scenes import random_bodies
 
 
 @pytest.fixture(scope="module")
 def bodies(body: BodyModel) -> BodyBatch:
-    generator = torch.Generator().manual_seed(0)
-    pose = 0.15 * torch.randn(2, 81, generator=generator)
-    return BodyBatch(body, pose, torch.randn(2, 10, generator=generator))
+    return random_bodies(body, 2)
 
 
 @pytest.fixture(scope="module")

@@ -15,15 +15,7 @@ from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, PosedScene, Scene
 from quaffure.solvers import LbfgsDraper
 from quaffure.types import Float, Tensor
-
-
-def _few(body: BodyModel, surface: Surface, count: int) -> Groom:
-    groom = make_groom("long_straight", body, surface=surface)
-    return groom.select(torch.arange(0, len(groom), len(groom) // count))
-
-
-def _upright(groom: Groom, body: BodyModel) -> Scene:
-    return Scene(groom, BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
+from tests.scenes import few_strands, upright_scene
 
 
 def _from_vertical(positions: Tensor) -> Float[Tensor, "b s e"]:
@@ -34,8 +26,8 @@ def _from_vertical(positions: Tensor) -> Float[Tensor, "b s e"]:
 
 @pytest.mark.slow
 def test_hair_settles_where_it_was_designed(body: BodyModel, surface: Surface) -> None:
-    groom = _few(body, surface, 200)
-    scene = _upright(groom, body)
+    groom = few_strands(body, surface, count=200)
+    scene = upright_scene(groom, body)
     draped = LbfgsDraper(terms=hair_terms("rod", sag_free_rest(groom, body, surface=surface))).drape(scene)
     distance = (draped - scene.posed).norm(dim=-1)
     assert float(distance.mean()) < 1e-3
@@ -44,7 +36,7 @@ def test_hair_settles_where_it_was_designed(body: BodyModel, surface: Surface) -
 
 @pytest.mark.slow
 def test_long_hair_hangs_on_a_body_that_bows(body: BodyModel, surface: Surface) -> None:
-    groom = _few(body, surface, 60)
+    groom = few_strands(body, surface, count=60)
     body_pose = bundled_clip("bow", body).body_pose[60:61]
     scene = Scene(groom, BodyBatch(body, body_pose, torch.zeros(1, 10)))
     design = sag_free_rest(groom, body, surface=surface)
@@ -73,9 +65,9 @@ def test_ties_hold_on_a_body_that_bows(style: str, body: BodyModel, surface: Sur
 
 
 def test_compiled_rod_keeps_the_design_and_its_margins(body: BodyModel, surface: Surface) -> None:
-    groom = _few(body, surface, 30)
+    groom = few_strands(body, surface, count=30)
     design = sag_free_rest(groom, body, surface=surface)
-    scene = _upright(groom, body)
+    scene = upright_scene(groom, body)
     energy = HairEnergy(groom, terms=hair_terms("rod", design))
     torch.testing.assert_close(energy.rest.collision_margin, design.collision_margin.float())
     assert not bool(design.unstable.any())
@@ -94,8 +86,8 @@ def test_compiled_rod_keeps_the_design_and_its_margins(body: BodyModel, surface:
 
 
 def test_stress_free_hair_is_as_stiff_and_as_held_as_the_groom_asks(body: BodyModel, surface: Surface) -> None:
-    groom = _few(body, surface, 30)
-    scene = _upright(groom, body)
+    groom = few_strands(body, surface, count=30)
+    scene = upright_scene(groom, body)
     asked = torch.zeros_like(groom.rest_lengths)
     asked[:, :3] = 1e-5
     turned = scene.posed[:, :, :1] + 1.2 * (scene.posed - scene.posed[:, :, :1]) @ torch.diag(
@@ -117,7 +109,7 @@ def test_stress_free_hair_is_as_stiff_and_as_held_as_the_groom_asks(body: BodyMo
 
 
 def test_rotation_of_posed_strands_is_found_from_their_shape(body: BodyModel, surface: Surface) -> None:
-    groom = _few(body, surface, 30)
+    groom = few_strands(body, surface, count=30)
     pose = torch.zeros(1, 81)
     pose[0, ::3] = 0.1
     scene = Scene(groom, BodyBatch(body, pose, torch.zeros(1, 10)))
@@ -130,7 +122,7 @@ def test_rotation_of_posed_strands_is_found_from_their_shape(body: BodyModel, su
 def test_the_rest_shape_of_a_groom_is_computed_once_for_all_scenes(
     body: BodyModel, surface: Surface, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    groom = _few(body, surface, 5)
+    groom = few_strands(body, surface, count=5)
     made: list[RodRest] = []
 
     def counted(strands: Tensor, scale: Tensor | None, goal_weight: Tensor | None) -> RodRest:
@@ -140,7 +132,7 @@ def test_the_rest_shape_of_a_groom_is_computed_once_for_all_scenes(
     monkeypatch.setattr("quaffure.energies.rod.stress_free_rest", counted)
     energy = HairEnergy(groom, terms=hair_terms("rod"))
     for part in (energy, energy.without("self_collision")):
-        for scene in (_upright(groom, body), _upright(groom, body)):
+        for scene in (upright_scene(groom, body), upright_scene(groom, body)):
             part.total(scene.posed, scene)
     assert len(made) == 1
 

@@ -21,15 +21,10 @@ from quaffure.energies.sag_free import residual, sag_free_report
 from quaffure.geometry import Surface, integrate_directions_reference
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.hair import Groom
-from quaffure.procedural import make_groom
 from quaffure.types import Energy, Float, Tensor
+from tests.scenes import few_strands
 
 STYLES = ("long_ringlets", "afro", "bob")
-
-
-def _few(style: str, body: BodyModel, surface: Surface, count: int = 60) -> Groom:
-    groom = make_groom(style, body, surface=surface)
-    return groom.select(torch.arange(0, len(groom), len(groom) // count))
 
 
 def _total(direction: Tensor, groom: Groom, rest: SagFreeRest, surface: Surface) -> Energy:
@@ -51,7 +46,7 @@ def _directions(groom: Groom) -> Float[Tensor, "s e 3"]:
 @pytest.mark.parametrize("style", STYLES)
 def test_design_is_in_balance(style: str, body: BodyModel, surface: Surface) -> None:
     """By autograd through the torch energies, which share no code with the kernel that `residual` reads."""
-    groom = _few(style, body, surface)
+    groom = few_strands(body, surface, style)
     rest = sag_free_rest(groom, body, surface=surface)
     direction = _directions(groom).requires_grad_()
     (gradient,) = torch.autograd.grad(_total(direction, groom, rest, surface).sum(), direction)
@@ -66,7 +61,7 @@ def test_design_is_in_balance(style: str, body: BodyModel, surface: Surface) -> 
 @pytest.mark.parametrize("style", STYLES)
 def test_design_is_a_minimum(style: str, body: BodyModel, surface: Surface) -> None:
     """No small rotation of random edges lowers the energy of any strand."""
-    groom = _few(style, body, surface, 20)
+    groom = few_strands(body, surface, style, 20)
     rest = sag_free_rest(groom, body, surface=surface)
     direction = _directions(groom)
     before = float(_total(direction, groom, rest, surface))
@@ -79,14 +74,14 @@ def test_design_is_a_minimum(style: str, body: BodyModel, surface: Surface) -> N
 
 def test_stress_free_rest_is_not_in_balance(body: BodyModel, surface: Surface) -> None:
     """Else the tests above would show nothing."""
-    groom = _few("long_ringlets", body, surface)
+    groom = few_strands(body, surface, "long_ringlets")
     rest = sag_free_rest(groom, body, surface=surface)
     free = replace(rest, rod=stress_free_rest(groom.rest_strands.double()))
     assert float(residual(groom, free).median()) > 0.5
 
 
 def test_held_edges_take_what_a_tail_asks_for(body: BodyModel, surface: Surface) -> None:
-    groom = _few("ponytail", body, surface)
+    groom = few_strands(body, surface, "ponytail")
     held = (torch.arange(groom.rest_lengths.shape[1]) < 11).expand(groom.rest_lengths.shape)
     rest = sag_free_rest(groom, body, held=held, surface=surface)
     assert float(residual(groom, rest).max()) < 1e-6
@@ -96,7 +91,7 @@ def test_held_edges_take_what_a_tail_asks_for(body: BodyModel, surface: Surface)
 
 
 def test_ties_of_the_groom_are_held_unless_others_are_named(body: BodyModel, surface: Surface) -> None:
-    groom = _few("half_up", body, surface)
+    groom = few_strands(body, surface, "half_up")
     rest = sag_free_rest(groom, body, surface=surface)
     assert bool(((rest.rod.goal_weight > 0) == groom.held_edges).all())
     assert bool(groom.held_edges.any())
@@ -109,7 +104,7 @@ def test_ties_of_the_groom_are_held_unless_others_are_named(body: BodyModel, sur
 
 
 def test_goals_weigh_at_least_what_an_artist_asks_for(body: BodyModel, surface: Surface) -> None:
-    groom = _few("half_up", body, surface)
+    groom = few_strands(body, surface, "half_up")
     usual = sag_free_rest(groom, body, surface=surface).rod.goal_weight
     asked = torch.zeros_like(groom.rest_lengths)
     asked[:, 5:9] = float(usual.median())
@@ -124,7 +119,7 @@ def test_goals_weigh_at_least_what_an_artist_asks_for(body: BodyModel, surface: 
 
 
 def test_stiffness_that_an_artist_asks_for_is_multiplied_further(body: BodyModel, surface: Surface) -> None:
-    groom = _few("long_ringlets", body, surface)
+    groom = few_strands(body, surface, "long_ringlets")
     asked = 1 + 4 * torch.rand(groom.rest_lengths.shape, generator=torch.Generator().manual_seed(0))
     stiff = replace(groom, stiffness_scale=asked)
     rest, usual = (sag_free_rest(groom, body, surface=surface) for groom in (stiff, groom))
@@ -137,7 +132,7 @@ def test_stiffness_that_an_artist_asks_for_is_multiplied_further(body: BodyModel
 
 
 def test_margins_never_exceed_the_clearance_where_nothing_is_supported(body: BodyModel, surface: Surface) -> None:
-    groom = _few("long_straight", body, surface)
+    groom = few_strands(body, surface, "long_straight")
     rest = sag_free_rest(groom, body, surface=surface)
     distance = signed_distance(groom.rest_strands.double().flatten(0, 1)[None], surface).view(rest.support.shape)
     free = rest.support == 0

@@ -15,15 +15,14 @@ from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import Groom
-from quaffure.procedural import make_groom
-from quaffure.scene import BodyBatch, Scene
+from quaffure.scene import Scene
 from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, energy_and_gradient, solver
 from quaffure.solvers.coherent_clip import CoherentSetting
 from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonSetting
 from quaffure.solvers.strand_recursion import LEAST_ALIGNMENT, StrandModel, newton_rotations
 from quaffure.solvers.strand_reference import newton_rotations_reference
-from tests.scenes import posed_scene, sphere_groom
+from tests.scenes import clip_scene, few_strands, posed_scene, sphere_groom, upright_scene
 
 CONTACT = 10.0  # k_bc [J/m^3]
 
@@ -83,22 +82,20 @@ def test_only_the_strands_listed_are_solved() -> None:
     assert solved.nonzero()[0].tolist() == [3, 7]
 
 
-def _few(body: BodyModel, surface: Surface, name: str = "long_straight", count: int = 60) -> Groom:
-    groom = make_groom(name, body, surface=surface)
-    return groom.select(torch.arange(0, len(groom), len(groom) // count))
+HELD = 12  # edges from the root
 
 
-def _scene(groom: Groom, body: BodyModel, clip: str, frames: slice) -> Scene:
-    body_pose = bundled_clip(clip, body).body_pose[frames]
-    return Scene(groom, BodyBatch(body, body_pose, torch.zeros(len(body_pose), 10)))
+def _half_held() -> Groom:
+    """Strands round a sphere, every second of which is held for half its length."""
+    groom = sphere_groom(strands=20)
+    weight = torch.zeros_like(groom.rest_lengths)
+    weight[::2, :HELD] = 1e-3
+    return replace(groom, goal_weight=weight)
 
 
-def _upright(groom: Groom, body: BodyModel) -> Scene:
-    return Scene(groom, BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
-
-
-def test_own_energy_and_gradient_are_those_of_the_terms() -> None:
-    scene = posed_scene(sphere_groom(strands=20))
+@pytest.mark.parametrize("groom", [sphere_groom(strands=20), _half_held()], ids=["free", "half held"])
+def test_own_energy_and_gradient_are_those_of_the_terms(groom: Groom) -> None:
+    scene = posed_scene(groom)
     energy = HairEnergy(scene.groom, terms=hair_terms("rod"))
     pulled = scene.director[0] - 1.1 * torch.nn.functional.normalize(scene.posed[0, :, 1:], dim=-1)
     descent = StrandDescent(energy, scene, direction=torch.nn.functional.normalize(pulled, dim=-1))
@@ -112,15 +109,31 @@ def test_own_energy_and_gradient_are_those_of_the_terms() -> None:
     torch.testing.assert_close(found, gradient, atol=1e-3 * float(gradient.abs().max()), rtol=1e-3)
 
 
+def test_held_edges_keep_their_posed_directions_and_free_hair_falls() -> None:
+    groom = _half_held()
+    turn = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    scene = posed_scene(groom, groom.rest_strands[None] @ turn)
+    descent = StrandDescent(HairEnergy(groom, terms=hair_terms("rod")), scene)
+    start = descent.own_energy
+    assert descent.has_goals
+    descent.resolve_contact(1.0)
+    descent.settle(10)
+    assert descent.own_energy < start
+    rotated = 1 - (torch.from_numpy(descent.direction) * scene.director[0]).sum(dim=-1)
+    assert float(rotated[::2, :HELD].max()) < 1e-3
+    assert float(rotated[1::2, :HELD].mean()) > 0.1
+    assert float(rotated[::2, HELD + 2 :].mean()) > 0.1
+
+
 def test_the_design_stays(body: BodyModel, surface: Surface) -> None:
-    scene = _upright(_few(body, surface), body)
+    scene = upright_scene(few_strands(body, surface), body)
     draped = StrandNewtonDraper().drape(scene)
     assert float((draped - scene.posed).norm(dim=-1).max()) < 1e-3
 
 
 def test_drapes_end_as_low_as_those_of_lbfgs_and_keep_lengths(body: BodyModel, surface: Surface) -> None:
-    groom = _few(body, surface, count=30)
-    scene = _scene(groom, body, "bow", slice(60, 61))
+    groom = few_strands(body, surface, count=30)
+    scene = clip_scene(groom, body, "bow", slice(60, 61))
     terms = hair_terms("rod", sag_free_rest(groom, body, surface=surface))
     energy = HairEnergy(groom, terms=terms)
     draped, report = StrandNewtonDraper(terms=terms).solve(scene)
@@ -134,7 +147,7 @@ def test_drapes_end_as_low_as_those_of_lbfgs_and_keep_lengths(body: BodyModel, s
 
 
 def test_more_passes_never_raise_the_energy(body: BodyModel, surface: Surface) -> None:
-    scene = _scene(_few(body, surface, "bob"), body, "bow", slice(60, 61))
+    scene = clip_scene(few_strands(body, surface, "bob"), body, "bow", slice(60, 61))
     newton = StrandNewtonDraper()
     energy = newton.energy_of(scene)
     start = newton.drape(scene)
@@ -147,7 +160,7 @@ def test_more_passes_never_raise_the_energy(body: BodyModel, surface: Surface) -
 
 
 def test_clips_follow_the_last_frame(body: BodyModel, surface: Surface) -> None:
-    scene = _scene(_few(body, surface), body, "neck_turn", slice(20, 26))
+    scene = clip_scene(few_strands(body, surface), body, "neck_turn", slice(20, 26))
     setting = CoherentSetting(most_moved=0.02)
     follower = CoherentDraper(setting=setting)
     draped = torch.cat([follower.drape(_part(scene, frame)) for frame in range(6)])
@@ -166,8 +179,8 @@ def _part(scene: Scene, frame: int) -> Scene:
 
 
 def test_a_cut_in_the_motion_starts_anew(body: BodyModel, surface: Surface) -> None:
-    groom = _few(body, surface, count=20)
-    bowed, upright = _scene(groom, body, "bow", slice(60, 61)), _upright(groom, body)
+    groom = few_strands(body, surface, count=20)
+    bowed, upright = clip_scene(groom, body, "bow", slice(60, 61)), upright_scene(groom, body)
     follower = CoherentDraper()
     follower.drape(bowed)
     torch.testing.assert_close(follower.drape(upright), StrandNewtonDraper().drape(upright))
@@ -175,7 +188,7 @@ def test_a_cut_in_the_motion_starts_anew(body: BodyModel, surface: Surface) -> N
 
 def test_a_motion_is_draped_the_same_whatever_was_draped_before(body: BodyModel, surface: Surface) -> None:
     """The bow has just begun: near enough to upright hair for its first frame to follow."""
-    groom = _few(body, surface, count=20)
+    groom = few_strands(body, surface, count=20)
     motion = bundled_clip("bow", body).frames("14:16")
     follower = CoherentDraper()
     once = drape_motion(follower, groom, body, motion, torch.zeros(10)).strands
@@ -186,19 +199,21 @@ def test_a_motion_is_draped_the_same_whatever_was_draped_before(body: BodyModel,
 
 
 def test_clips_are_the_same_bits_with_any_number_of_threads(body: BodyModel, surface: Surface) -> None:
-    scene = _scene(_few(body, surface, "bob"), body, "neck_turn", slice(30, 32))
+    scene = clip_scene(few_strands(body, surface, "bob"), body, "neck_turn", slice(30, 32))
     drapes = []
     threads = numba.get_num_threads()
-    for count in (1, threads):
-        numba.set_num_threads(count)
-        drapes.append(CoherentDraper().drape(scene))
-    numba.set_num_threads(threads)
+    try:
+        for count in (1, threads):
+            numba.set_num_threads(count)
+            drapes.append(CoherentDraper().drape(scene))
+    finally:
+        numba.set_num_threads(threads)
     assert torch.equal(*drapes)
 
 
 def test_hair_swings_with_gravity_and_soft_hair_further(body: BodyModel, surface: Surface) -> None:
-    groom = _few(body, surface)
-    scene = _upright(groom, body)
+    groom = few_strands(body, surface)
+    scene = upright_scene(groom, body)
     design = sag_free_rest(groom, body, surface=surface)
     swung = {}
     for stiffness in (0.3, 1.0, 3.0):
@@ -241,12 +256,12 @@ def test_a_direction_that_is_not_finite_is_refused() -> None:
 
 
 def test_the_design_is_that_of_the_scenes_body(body: BodyModel, surface: Surface) -> None:
-    groom = _few(body, surface, count=10)
+    groom = few_strands(body, surface, count=10)
     wider = replace(body, rest_vertices=1.02 * body.rest_vertices)
     newton = StrandNewtonDraper()
-    first = newton.energy_of(_upright(groom, body))
-    assert newton.energy_of(_upright(groom, body)) is first
-    margin = newton.energy_of(_upright(groom, wider)).rest.collision_margin
+    first = newton.energy_of(upright_scene(groom, body))
+    assert newton.energy_of(upright_scene(groom, body)) is first
+    margin = newton.energy_of(upright_scene(groom, wider)).rest.collision_margin
     expected = sag_free_rest(groom, wider).collision_margin.float()
     torch.testing.assert_close(margin, expected)
     assert not torch.allclose(margin, first.rest.collision_margin)

@@ -3,8 +3,10 @@
 import csv
 import sys
 from pathlib import Path
+from typing import TypeVar
 
 import torch
+from torch import nn
 
 from quaffure.body import FEATURE_COUNT, BodyModel, load_pose_prior
 from quaffure.hair import Groom
@@ -28,9 +30,19 @@ TINY_OPTIONS = (
 QUAFFURE = Path(sys.executable).with_name("quaffure")
 LONGEST_WAIT = 300  # seconds
 
+Network = TypeVar("Network", bound=nn.Module)
+
 
 def tiny_groom(body: BodyModel) -> Groom:
     return make_groom("bob", body).select(torch.arange(0, 2400, 60))
+
+
+def perturbed(network: Network, strength: float = 0.06) -> Network:
+    """With noise on all weights, as if it had learnt something: the last layer of a new network is zero."""
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter += strength * torch.randn_like(parameter)
+    return network.eval()
 
 
 def validation() -> Validation:

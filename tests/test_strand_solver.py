@@ -11,6 +11,7 @@ from quaffure.body import BodyModel, bundled_clip
 from quaffure.config import STANDARD_GRAVITY
 from quaffure.drape_motion import drape_motion
 from quaffure.energies import HairEnergy, sag_free_rest
+from quaffure.energies.gravity import NO_ACCELERATION
 from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
 from quaffure.geometry import Surface
@@ -107,6 +108,20 @@ def test_own_energy_and_gradient_are_those_of_the_terms(groom: Groom) -> None:
     found = torch.from_numpy(evaluated.gradient)[None].clone()
     found[:, :, 0] = 0
     torch.testing.assert_close(found, gradient, atol=1e-3 * float(gradient.abs().max()), rtol=1e-3)
+
+
+@pytest.mark.parametrize("groom", [sphere_groom(strands=20), _half_held()], ids=["free", "half held"])
+def test_near_rest_one_pass_is_exact(groom: Groom) -> None:
+    """Without load the model of a strand that is bent a little has its minimum at rest: joints, root and goals."""
+    turn = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    scene = posed_scene(groom, groom.rest_strands[None] @ turn)
+    noise = torch.randn(scene.director[0].shape, generator=torch.Generator().manual_seed(2))
+    bent = torch.nn.functional.normalize(scene.director[0] + 0.01 * noise, dim=-1)
+    descent = StrandDescent(HairEnergy(groom, terms=hair_terms("rod", acceleration=NO_ACCELERATION)), scene, None, bent)
+    before = (bent - scene.director[0]).norm(dim=-1)
+    descent.fall(1)
+    after = (torch.from_numpy(descent.direction) - scene.director[0]).norm(dim=-1)
+    assert float((after / before.mean()).max()) < 0.1
 
 
 def test_held_edges_keep_their_posed_directions_and_free_hair_falls() -> None:

@@ -16,7 +16,7 @@ from quaffure.energies.hair_terms import hair_terms
 from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import Groom
-from quaffure.scene import Scene
+from quaffure.scene import PosedScene, Scene
 from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, energy_and_gradient, solver
 from quaffure.solvers.coherent_clip import CoherentSetting
 from quaffure.solvers.strand_descent import StrandDescent
@@ -94,12 +94,17 @@ def _half_held() -> Groom:
     return replace(groom, goal_weight=weight)
 
 
+def _pulled_inwards(scene: PosedScene) -> torch.Tensor:
+    """Directions [s e 3] that lead into the sphere."""
+    pulled = scene.director[0] - 1.1 * torch.nn.functional.normalize(scene.posed[0, :, 1:], dim=-1)
+    return torch.nn.functional.normalize(pulled, dim=-1)
+
+
 @pytest.mark.parametrize("groom", [sphere_groom(strands=20), _half_held()], ids=["free", "half held"])
 def test_own_energy_and_gradient_are_those_of_the_terms(groom: Groom) -> None:
     scene = posed_scene(groom)
     energy = HairEnergy(scene.groom, terms=hair_terms("rod"))
-    pulled = scene.director[0] - 1.1 * torch.nn.functional.normalize(scene.posed[0, :, 1:], dim=-1)
-    descent = StrandDescent(energy, scene, direction=torch.nn.functional.normalize(pulled, dim=-1))
+    descent = StrandDescent(energy, scene, direction=_pulled_inwards(scene))
     own = energy.without("self_collision")
     total, gradient = energy_and_gradient(own, scene, descent.positions)
     assert float(energy.by_term(descent.positions, scene)["body_collision"]) > 0.01 * float(total)
@@ -108,6 +113,46 @@ def test_own_energy_and_gradient_are_those_of_the_terms(groom: Groom) -> None:
     found = torch.from_numpy(evaluated.gradient)[None].clone()
     found[:, :, 0] = 0
     torch.testing.assert_close(found, gradient, atol=1e-3 * float(gradient.abs().max()), rtol=1e-3)
+
+
+def test_hair_around_a_strand_is_a_quadratic_model_of_its_density_energy() -> None:
+    scene = posed_scene(sphere_groom(strands=300))
+    energy = HairEnergy(scene.groom, terms=hair_terms("rod"))
+    descent = StrandDescent(energy, scene, direction=_pulled_inwards(scene))
+    descent.settle(2)
+    positions, around = descent.positions, descent._around
+    assert torch.equal(torch.from_numpy(around.positions), positions[0])
+    _, expected = energy_and_gradient(energy.only("self_collision"), scene, positions)
+    expected[:, :, 0] = torch.from_numpy(around.gradient[:, 0])  # roots are left out there
+    small = expected.norm(dim=-1) < 0.99 * torch.from_numpy(descent._most_force)
+    found = torch.from_numpy(around.gradient)[None]
+    assert float(small.float().mean()) > 0.5
+    assert float(found[small].norm()) > 0
+    torch.testing.assert_close(found[small], expected[small], rtol=1e-3, atol=1e-3 * float(found[small].abs().max()))
+
+    noise = 1e-3 * torch.randn(descent.direction.shape, generator=torch.Generator().manual_seed(4)).numpy()
+    moved = StrandDescent(
+        energy, scene, direction=torch.nn.functional.normalize(torch.from_numpy(descent.direction + noise), dim=-1)
+    )
+    for own, other in zip(moved._around, around):
+        own[:] = other
+    step = moved.positions[0].numpy() - around.positions
+    model = (around.gradient * step).sum(axis=(1, 2)) + 0.5 * (around.stiffness[..., None] * step**2).sum(axis=(1, 2))
+    assert moved._now.energy[:, 1] == pytest.approx(model, rel=1e-3, abs=1e-4 * float(np.abs(model).max()))
+
+
+def test_contact_is_resolved_outwards_and_held_edges_stay() -> None:
+    scene = posed_scene(_half_held())
+    energy, inwards = HairEnergy(scene.groom, terms=hair_terms("rod")), _pulled_inwards(scene)
+    descent = StrandDescent(energy, scene, direction=inwards)
+    before = descent.positions[0].norm(dim=-1)
+    descent.resolve_contact(1.0)
+    after, rotated = descent.positions[0].norm(dim=-1), torch.from_numpy(descent.direction) - inwards
+    margin = energy.rest.collision_margin[1::2, 1:]
+    assert float((before[1::2, 1:] - 0.1 - margin).min()) < -0.02
+    assert float((after[1::2, 1:] - 0.1 - margin).min()) > -0.01  # edges keep their lengths
+    assert float(rotated[::2, :HELD].abs().max()) == 0.0
+    assert float(rotated[1::2, :HELD].abs().max()) > 0.5
 
 
 @pytest.mark.parametrize("groom", [sphere_groom(strands=20), _half_held()], ids=["free", "half held"])

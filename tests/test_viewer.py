@@ -21,8 +21,9 @@ from quaffure.apps.viewer.catalogue import LIVE, REST, Catalogue
 from quaffure.apps.viewer.draping_thread import DrapingThread
 from quaffure.apps.viewer.hair_colours import INSIDE, hair_colours, segments
 from quaffure.apps.viewer.page import Page, check_address
+from quaffure.apps.viewer.panel import put
 from quaffure.apps.viewer.playback import Playback
-from quaffure.apps.viewer.session import free_path
+from quaffure.apps.viewer.session import MOST_DRAPES, free_path
 from quaffure.apps.viewer.view_state import Degrees, ViewState
 from quaffure.baselines import PosedDraper
 from quaffure.body import CLIP_FPS, CLIP_NAMES, bundled_clip, joint_matrices
@@ -34,7 +35,8 @@ from quaffure.io import read_drape
 from quaffure.model import Quaffure, load_model
 from quaffure.procedural import STYLES, make_groom
 from quaffure.scene import Scene
-from quaffure.solvers import SOLVERS
+from quaffure.solvers import SOLVERS, CoherentDraper
+from quaffure.solvers.strand_newton import RodLoads
 from quaffure.types import Positions
 
 if TYPE_CHECKING:
@@ -437,14 +439,56 @@ class Follower:
 
     name, material = "strand_newton", HairMaterial()
 
-    def __init__(self) -> None:
-        self.restarts = 0
+    def __init__(self, drapes_until_rest: int = 0) -> None:
+        self.restarts, self.drapes_until_rest, self.drapes = 0, drapes_until_rest, 0
+
+    @property
+    def is_moving(self) -> bool:
+        return self.drapes < self.drapes_until_rest
 
     def restart(self) -> None:
         self.restarts += 1
 
     def drape(self, scene: Scene) -> Positions:
+        self.drapes += 1
         return scene.posed
+
+
+@pytest.mark.parametrize(("until_rest", "drapes"), [(3, 3), (1000, 1 + MOST_DRAPES)])
+def test_a_state_is_draped_until_its_hair_is_at_rest(
+    page: Page, catalogue: Catalogue, until_rest: int, drapes: int
+) -> None:
+    follower = Follower(until_rest)
+    page.session.ask_edit("draper", lambda state: replace(state, draper=follower))
+    wait_until(lambda: follower.drapes == drapes)
+    settled(page)
+    page.session.ask_edit("draper", lambda state: replace(state, draper=catalogue.draper("neural")))
+    settled(page)
+    assert follower.drapes == drapes
+
+
+def test_stiffness_gravity_and_wind_reach_strand_newton_live(page: Page, catalogue: Catalogue) -> None:
+    """Hair is drawn to the side, the same draper goes on, and what it reads is in the saved drape."""
+    page.session.ask_edit("draper", lambda state: replace(state, draper=catalogue.draper("strand_newton")))
+    before = settled(page)
+    put(page.panel.stiffness, 0.5)
+    put(page.panel.wind[0], 6.0)
+    page._load(0.0)
+    after = settled(page)
+    assert isinstance(after.draper, CoherentDraper)
+    while after.draper.is_moving:
+        settled(page)
+    assert after.draper is before.draper
+    assert after.loads == RodLoads(0.5, (6.0, 0.0, -9.81))
+    shown = page.session.shown
+    assert shown is not None
+    assert (shown.sequence.meta["stiffness"], shown.sequence.meta["acceleration"]) == (0.5, (6.0, 0.0, -9.81))
+    aside = shown.strands[:, -1, 0] - shown.sequence.posed[0, :, -1, 0]
+    assert float(aside.mean()) > 0.01
+    page._reset_loads()
+    page.session.ask_edit("draper", lambda state: replace(state, draper=catalogue.draper("neural")))
+    assert settled(page).loads == RodLoads()
+    assert page.panel.wind[0].value == 0.0
 
 
 def test_hair_follows_in_a_clip_and_starts_anew_in_another(page: Page, catalogue: Catalogue) -> None:

@@ -30,7 +30,14 @@ class Draper(Protocol):
 
 @runtime_checkable
 class ClipDraper(Draper, Protocol):
-    """A draper whose frames depend on those that it draped before."""
+    """A draper whose frames depend on those that it draped before.
+
+    Attributes:
+        is_moving: whether hair has not come to rest in the last frame: another drape of the same frame goes on.
+    """
+
+    @property
+    def is_moving(self) -> bool: ...
 
     def restart(self) -> None:
         """Settle the next frame anew."""

@@ -51,11 +51,13 @@ class CoherentDraper:
     Attributes:
         draper: of frames that start anew.
         setting: how frames follow.
+        is_moving: whether more strands than `moving_share` of the setting still moved in the last frame's last pass.
     """
 
     def __init__(self, draper: StrandNewtonDraper | None = None, setting: CoherentSetting | None = None) -> None:
         self.draper, self.setting = draper or StrandNewtonDraper(), setting or CoherentSetting()
         self._last: _Frame | None = None
+        self.is_moving = False
 
     @property
     def name(self) -> str:
@@ -78,9 +80,10 @@ class CoherentDraper:
         last = self._last
         frame = _Frame(scene.groom, scene.posed[0, :, 0], scene.root_rotation[0], scene.director[0])
         if last is None or last.groom is not scene.groom or self._is_cut(last, frame):
-            descent = self.draper.descend(energy, scene)
+            descent, self.is_moving = self.draper.descend(energy, scene), False
         else:
             descent = self._followed(energy, scene, last.rotated_to(frame))
+            self.is_moving = self._moves(descent)
         self._last = replace(frame, direction=torch.from_numpy(descent.direction.copy()))
         return descent.positions
 
@@ -90,9 +93,12 @@ class CoherentDraper:
         # A limb may sweep through hair faster than hair may move in a frame.
         descent.resolve_contact(0.0)
         descent.follow(setting.passes, setting.most_move, setting.most_moved)
-        while descent.passes < setting.most_passes and (descent.moved > setting.still).mean() > setting.moving_share:
+        while descent.passes < setting.most_passes and self._moves(descent):
             descent.follow(1, setting.most_move, setting.most_moved)
         return descent
+
+    def _moves(self, descent: StrandDescent) -> bool:
+        return bool((descent.moved > self.setting.still).mean() > self.setting.moving_share)
 
     def _is_cut(self, last: "_Frame", frame: "_Frame") -> bool:
         distance = (frame.root - last.root).norm(dim=-1).mean()

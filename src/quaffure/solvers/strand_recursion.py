@@ -26,7 +26,7 @@ the bending stiffness, which is a thousand times less."""
 LEAST_STIFFNESS = 1e-4
 """Stiffness added to every rotation, relative to the bending stiffness: keeps the system positive definite."""
 LEAST_ALIGNMENT = 0.02
-"""Of two edges, as 1 + cos: where it is less, the model of their twist is worth nothing."""
+"""1 + cos of the angle between two edges, at least: below, the model of their twist is worth nothing."""
 Symmetric = tuple[Any, Any, Any, Any, Any, Any]  # 00, 10, 11, 20, 21, 22
 Rows = tuple[Vector, Vector, Vector]
 _TINY = 1e-30

@@ -17,7 +17,9 @@ from quaffure.apps.viewer.playback import Playback
 from quaffure.apps.viewer.scene_nodes import SceneNodes
 from quaffure.apps.viewer.session import PictureWriter, Session
 from quaffure.apps.viewer.view_state import MEAN_SHAPE, ViewState
+from quaffure.energies.gravity import GRAVITY, NO_ACCELERATION
 from quaffure.errors import InputError, refused
+from quaffure.solvers.strand_newton import RodLoads
 
 NOTICE_SECONDS = 8.0
 RED, GREEN = (224, 49, 49), (47, 158, 68)
@@ -118,6 +120,8 @@ class Page:
                 on_change(slider, partial(self._rotate, joint))
         for index, slider in enumerate(panel.shape):
             on_change(slider, partial(self._shape, index))
+        for slider in (panel.stiffness, *panel.gravity, *panel.wind):
+            on_change(slider, self._load)
 
     def _connect_buttons(self) -> None:
         panel, session = self.panel, self.session
@@ -125,6 +129,7 @@ class Page:
             (panel.play, lambda: self._play(not self._playback.playing)),
             (panel.reset_pose, self._reset_pose),
             (panel.reset_shape, self._reset_shape),
+            (panel.reset_loads, self._reset_loads),
             (panel.measure, lambda: session.ask(session.measure)),
             (panel.save, lambda: session.ask(session.save)),
             (panel.settle, self._settle),
@@ -179,6 +184,20 @@ class Page:
         for slider in self.panel.shape:
             put(slider, 0.0)
         self.session.ask_edit("reset of the shape", lambda state: replace(state, body_shape=MEAN_SHAPE))
+
+    def _load(self, _: float) -> None:
+        """Stiffness, gravity and wind from their sliders."""
+        panel = self.panel
+        x, y, z = (float(gravity.value + wind.value) for gravity, wind in zip(panel.gravity, panel.wind))
+        loads = RodLoads(float(panel.stiffness.value), (x, y, z))
+        self.session.ask_edit("loads", lambda state: replace(state, loads=loads))
+
+    def _reset_loads(self) -> None:
+        put(self.panel.stiffness, 1.0)
+        for sliders, start in ((self.panel.gravity, GRAVITY), (self.panel.wind, NO_ACCELERATION)):
+            for slider, value in zip(sliders, start):
+                put(slider, value)
+        self.session.ask_edit("reset of the hair", lambda state: replace(state, loads=RodLoads()))
 
     def _settle(self) -> None:
         self._play(False)

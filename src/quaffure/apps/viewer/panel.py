@@ -6,6 +6,7 @@ from viser import GuiApi, GuiSliderHandle
 
 from quaffure.apps.render.camera import AZIMUTHS
 from quaffure.apps.viewer.catalogue import Catalogue
+from quaffure.energies.gravity import GRAVITY, NO_ACCELERATION, Acceleration
 
 JOINT_RANGES = {
     "Head": 60.0,
@@ -20,6 +21,11 @@ JOINT_RANGES = {
 """Joints that move hair, and the range of their sliders, +- [degrees]."""
 AXES = ("bend forward (x)", "lean left (y)", "turn left (z)")
 LARGEST_COEFFICIENT = 3.0
+LEAST_STIFFNESS, MOST_STIFFNESS = 0.3, 3.0
+"""Fine and coarse hair, as multiples of the usual stiffness."""
+WORLD_AXES = ("x (to the left)", "y (to the back)", "z (up)")
+LARGEST_GRAVITY, LARGEST_WIND = 20.0, 10.0
+"""Along an axis, +- [m/s^2]."""
 STRAND_COUNTS = {"guides": 0, "5,000 strands": 5_000, "10,000 strands": 10_000, "20,000 strands": 20_000}
 
 T = TypeVar("T", int, float)
@@ -45,6 +51,8 @@ class Panel:
             self.reset_shape = gui.add_button("Reset shape")
             limit = LARGEST_COEFFICIENT
             self.shape = [gui.add_slider(f"beta {index}", -limit, limit, 0.1, 0.0) for index in range(10)]
+        with tabs.add_tab("Hair"):
+            self._add_loads(gui)
         with tabs.add_tab("Measure"):
             self.mark_inside = gui.add_checkbox("Mark hair inside the body", False)
             self.measure = gui.add_button("Measure this drape")
@@ -66,6 +74,13 @@ class Panel:
         gui.add_divider()
         self.view = gui.add_button_group("View", tuple(AZIMUTHS))
 
+    def _add_loads(self, gui: GuiApi) -> None:
+        gui.add_markdown("strand_newton reads these. Axes are the world's, as the body at rest has them.")
+        self.reset_loads = gui.add_button("Reset hair")
+        self.stiffness = gui.add_slider("stiffness", LEAST_STIFFNESS, MOST_STIFFNESS, 0.05, 1.0)
+        self.gravity = _axis_sliders(gui, "Gravity [m/s^2]", LARGEST_GRAVITY, GRAVITY)
+        self.wind = _axis_sliders(gui, "Wind [m/s^2]", LARGEST_WIND, NO_ACCELERATION)
+
     def show_clip(self, frames: int) -> None:
         """Set the frame slider to the length of a clip, at its start."""
         put(self.frame, 0)
@@ -83,6 +98,11 @@ def put(slider: GuiSliderHandle[T], value: T) -> None:
     """Move a slider in every browser."""
     # mypy reads the property as read-only: in viser another method is between its getter and its setter.
     slider.value = value  # type: ignore[misc]
+
+
+def _axis_sliders(gui: GuiApi, name: str, limit: float, start: Acceleration) -> list[GuiSliderHandle[float]]:
+    with gui.add_folder(name):
+        return [gui.add_slider(axis, -limit, limit, 0.01, value) for axis, value in zip(WORLD_AXES, start)]
 
 
 def _joint_sliders(gui: GuiApi, joint: str, limit: float) -> list[GuiSliderHandle[float]]:

@@ -29,6 +29,7 @@ from quaffure.io.drape_file import write_drape
 PictureWriter = Callable[[Path, DrapeSequence, GuideInterpolation | None], None]
 Notify = Callable[[str, str, bool], None]
 RECENT = 15  # drapes, of whose times the median is shown
+MOST_DRAPES = 40  # of one state, in which hair that follows comes to rest
 
 
 class Display(NamedTuple):
@@ -70,6 +71,7 @@ class Session:
         self._catalogue, self._panel, self._nodes, self._notify = catalogue, panel, nodes, notify
         self._folder, self._write_picture = save
         self._display = Display(0, False)
+        self._drapes_left = MOST_DRAPES
         self._times: deque[tuple[float, float | None]] = deque(maxlen=RECENT)
         self.thread = DrapingThread(self.report)
 
@@ -88,11 +90,13 @@ class Session:
 
     def _edit(self, change: Callable[[ViewState], ViewState]) -> None:
         before, self.state = self.state, change(self.state)
+        self._drapes_left = MOST_DRAPES
         if self.state.motion is not before.motion and isinstance(self.state.draper, ClipDraper):
             self.state.draper.restart()
 
     def drape(self) -> None:
-        """Drape the state after a change: by the network if the draper is too slow to follow every change."""
+        """Drape the state after a change: by the network if the draper is too slow to follow every change, and again
+        while the hair of one that follows is on its way."""
         slow = None if self.state.draper.name in LIVE else self.state.draper.name
         with self._restored_on_failure():
             state = self.state if slow is None else replace(self.state, draper=self._catalogue.draper(NEURAL))
@@ -100,6 +104,9 @@ class Session:
                 state.drape()  # compiles kernels: its time would mislead
             self._show(state.drape())
         self._panel.offer_settling(slow)
+        if isinstance(state.draper, ClipDraper) and state.draper.is_moving and self._drapes_left > 0:
+            self._drapes_left -= 1
+            self.ask(self.drape)
 
     def settle(self) -> None:
         """Drape the state by its draper, however long that takes."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 import torch
@@ -19,6 +19,8 @@ from quaffure.geometry.signed_distance import signed_distance
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.model.neural import NeuralDraper
+from quaffure.solvers.coherent_clip import CoherentDraper
+from quaffure.solvers.strand_newton import RodLoads
 from quaffure.types import BodyPose, Bool, Float
 
 Degrees = tuple[float, float, float]
@@ -35,6 +37,7 @@ class ViewState:
         frame: index in the clip.
         joint_rotations: rotation vectors about the axes of the rest pose, by joint, applied after the clip [degrees].
         body_shape: beta [standard deviations].
+        loads: stiffness of the hair, gravity and wind; only `strand_newton` reads them.
 
     Raises:
         InputError: a frame outside of the clip, a joint that the body does not have, or not ten shape coefficients.
@@ -47,6 +50,7 @@ class ViewState:
     frame: int = 0
     joint_rotations: Mapping[str, Degrees] = field(default_factory=dict)
     body_shape: tuple[float, ...] = MEAN_SHAPE
+    loads: RodLoads = field(default_factory=RodLoads)
 
     def __post_init__(self) -> None:
         if not 0 <= self.frame < len(self.motion):
@@ -91,10 +95,14 @@ class ViewState:
         draper takes."""
         frame = self.motion.select(slice(self.frame, self.frame + 1))
         pose = replace(frame, body_pose=self.body_pose())
+        if isinstance(self.draper, CoherentDraper):
+            self.draper.draper.loads = self.loads
         with network_clock(self.draper) as network_times:
             shape = torch.tensor(self.body_shape)
             sequence = drape_motion(self.draper, self.groom, self.body, pose, shape, follows=True)
         sequence.meta["frame"] = self.frame
+        if isinstance(self.draper, CoherentDraper):
+            sequence.meta.update(asdict(self.loads))
         return Drape(self, sequence, sum(network_times) if network_times else None)
 
 

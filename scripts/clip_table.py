@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 import tyro
 
-from quaffure.benchmark.appearance import JUMP, jumps
+from quaffure.benchmark.appearance import JUMP_SPEED, jumps
 from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body import BodyModel, Motion, bundled_clip, load_body, resample
 from quaffure.hair import Groom
@@ -62,7 +62,7 @@ def _row(groom: Groom, body: BodyModel, clip: Motion) -> list[str]:
         groom.name,
         clip.name,
         f"{len(draped)}",
-        f"{int((moved > JUMP).sum())}",
+        f"{int((moved > JUMP_SPEED / FPS).sum())}",
         f"{1000 * float(moved.max()):.0f}",
         f"{sum(above) / len(above):.3f}",
         f"{max(above):.3f}",

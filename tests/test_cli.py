@@ -232,6 +232,16 @@ def test_every_metric_has_a_unit(body: BodyModel, groom: Groom) -> None:
     assert set(UNITS) - set(found) == {"jitter"}  # only of a reference that moves
 
 
+@pytest.mark.parametrize(("fps", "jumps"), [(30.0, 60.0), (7.5, 0.0)])
+def test_tips_jump_by_their_speed(body: BodyModel, groom: Groom, fps: float, jumps: float) -> None:
+    scene = Scene(groom, BodyBatch(body, torch.zeros(2, 81), torch.zeros(2, 10)))
+    draped = scene.posed.clone()
+    draped[1, :, -1, 0] += 0.1
+    measured = DrapeMetrics(groom, HairMaterial(), fps=fps)
+    measured.add(draped, scene)
+    assert measured.of_all_frames()[0]["jumps"].tolist() == [0.0, jumps]
+
+
 def test_time_is_counted_to_the_step_that_ends() -> None:
     times = Stopwatch()
     for step in ("draping", "metrics", "draping"):

@@ -258,6 +258,37 @@ def test_a_motion_is_draped_the_same_whatever_was_draped_before(body: BodyModel,
     assert not np.array_equal(continued, once)
 
 
+@pytest.mark.parametrize(("step", "passes", "moved"), [(1, (4, 6), 0.038), (4, (16, 24), 0.152)])
+def test_limits_of_a_frame_grow_with_its_time(
+    step: int, passes: tuple[int, int], moved: float, body: BodyModel, surface: Surface
+) -> None:
+    follower = CoherentDraper()
+    motion = bundled_clip("neck_turn", body).frames(f"30:34:{step}")
+    drape_motion(follower, few_strands(body, surface, count=5), body, motion, torch.zeros(10))
+    setting = follower.setting.over(follower.frame_seconds)
+    assert (setting.passes, setting.most_passes) == passes
+    assert setting.most_moved == pytest.approx(moved)
+    assert setting.most_move == follower.setting.most_move
+
+
+def test_hair_falls_no_further_behind_where_frames_are_left_out(body: BodyModel, surface: Surface) -> None:
+    groom, shape = few_strands(body, surface), torch.zeros(10)
+    motion = bundled_clip("neck_turn", body).frames("20:53")
+    whole = torch.from_numpy(drape_motion(CoherentDraper(), groom, body, motion, shape).strands)[::4]
+    every_fourth = motion.frames("::4")
+    scaled = torch.from_numpy(drape_motion(CoherentDraper(), groom, body, every_fourth, shape).strands)
+    as_at_30 = drape_motion(CoherentDraper(), groom, body, replace(every_fourth, fps=30.0), shape).strands
+    behind = [float((hair - whole)[:, :, -1].norm(dim=-1).mean()) for hair in (scaled, torch.from_numpy(as_at_30))]
+    assert behind[0] < 0.7 * behind[1]
+
+
+def test_frames_far_apart_are_settled_one_by_one(body: BodyModel, surface: Surface) -> None:
+    groom, shape = few_strands(body, surface, count=10), torch.zeros(10)
+    motion = replace(bundled_clip("neck_turn", body).frames("20:22"), fps=1.9)
+    found = drape_motion(CoherentDraper(), groom, body, motion, shape).strands
+    assert np.array_equal(found, drape_motion(StrandNewtonDraper(), groom, body, motion, shape).strands)
+
+
 def test_clips_are_the_same_bits_with_any_number_of_threads(body: BodyModel, surface: Surface) -> None:
     scene = clip_scene(few_strands(body, surface, "bob"), body, "neck_turn", slice(30, 32))
     drapes = []

@@ -440,7 +440,7 @@ class Follower:
     name, material = "strand_newton", HairMaterial()
 
     def __init__(self, drapes_until_rest: int = 0) -> None:
-        self.restarts, self.drapes_until_rest, self.drapes = 0, drapes_until_rest, 0
+        self.restarts, self.drapes_until_rest, self.drapes, self.frame_seconds = 0, drapes_until_rest, 0, 1 / 30
 
     @property
     def is_moving(self) -> bool:

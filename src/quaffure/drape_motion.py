@@ -36,7 +36,7 @@ def drape_motion(
 
     Args:
         on_frames: called with each batch of frames' drapes and scene, in place.
-        follows: the frames follow those that the draper draped last; otherwise the first is settled anew.
+        follows: the frames follow those that the draper draped last, at its rate; otherwise the first is settled anew.
 
     Returns:
         The drapes. `meta` says what made them, and `milliseconds`, the median wall time of one drape, from pose in to
@@ -44,6 +44,7 @@ def drape_motion(
     """
     if isinstance(draper, ClipDraper) and not follows:
         draper.restart()
+        draper.frame_seconds = 1 / motion.fps
     strands, posed, vertices, times = [], [], [], []
     for body_pose in motion.body_pose.split(FRAMES_AT_ONCE):
         start = time.perf_counter()

@@ -33,8 +33,11 @@ class ClipDraper(Draper, Protocol):
     """A draper whose frames depend on those that it draped before.
 
     Attributes:
+        frame_seconds: time from each frame to the next [s].
         is_moving: whether hair has not come to rest in the last frame: another drape of the same frame goes on.
     """
+
+    frame_seconds: float
 
     @property
     def is_moving(self) -> bool: ...

@@ -11,8 +11,9 @@ from quaffure.types import Bool, Float, Positions, Tensor
 
 GAP = 8e-3
 """Hair farther than this from the skin and from the nearest hair below it is in the air [m]."""
-JUMP = 0.05
-"""A tip jumps where it moves more than this beyond its root and its posed tip in a frame at 30 per second [m]."""
+JUMP_SPEED = 1.5
+"""A tip jumps where it moves faster than this from a frame to the next, beyond its root and its posed tip [m/s]: 5 cm
+in a frame at 30 per second."""
 
 
 def off_vertical(draped: Positions) -> Float[Tensor, " b"]:

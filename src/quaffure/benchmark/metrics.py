@@ -6,7 +6,7 @@ Intersections are those of `quaffure.benchmark.intersection`, which no loss and 
 import numpy as np
 import torch
 
-from quaffure.benchmark.appearance import JUMP, in_the_air, jumps, off_vertical
+from quaffure.benchmark.appearance import JUMP_SPEED, in_the_air, jumps, off_vertical
 from quaffure.benchmark.intersection import winding_numbers
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import HEAD, world_from_head
@@ -52,6 +52,7 @@ class DrapeMetrics:
         material: HairMaterial,
         reference: DrapeSequence | None = None,
         terms: Terms | None = None,
+        fps: float = 30.0,
     ) -> None:
         """
         Args:
@@ -61,6 +62,7 @@ class DrapeMetrics:
             reference: the best solver's drape of the same groom and frames; needed for `excess_energy`, `distance_mm`
                 and `jitter`, which is one number for the clip and repeated, and left out where the reference does not
                 move.
+            fps: frames per second, for `jumps`.
 
         Raises:
             InputError: the reference is of hair of another material.
@@ -68,6 +70,7 @@ class DrapeMetrics:
         if reference is not None and material_of(reference) != material:
             raise InputError("reference", f"hair of {material}", f"{material_of(reference)}")
         self.energy = HairEnergy(groom, material, terms)
+        self._jump = JUMP_SPEED / fps
         self.reference = None if reference is None else reference.in_place()
         self._draped: list[PerFrame] = []
         self._posed: list[PerFrame] = []
@@ -103,7 +106,7 @@ class DrapeMetrics:
         if self._frames >= 2:
             moved = torch.cat(self._jumps)
             moved = torch.cat([torch.zeros_like(moved[:1]), moved])  # none leads to the first frame
-            whole |= {"jumps": (moved > JUMP).sum(dim=1).to(moved), "largest_jump_mm": 1000 * moved.amax(dim=1)}
+            whole |= {"jumps": (moved > self._jump).sum(dim=1).to(moved), "largest_jump_mm": 1000 * moved.amax(dim=1)}
         if self._from_head and self._frames >= 3:
             own, of_reference = (accelerations(torch.cat(part)).mean() for part in zip(*self._from_head))
             if of_reference > 0:
@@ -121,7 +124,7 @@ def measure(
     """
     if reference is not None and reference.strands.shape != sequence.strands.shape:
         raise InputError("reference", f"strands {sequence.strands.shape}", f"{reference.strands.shape}")
-    measured = DrapeMetrics(groom, material_of(sequence), reference)
+    measured = DrapeMetrics(groom, material_of(sequence), reference, fps=sequence.fps)
     sequence = sequence.in_place()
     for start in range(0, len(sequence), FRAMES_AT_ONCE):
         chunk = slice(start, start + FRAMES_AT_ONCE)

@@ -16,10 +16,13 @@ from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.strand_newton import StrandNewtonDraper
 from quaffure.types import Float, Positions, Tensor
 
+FRAME_SECONDS = 1 / 30
+"""Time between frames that settings are meant for [s]."""
+
 
 @dataclass(frozen=True)
 class CoherentSetting:
-    """How a frame follows the last one.
+    """How a frame follows the last one, `FRAME_SECONDS` later.
 
     Attributes:
         passes: of a frame.
@@ -30,6 +33,7 @@ class CoherentSetting:
         moving_share: of the strands above which further passes follow.
         cut_distance, cut_angle: mean displacement [m] and rotation [rad] of the roots in one frame from which on the
             motion is cut and hair is settled anew.
+        cut_seconds: between frames, above which every frame is settled anew [s].
     """
 
     passes: int = 4
@@ -40,6 +44,20 @@ class CoherentSetting:
     moving_share: float = 0.1
     cut_distance: float = 0.25
     cut_angle: float = 0.8
+    cut_seconds: float = 0.5
+
+    def over(self, seconds: float) -> "CoherentSetting":
+        """The setting for frames that are further apart, or nearer: hair and roots are as fast as before, and hair
+        has as many passes a second, so that it does not fall behind."""
+        frames = seconds / FRAME_SECONDS
+        return replace(
+            self,
+            passes=max(1, round(frames * self.passes)),
+            most_passes=max(1, round(frames * self.most_passes)),
+            most_moved=frames * self.most_moved,
+            cut_distance=frames * self.cut_distance,
+            cut_angle=frames * self.cut_angle,
+        )
 
 
 class CoherentDraper:
@@ -51,13 +69,14 @@ class CoherentDraper:
     Attributes:
         draper: of frames that start anew.
         setting: how frames follow.
+        frame_seconds: time from each frame to the next [s].
         is_moving: whether more strands than `moving_share` of the setting still moved in the last frame's last pass.
     """
 
     def __init__(self, draper: StrandNewtonDraper | None = None, setting: CoherentSetting | None = None) -> None:
         self.draper, self.setting = draper or StrandNewtonDraper(), setting or CoherentSetting()
+        self.frame_seconds, self.is_moving = FRAME_SECONDS, False
         self._last: _Frame | None = None
-        self.is_moving = False
 
     @property
     def name(self) -> str:
@@ -88,7 +107,7 @@ class CoherentDraper:
         return descent.positions
 
     def _followed(self, energy: HairEnergy, scene: PosedScene, direction: Float[Tensor, "s e 3"]) -> StrandDescent:
-        setting = self.setting
+        setting = self.setting.over(self.frame_seconds)
         descent = StrandDescent(energy, scene, self.draper.setting.control, direction)
         # A limb may sweep through hair faster than hair may move in a frame.
         descent.resolve_contact(0.0)
@@ -101,10 +120,12 @@ class CoherentDraper:
         return bool((descent.moved > self.setting.still).mean() > self.setting.moving_share)
 
     def _is_cut(self, last: "_Frame", frame: "_Frame") -> bool:
+        setting = self.setting.over(self.frame_seconds)
         distance = (frame.root - last.root).norm(dim=-1).mean()
         trace = torch.einsum("sij,sij->s", frame.rotation, last.rotation)
         angle = torch.arccos(((trace - 1) / 2).clamp(-1, 1)).mean()
-        return bool(distance > self.setting.cut_distance) or bool(angle > self.setting.cut_angle)
+        is_late = self.frame_seconds > setting.cut_seconds
+        return is_late or bool(distance > setting.cut_distance) or bool(angle > setting.cut_angle)
 
 
 @dataclass(frozen=True, eq=False)

@@ -113,7 +113,7 @@ class DrapeCommand:
         if reference is not None and reference.strands.shape != shape:
             raise InputError(f"{self.reference}", f"strands {shape}", f"{reference.strands.shape}")
         console.print(f"draping {len(groom)} strands in {frames_text(len(motion))} with {draper.name}")
-        measured = DrapeMetrics(groom, draper.material, reference, terms)
+        measured = DrapeMetrics(groom, draper.material, reference, terms, motion.fps)
         times.lap("loading")
         with progress_bar("draping", len(motion), transient=True) as update:
 

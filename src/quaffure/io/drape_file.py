@@ -72,7 +72,7 @@ def _dtype(name: str) -> np.dtype:
 def _parse_meta(array: np.ndarray, path: Path) -> dict[str, Any]:
     try:
         meta = json.loads(str(array))
-    except (json.JSONDecodeError, RecursionError):
+    except (ValueError, RecursionError):  # ValueError: also a number of thousands of digits
         meta = None
     if not isinstance(meta, dict):
         raise InputError(path, "meta, a JSON object in a string", f"{str(array)[:60]!r}")

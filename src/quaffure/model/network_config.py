@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from quaffure.body.mls_body import MlsBodyConfig
+from quaffure.file_values import known_fields
 from quaffure.model.weights_file import MAX_WIDTH
 
 POSE_SIZE, SHAPE_SIZE, MAX_LAYERS = 81, 10, 64
@@ -59,6 +60,10 @@ class ProjectionConfig:
     """Distance along a strand between two contact queries [m]; shorter edges are skipped."""
     max_push: float = 3.0
     """Largest push of a vertex, in lengths of its edge: the edge then stands nearly along the push."""
+
+    def __post_init__(self) -> None:
+        if not (self.spacing > 0 and self.clearance_share >= 0 and self.max_push >= 0):
+            raise ValueError(f"expected a spacing above 0, and no share or push below it, found {self}")
 
 
 @dataclass(frozen=True)
@@ -124,15 +129,3 @@ def from_file_values(values: Mapping[str, Any]) -> NetworkConfig:
     if "projection" in named:
         named["projection"] = ProjectionConfig(**known_fields(named["projection"], ProjectionConfig))
     return NetworkConfig(**known_fields(named, NetworkConfig))
-
-
-def known_fields(values: dict[str, Any], kind: type) -> dict[str, Any]:
-    """`values`, all of them fields of a dataclass.
-
-    Raises:
-        ValueError: one is not.
-    """
-    unknown = set(values) - {field.name for field in fields(kind)}
-    if unknown:
-        raise ValueError(f"unknown {kind.__name__} fields {sorted(unknown)}")
-    return values

@@ -8,6 +8,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from quaffure.errors import InputError, refused
+from quaffure.input_file import check_input_file
 from quaffure.types import Tensor
 
 MAX_WIDTH = 4096
@@ -29,6 +30,7 @@ def read_weights(path: Path, expected: str) -> tuple[dict[str, Tensor], dict[str
     Raises:
         InputError: no such file, a broken one, or weights that are not finite.
     """
+    check_input_file(path, expected)
     with refused(path, expected, OSError, SafetensorError), safe_open(path, framework="pt") as file:
         weights = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
         notes = dict(file.metadata() or {})

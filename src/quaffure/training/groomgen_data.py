@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -24,7 +23,9 @@ from quaffure.config import HairMaterial
 from quaffure.digest import array_digest
 from quaffure.draper import Draper
 from quaffure.errors import InputError, refused
+from quaffure.file_values import known_fields, material_from
 from quaffure.hair.groom import Groom
+from quaffure.input_file import read_text
 from quaffure.io.atomic import made_folder, replacing, write_json
 from quaffure.io.groom_file import read_groom, write_groom
 from quaffure.npz import Spec, read_arrays
@@ -195,6 +196,8 @@ def _same_groom(one: Groom, other: Groom) -> bool:
 
 
 def _read_manifest(path: Path) -> Manifest:
-    with refused(path, "the manifest of quaffure groomgen-data", OSError, ValueError, TypeError, KeyError):
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return Manifest(**content | {"material": HairMaterial(**content["material"])})
+    what = "the manifest of quaffure groomgen-data"
+    text = read_text(path, what)
+    with refused(path, what, ValueError, TypeError, KeyError, RecursionError):
+        content = known_fields(json.loads(text), Manifest)
+        return Manifest(**content | {"material": material_from(content["material"])})

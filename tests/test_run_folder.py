@@ -40,13 +40,6 @@ def test_damaged_and_foreign_checkpoints_are_refused(folder: RunFolder) -> None:
         torch.nn.Linear(2, 2).load_state_dict({"other": torch.zeros(1)})
 
 
-def test_what_a_killed_save_left_is_swept_away(folder: RunFolder) -> None:
-    folder.save({"identity": "bob"})
-    (folder.path / ".checkpoint-x1y2.pt").write_bytes(b"half of it")
-    assert folder.load({"identity": "bob"}) == {"identity": "bob"}
-    assert [path.name for path in folder.path.iterdir()] == ["checkpoint.pt"]
-
-
 def test_logs_go_back_to_the_step_of_the_checkpoint(folder: RunFolder) -> None:
     for step in (2, 4, 6):
         folder.log("training", {"step": step, "loss": 1 / step})

@@ -6,10 +6,11 @@ is 1 for simulation guides and 0 for rendered strands; guides alone would show n
 once as strands, and a few of them once more as guides, with the purpose `guide` that viewers hide.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 
 from quaffure.errors import InputError
 from quaffure.geometry.sampling import spread_subset
@@ -45,8 +46,22 @@ def write_usd(path: Path, seq: DrapeSequence) -> None:
         every = np.arange(seq.strands.shape[1])
         _add_curves(stage, "/Drape/Hair/Strands", seq, every, guide=False)
         _add_curves(stage, "/Drape/Hair/Guides", seq, spread_subset(seq.posed[0, :, 0], MOST_GUIDES), guide=True)
-        if not stage.GetRootLayer().Export(str(temporary)):
-            raise InputError(path, "a writable file", "USD could not write it")
+        _export(stage, temporary)
+
+
+def _export(stage: Usd.Stage, path: Path) -> None:
+    """Write a stage.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    try:
+        written = stage.GetRootLayer().Export(str(path))
+    except Tf.ErrorException as error:
+        said = re.search(r"writing file: (.+?)'", str(error))
+        raise OSError(said[1] if said else "USD could not write it") from error
+    if not written:
+        raise OSError("USD could not write it")
 
 
 def _set_stage(stage: Usd.Stage, seq: DrapeSequence) -> None:

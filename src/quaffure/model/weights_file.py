@@ -4,7 +4,7 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import nn
 
 from quaffure.errors import InputError, refused
@@ -16,9 +16,13 @@ MAX_WIDTH = 4096
 
 
 def save_weights(path: Path, network: nn.Module, notes: dict[str, str]) -> None:
-    """Write all weights, rounded to half precision, and texts by name."""
+    """Write all weights, rounded to half precision, and texts by name.
+
+    Raises:
+        OSError: the disk is full, for instance.
+    """
     half = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
-    save_file(half, path, notes)
+    path.write_bytes(save(half, notes))
 
 
 def read_weights(path: Path, expected: str) -> tuple[dict[str, Tensor], dict[str, str]]:

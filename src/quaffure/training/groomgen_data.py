@@ -26,8 +26,9 @@ from quaffure.errors import InputError, refused
 from quaffure.file_values import known_fields, material_from
 from quaffure.hair.groom import Groom
 from quaffure.input_file import read_text
-from quaffure.io.atomic import made_folder, replacing, write_json
+from quaffure.io.atomic import replacing, write_json
 from quaffure.io.groom_file import read_groom, write_groom
+from quaffure.io.output_path import made_folder
 from quaffure.npz import Spec, read_arrays
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training.run_folder import body_digest, code_version
@@ -35,6 +36,7 @@ from quaffure.types import BodyPose, Float, Tensor
 
 LARGEST_TURN = math.radians(30)
 """Limit of the rotation of the head about each axis (Sec. 4.2) [rad]."""
+DRAPES = "a folder for drapes"
 SAME_GROOM = 1e-4
 """Every process makes the groom again; its vertices may differ by this much [m]."""
 
@@ -163,7 +165,7 @@ def started_folder(path: Path, groom: Groom, body: BodyModel, solver: str, drape
     Raises:
         InputError: it holds other drapes, or cannot be made.
     """
-    made_folder(path, "a folder for drapes")
+    made_folder(path, DRAPES)
     wanted = Manifest(groom.name, groom_digest(groom), body_digest(body), solver, draper.material, seed, code_version())
     if not (path / "manifest.json").is_file():
         write_groom(path / "groom.npz", groom)

@@ -92,7 +92,7 @@ class DrapeCommand:
 
     def run(self) -> None:
         console.quiet = self.json
-        check_outputs(self.out)
+        check_outputs(self.out, (self.groom, self.motion, self.shape, self.head, self.weights, self.reference))
         body = load_body()
         motion = motion_of(self.motion, body, self.in_place).frames(self.frames)
         body_shape = body_shape_of(self.shape)

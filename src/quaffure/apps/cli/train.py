@@ -15,13 +15,15 @@ from quaffure.errors import InputError
 from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
 from quaffure.io.load_groom import load_groom
+from quaffure.io.output_path import check_output_folder
 from quaffure.model.checkpoint import load_network
 from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.model.quaffure_network import QuaffureNetwork
 from quaffure.training.distributed import Device, joined_workers
 from quaffure.training.groom_samples import family_grooms
-from quaffure.training.loop import Training
+from quaffure.training.loop import BEST, Training
 from quaffure.training.pose_sampler import PoseSampler
+from quaffure.training.run_folder import RUN
 from quaffure.training.train_config import TrainConfig
 from quaffure.training.train_decoder import DecoderRecipe
 from quaffure.training.validation import prior_validation
@@ -66,6 +68,7 @@ class TrainCommand:
 
     def _check(self) -> None:
         """Refuse options that are wrong whatever the files hold."""
+        check_output_folder(self.out, RUN, (BEST,), (self.weights,))
         pose_features = self.config.network.pose_features
         if pose_features not in (0, FEATURE_COUNT):
             raise InputError("--pose-features", f"0 or {FEATURE_COUNT}", f"{pose_features}")

@@ -211,7 +211,7 @@ MATERIAL = asdict(HairMaterial())
     ("note", "value", "found"),
     [
         ("material", MATERIAL | {"k_stretch": float("nan")}, "k_stretch"),
-        ("material", MATERIAL | {"k_stretch": -1.0}, "k_stretch from 0 to 1e[+]06, found -1.0"),
+        ("material", MATERIAL | {"k_stretch": -1.0}, "k_stretch from 0 to 1e[+]12, found -1.0"),
         ("material", MATERIAL | {"k_stretch": "1"}, "k_stretch to be float, found '1'"),
         ("material", MATERIAL | {"k_stretch": 1e30}, "found 1e[+]30"),
         ("material", MATERIAL | {"linear_density": 0.0}, "linear_density"),

@@ -14,7 +14,7 @@ EDGES_PER_STRAND = VERTICES_PER_STRAND - 1
 TEXTURE_SIZE = 64
 """T of the paper."""
 
-LARGEST_STIFFNESS, LARGEST_HAIR_LENGTH = 1e6, 1.0
+LARGEST_STIFFNESS, LARGEST_HAIR_LENGTH = 1e12, 1.0
 """Limits of what a material may hold: every stiffness, in its own unit, and density; every length [m]."""
 LENGTHS = ("collision_margin", "smoothing_length")
 

@@ -25,12 +25,16 @@ def rows_of(values: Rows, size: int, like: Tensor, source: str) -> Tensor:
         InputError: not numbers, or of another shape.
     """
     expected = f"numbers [batch, {size}]"
-    with refused(source, expected, TypeError, ValueError, RuntimeError, OverflowError):
-        # Through numpy, because torch reads a list of arrays element by element.
-        tensor = values if isinstance(values, Tensor) else torch.from_numpy(np.array(values, dtype=np.float64))
-    if tensor.ndim != 2 or tensor.shape[1] != size or tensor.is_complex():
-        raise InputError(source, expected, f"{list(tensor.shape)}")
-    return tensor.to(like)
+    if not isinstance(values, Tensor):
+        with refused(source, expected, TypeError, ValueError, OverflowError):
+            # Through numpy, because torch reads a list of arrays element by element.
+            array = np.asarray(values)
+        if array.dtype.kind not in "biuf":
+            raise InputError(source, expected, f"{array.dtype}")
+        values = torch.from_numpy(array.astype(np.float64))
+    if values.ndim != 2 or values.shape[1] != size or values.is_complex():
+        raise InputError(source, expected, f"{list(values.shape)}")
+    return values.to(like)
 
 
 def check_body_pose(body_pose: Tensor, source: str) -> None:
@@ -56,4 +60,4 @@ def check_body_shape(body_shape: Tensor, source: str) -> None:
     if not bool((body_shape.detach().abs() <= LARGEST_COEFFICIENT).all()):
         largest = float(body_shape.detach().abs().max())
         found = f"one of {largest:.3g}" if math.isfinite(largest) else "NaN or infinity"
-        raise InputError(source, f"finite shape coefficients within +-{LARGEST_COEFFICIENT:g}", found)
+        raise InputError(source, f"coefficients within +-{LARGEST_COEFFICIENT:g}", found)

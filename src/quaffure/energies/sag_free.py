@@ -17,7 +17,6 @@ made stiffer.
 """
 
 from dataclasses import dataclass, replace
-from weakref import WeakKeyDictionary
 
 import torch
 
@@ -40,6 +39,7 @@ from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import distances_and_normals, rest_surface
 from quaffure.hair.groom import Groom
+from quaffure.hair.groom_cache import GroomCache
 from quaffure.types import Bool, Float, Tensor
 
 MOST_PRELOAD = 0.25
@@ -228,12 +228,12 @@ def _leaned(direction: Float[Tensor, "s e 3"], moment: Float[Tensor, "s e 3"]) -
     return (1 - lean.square().sum(-1, keepdim=True)).clamp(min=0).sqrt() * direction + lean
 
 
-_DESIGNS: WeakKeyDictionary[Groom, dict[tuple[BodyModel, HairMaterial], SagFreeRest]] = WeakKeyDictionary()
+_DESIGNS: GroomCache[dict[tuple[BodyModel, HairMaterial], SagFreeRest]] = GroomCache()
 
 
 def design_of(groom: Groom, body: BodyModel, material: HairMaterial) -> SagFreeRest:
     """`sag_free_rest`, computed once for a groom, a body and a material. Arguments and errors are the same."""
-    designs = _DESIGNS.setdefault(groom, {})
+    designs = _DESIGNS.of(groom, dict)
     if (body, material) not in designs:
         designs[body, material] = sag_free_rest(groom, body, material)
     return designs[body, material]

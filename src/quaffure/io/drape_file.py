@@ -6,7 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
+from quaffure.body.motion import LARGEST_TRANSLATION
+from quaffure.body.pose_limits import check_body_pose, check_body_shape
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.strands import held_parts_of
@@ -28,6 +31,8 @@ SPEC: Spec = {
 # Only in files of a body that moves.
 TRANSLATION: Spec = {"body_translation": (("F", 3), NUMBER)}
 DRAPE_FILE = "a drape file (.npz)"
+LARGEST_POSITION = LARGEST_TRANSLATION + 100.0
+"""Limit of all positions, of a body that travels as far as a motion may [m]."""
 
 
 def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] | None = None) -> None:
@@ -90,5 +95,11 @@ def _check_meaning(arrays: dict[str, np.ndarray], sizes: dict[str, int], path: P
     if not faces.size or faces.min() < 0 or faces.max() >= sizes["V"]:
         found = f"{faces.min()}..{faces.max()}" if faces.size else "no faces"
         raise InputError(path, f"body_faces within 0..{sizes['V'] - 1}", found)
+    check_body_pose(torch.from_numpy(arrays["body_pose"]), str(path))
+    check_body_shape(torch.from_numpy(arrays["body_shape"]), str(path))
+    for name in ("strands", "posed", "body_vertices"):
+        farthest = float(np.abs(arrays[name]).max())
+        if farthest > LARGEST_POSITION:
+            raise InputError(path, f"positions within {LARGEST_POSITION:g} m in {name}", f"{farthest:.3g} m")
     if arrays["fps"] <= 0:
         raise InputError(path, "a positive fps", f"{float(arrays['fps'])}")

@@ -11,6 +11,7 @@ from quaffure.backend import Backend, choose_backend
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.hair.groom import Groom
+from quaffure.hair.groom_cache import GroomCache
 from quaffure.model.cpu_backend import CpuBackend, CpuTrainingBackend
 from quaffure.model.prepared_groom import PreparedGroom, prepare_groom
 from quaffure.model.quaffure_network import DisplacementNetwork, QuaffureNetwork
@@ -76,7 +77,7 @@ class NeuralDraper:
         """
         self.network, self.material, self.bf16 = network, material, bf16
         self._kind = backend or choose_backend(next(network.parameters()))
-        self._prepared: WeakKeyDictionary[Groom, WeakKeyDictionary[BodyModel, PreparedGroom]] = WeakKeyDictionary()
+        self._prepared: GroomCache[WeakKeyDictionary[BodyModel, PreparedGroom]] = GroomCache()
         self._made: tuple[object, DrapeBackend] | None = None
 
     def drape(self, scene: Scene) -> Positions:
@@ -102,12 +103,12 @@ class NeuralDraper:
         return torch.cat(list(drape(self._torch_backend(kind, projects=False), prepared, scene.bodies)))
 
     def prepared(self, groom: Groom, body: BodyModel) -> PreparedGroom:
-        """A groom on a body; kept as long as both are.
+        """A groom on a body; kept as long as both are and no array of the groom is changed.
 
         Raises:
             InputError: the groom is not laid out for the network, or a root is not on the scalp.
         """
-        on_bodies = self._prepared.setdefault(groom, WeakKeyDictionary())
+        on_bodies = self._prepared.of(groom, WeakKeyDictionary)
         if body not in on_bodies:
             prepared = prepare_groom(groom, body, self.network.encoder, self.network.config, self.material)
             if prepared.margin.requires_grad or prepared.clearance.requires_grad:

@@ -17,7 +17,7 @@ from quaffure.energies.hair_terms import ROD, hair_terms
 from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import directors
-from quaffure.hair.groom import Groom
+from quaffure.hair.groom_cache import GroomCopy
 from quaffure.scene import HairScene, Scene
 from quaffure.solvers.stopping import stopping_report
 from quaffure.solvers.strand_descent import StepControl, StrandDescent
@@ -70,25 +70,25 @@ class StrandNewtonDraper:
         self.material = material or HairMaterial()
         self.setting = setting or StrandNewtonSetting()
         self._terms = terms
-        self._energy: tuple[Groom, HairEnergy] | None = None
+        self._energy: tuple[GroomCopy, HairEnergy] | None = None
 
     def drape(self, scene: HairScene) -> Positions:
         """Draped vertices of every sample [m, world]."""
         return self.solve(scene)[0]
 
     def energy_of(self, scene: HairScene) -> HairEnergy:
-        """The energy that is minimized; that of the last groom is kept.
+        """The energy that is minimized; that of the last groom is kept while its arrays stay the same.
 
         Raises:
             InputError: the draper has no terms, and the scene no body on which hair was designed.
         """
-        if self._energy is None or self._energy[0] is not scene.groom:
+        if self._energy is None or not self._energy[0].is_of(scene.groom):
             terms = self._terms
             if terms is None:
                 if not isinstance(scene, Scene):
                     raise InputError(f"solver {self.name}", "energy terms for a scene without a body model", "none")
                 terms = hair_terms(ROD, design_of(scene.groom, scene.bodies.body, self.material))
-            self._energy = scene.groom, HairEnergy(scene.groom, self.material, terms)
+            self._energy = GroomCopy(scene.groom), HairEnergy(scene.groom, self.material, terms)
         return self._energy[1]
 
     def solve(self, scene: HairScene) -> tuple[Positions, StoppingReport]:

@@ -10,7 +10,7 @@ import torch
 from quaffure.body.scalp import texel_index
 from quaffure.config import TEXTURE_SIZE
 from quaffure.errors import InputError
-from quaffure.hair.strands import HELD_PARTS, held_parts_of
+from quaffure.hair.strands import HELD_PARTS
 from quaffure.types import Bool, Float, Int, Tensor
 
 LARGEST_COORDINATE = 10.0
@@ -81,8 +81,12 @@ class Groom:
 
     def arrays(self) -> dict[str, Tensor]:
         """Its tensors by the names of their fields, without those of held parts that it does not have."""
-        names = ("rest_strands", "root_faces", "root_barycentric", "root_uv")
-        return {name: getattr(self, name) for name in names} | held_parts_of(self)
+        found: dict[str, Tensor] = {}
+        for name in ("rest_strands", "root_faces", "root_barycentric", "root_uv", *HELD_PARTS):
+            values = getattr(self, name)
+            if values is not None:
+                found[name] = values
+        return found
 
     def _map_tensors(self, function: Callable[[Tensor], Tensor]) -> "Groom":
         changes: dict[str, Any] = {name: function(values) for name, values in self.arrays().items()}
@@ -95,12 +99,12 @@ def check_groom(groom: Groom) -> None:
     Raises:
         InputError: no strands, or NaN, infinity or a size of no groom [m] in its arrays.
     """
-    if not len(groom):
+    if not groom.rest_strands.shape[0]:
         raise InputError(groom.name, "at least one strand", "none")
     for name, values in groom.arrays().items():
         if not values.is_floating_point():
             continue
-        least, most = (float(value) for value in values.detach().aminmax())  # NaN where there is one
+        least, most = map(float, values.detach().aminmax())  # NaN where there is one
         limit = LARGEST_COORDINATE if name not in HELD_PARTS else math.inf
         if not (-limit <= least and most <= limit and math.isfinite(most - least)):
             expected = f"finite {name}" if limit == math.inf else f"finite {name} within +-{limit:g}"

@@ -23,9 +23,10 @@ class GroomCopy:
 
     def is_of(self, groom: Groom) -> bool:
         """Whether this is the groom that was copied, and every array has the values that it had."""
-        return self._groom() is groom and all(
-            torch.equal(array, self._arrays[name]) for name, array in groom.arrays().items()
-        )
+        if self._groom() is not groom:
+            return False
+        now = groom.arrays()
+        return all(map(torch.equal, now.values(), self._arrays.values()))
 
 
 class GroomCache(Generic[Value]):

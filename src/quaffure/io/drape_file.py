@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from quaffure.body.motion import LARGEST_TRANSLATION
 from quaffure.body.pose_limits import check_body_pose, check_body_shape
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
@@ -31,8 +30,8 @@ SPEC: Spec = {
 # Only in files of a body that moves.
 TRANSLATION: Spec = {"body_translation": (("F", 3), NUMBER)}
 DRAPE_FILE = "a drape file (.npz)"
-LARGEST_POSITION = LARGEST_TRANSLATION + 100.0
-"""Limit of all positions, of a body that travels as far as a motion may [m]."""
+LARGEST_POSITION = 1e6
+"""Limit of all positions [m]: a drape in millimetres is refused elsewhere, with what is wrong."""
 
 
 def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] | None = None) -> None:

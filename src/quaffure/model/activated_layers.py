@@ -15,7 +15,9 @@ from torch.nn.functional import conv2d, linear, silu
 
 from quaffure.types import Float, Tensor
 
-_SILU: tuple[str, list[float], str] = ("swish", [], "")  # what is done to the sums, its numbers, its variant
+_Activation = tuple[str, list[float], str]  # what is done to the sums, its numbers, its variant
+_SILU: _Activation = ("swish", [], "")
+_NONE: _Activation = ("none", [], "")
 _ONE = [1, 1]
 
 
@@ -72,12 +74,9 @@ def activated_doubling(weight: Float[Tensor, "in out 4 4"], bias: Tensor) -> Act
 
 def plain_linear(weight: Float[Tensor, "out in"], bias: Tensor) -> ActivatedLayer:
     """A linear layer without activation, by oneDNN where it can be: the last bits of MKL's depend on the threads."""
-    if not fused(weight.dtype):
-        return ActivatedLayer(weight, bias, lambda values: linear(values, weight, bias))
-    packed = torch.ops.mkldnn._reorder_linear_weight(weight)
-    return ActivatedLayer(
-        weight, bias, lambda values: torch.ops.mkldnn._linear_pointwise(values, packed, bias, "none", [], "")
-    )
+    if fused(weight.dtype):
+        return _fused_linear(weight, bias, _NONE)
+    return ActivatedLayer(weight, bias, lambda values: linear(values, weight, bias))
 
 
 def _block_kernel(weight: Float[Tensor, "in out 4 4"]) -> Float[Tensor, "four_out in 2 2"]:
@@ -103,10 +102,10 @@ def fused(dtype: torch.dtype) -> bool:
     return True
 
 
-def _fused_linear(weight: Tensor, bias: Tensor) -> ActivatedLayer:
+def _fused_linear(weight: Tensor, bias: Tensor, activation: _Activation = _SILU) -> ActivatedLayer:
     ops = torch.ops.mkldnn
     packed = ops._reorder_linear_weight(weight)
-    return ActivatedLayer(weight, bias, lambda values: ops._linear_pointwise(values, packed, bias, *_SILU))
+    return ActivatedLayer(weight, bias, lambda values: ops._linear_pointwise(values, packed, bias, *activation))
 
 
 def _fused_convolution(weight: Tensor, bias: Tensor) -> ActivatedLayer:

@@ -21,7 +21,7 @@ from quaffure.types import Float, Tensor
 
 
 class SkipNetwork(DirectionNetwork):
-    """Adds a linear map from a strand's features to the change of its edges."""
+    """Adds a linear map from a strand's features to the rotations of its joints."""
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)

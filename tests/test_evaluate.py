@@ -101,7 +101,7 @@ def check_page(text: str, results: dict) -> None:
             for key in METRICS:
                 known = figures.get(key, {}).get(time_kind if key == "milliseconds" else kind)
                 assert table[row][key] == ("" if known is None else f"{known:.4g}"), (row, key)
-    solvers = everything.keys() & {"adam", "lbfgs", "xpbd", "groomgen"}
+    solvers = everything.keys() & {"adam", "lbfgs", "groomgen"}
     for row in solvers if "neural" in everything else ():
         cells, own, ours = rows_of(text, RATIOS)[row], everything[row], everything["neural"]
         time = own["milliseconds"]["median"] / ours["milliseconds"]["median"]
@@ -125,7 +125,7 @@ def test_evaluate_writes_the_same_on_file_page_and_screen(
     pytest.importorskip("matplotlib")
     out, report = tmp_path / "results.json", tmp_path / "report"
     weights = ("--weights", f"mine={inputs / 'other.safetensors'}")
-    chosen = [word for name in ("posed", "xpbd", "neural", "mine") for word in ("--draper", name)]
+    chosen = [word for name in ("posed", "strand_newton", "neural", "mine") for word in ("--draper", name)]
     run("evaluate", "--out", out, "--report", report, *chosen, *weights)
     screen = capfd.readouterr().out
     results = json.loads(out.read_text())
@@ -139,12 +139,12 @@ def test_evaluate_writes_the_same_on_file_page_and_screen(
     assert "tiny-13_26-a" in text
     assert (results["evaluation_set"], results["drapes_made"], results["drapes_fetched"]) == (7, 12, 0)
     assert results["material"] == asdict(MATERIAL)
-    assert list(results["rows"]) == ["posed", "xpbd", "neural", "mine"]
+    assert list(results["rows"]) == ["posed", "strand_newton", "neural", "mine"]
     assert results["rows"]["mine"]["weights"] == {"trained": "neither"}
     (only,) = results["cases"]
     assert (only["case"], only["group"], only["frames"]) == ("tiny-bow-a", "unseen", [40, 41, 42])
-    assert only["reference"] == ["xpbd"] * 3
-    assert only["figures"]["xpbd"]["jitter"] == [1]
+    assert only["reference"] == ["strand_newton"] * 3
+    assert only["figures"]["strand_newton"]["jitter"] == [1]
     assert min(only["figures"]["posed"]["excess_energy"]) > 0
     for key, figure in results["summary"]["all"]["mine"].items():
         assert re.search(rf"{key} .*{re.escape(cell_text(figure['worst']))}", screen), key
@@ -164,14 +164,14 @@ def test_the_quick_evaluation_of_the_shipped_weights(tmp_path: Path) -> None:
     assert results["skipped"] == {}
     assert (len(results["cases"]), results["drapes_made"]) == (3, 20)
     rows = results["summary"]["all"]
-    assert list(rows) == ["posed", "xpbd", "neural", "neural_refined"]
-    assert [mean_of(rows, row, "energy") for row in ("xpbd", "neural_refined", "neural", "posed")] == sorted(
+    assert list(rows) == ["posed", "strand_newton", "neural", "neural_settled"]
+    assert [mean_of(rows, row, "energy") for row in ("strand_newton", "neural_settled", "neural", "posed")] == sorted(
         mean_of(rows, row, "energy") for row in rows
     )
     inside, length, turned = "body_intersection_percent", "length_error_percent", "orientation_error_deg"
     assert mean_of(rows, "neural", inside) < 0.5 < mean_of(rows, "posed", inside)
-    assert mean_of(rows, "neural", length) < 0.01 < mean_of(rows, "xpbd", length)
-    assert mean_of(rows, "neural", turned) < 1.5 * mean_of(rows, "xpbd", turned)
+    assert mean_of(rows, "neural", length) < 0.01
+    assert mean_of(rows, "neural", turned) < 1.5 * mean_of(rows, "strand_newton", turned)
 
 
 def mean_of(rows: dict, row: str, figure: str) -> float:
@@ -204,7 +204,7 @@ def test_drapes_of_another_method_are_scored_like_our_own(
     run: Callable[..., None], refused: Callable[..., str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     out, folder = tmp_path / "results.json", tmp_path / "cases"
-    run("evaluate", "--out", out, "--draper", "posed", "--draper", "xpbd")
+    run("evaluate", "--out", out, "--draper", "posed", "--draper", "strand_newton")
     own = json.loads(out.read_text())["summary"]["all"]
     run("evaluate", "--write-cases", folder)
     (path,) = folder.iterdir()
@@ -216,7 +216,7 @@ def test_drapes_of_another_method_are_scored_like_our_own(
     run("score", path, "--json")
     scored = json.loads(capfd.readouterr().out)
     summary = scored["summary"]["all"]
-    assert list(summary) == ["submission", "posed", "xpbd"]
+    assert list(summary) == ["submission", "posed", "strand_newton"]
     # Posed frame by frame or all at once, hair differs in its last bit; angles and jitters of almost zero show it.
     untimed = {key: value for key, value in own["posed"].items() if key != "milliseconds"}
     assert set(summary["submission"]) == set(untimed)
@@ -242,7 +242,7 @@ def test_drapes_of_another_method_are_scored_like_our_own(
     assert "hair of" in refused("score", submitted("soft", meta={"material": {}}))
     assert "one drape of tiny-bow-a" in refused("score", path, submitted("twice"))
     assert "no such file" in refused("score", tmp_path / "none.npz")
-    assert "--name" in refused("score", path, "--name", "xpbd")
+    assert "--name" in refused("score", path, "--name", "strand_newton")
     assert "13_26.bvh" in refused("score", submitted("far", meta={"case": "tiny-13_26-a"}))
 
 
@@ -256,7 +256,7 @@ def test_score_says_when_there_is_nothing_to_measure_against(
 
 
 def test_rows_share_one_hair(inputs: Path) -> None:
-    own = methods(("posed", "newton", "neural_refined"), {"neural": inputs / "stiff.safetensors"})
+    own = methods(("posed", "adam", "neural_settled"), {"neural": inputs / "stiff.safetensors"})
     assert {row.draper.material.k_cosserat for row in own} == {1.0}
     assert [row.is_solver for row in own] == [False, True, False]
     both = {"neural": inputs / "own.safetensors", "stiff": inputs / "stiff.safetensors"}
@@ -267,7 +267,7 @@ def test_rows_share_one_hair(inputs: Path) -> None:
 
 
 def test_a_network_has_one_name_everywhere(inputs: Path) -> None:
-    for row in methods(("posed", "neural", "neural_refined"), {"neural": inputs / "own.safetensors"}):
+    for row in methods(("posed", "neural", "neural_settled"), {"neural": inputs / "own.safetensors"}):
         assert row.draper.name == row.name
 
 
@@ -290,7 +290,7 @@ def test_mistakes_are_told_in_one_line_before_the_work(
         assert "existing folder" in refused("evaluate", "--out", tmp_path / "none" / "results.json")
         assert "'magic'" in refused("evaluate", *out, "--draper", "magic")
         assert "NAME=FILE" in refused("evaluate", *out, "--weights", own)
-        assert "another name" in refused("evaluate", *out, "--weights", f"xpbd={own}")
+        assert "another name" in refused("evaluate", *out, "--weights", f"strand_newton={own}")
         assert "'a b'" in refused("evaluate", *out, "--weights", f"a b={own}")
         assert "hair of" in refused("evaluate", *out, "--weights", f"stiff={inputs / 'stiff.safetensors'}")
         assert "no such file" in refused("evaluate", *out, "--weights", f"none={inputs / 'none.safetensors'}")

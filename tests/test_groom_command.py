@@ -297,4 +297,4 @@ def test_usd_that_would_not_fit_memory_is_refused(
     monkeypatch.setattr("quaffure.apps.cli.outputs.MOST_BYTES", 1e6)
     line = refused(capfd, "render", drape, "--strands", "900", "--out", tmp_path / "hair.usd")
     assert "--strands: expected at most 868 for 2 frames of USD, found 900" in line
-    check_outputs([tmp_path / "hair.png"])
+    check_outputs([tmp_path / "hair.png"], ())

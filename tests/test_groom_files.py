@@ -336,7 +336,7 @@ def test_a_failed_write_leaves_the_file_as_it_was(tmp_path):
             temporary.write_bytes(b"half")
             raise OSError(28, "No space left on device")
 
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(InputError, match=r"groom\.npz: expected a file that can be written, found No space left"):
         fill_the_disk()
     assert path.read_bytes() == b"before"
     assert list(tmp_path.iterdir()) == [path]

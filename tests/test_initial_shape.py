@@ -1,67 +1,169 @@
+"""The strands before the network: rods in equilibrium without contact, with the support that still points up."""
+
+from dataclasses import replace
+
+import pytest
 import torch
-from torch.nn.functional import normalize
 
-from quaffure.geometry import resolve_contact_reference
-from quaffure.model import resolve_contact_twice
-from quaffure.model.initial_shape import propagate_contact_force
-from tests.test_mls_surface import ball
+from quaffure.body import BodyModel, head_frame_body_reference
+from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.energies import HairEnergy
+from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies.loading import STANDARD_LOADING, Loading
+from quaffure.energies.sag_free import design_of
+from quaffure.geometry import matrix_from_axis_angle
+from quaffure.hair import Groom, triangle_frames
+from quaffure.model import InitialShapeConfig
+from quaffure.model.free_rod import FreeRods, free_rod_directions
+from quaffure.model.groom_code import load_groom_encoder
+from quaffure.model.initial_shape import initial_shape_reference
+from quaffure.model.network_config import NetworkConfig
+from quaffure.model.prepared_groom import PreparedGroom, prepare_groom
+from quaffure.procedural import make_groom
+from quaffure.scene import BodyBatch, Scene
+from quaffure.solvers.strand_descent import StrandDescent
+from quaffure.types import Tensor
 
-LENGTH = 0.05
-OUT = torch.tensor([1.0, 0.0, 0.0])
-
-
-def pushes(needs: list[float]) -> torch.Tensor:
-    """Contact forces where each edge, pulled straight down, needs a force along x to stay out of the skin."""
-    vectors = torch.tensor([0.0, 0.0, -2.0]).repeat(1, 1, len(needs), 1)
-    needed = LENGTH * torch.tensor(needs)[:, None] * OUT
-    # An edge of unit length has (u |w| - w) . x = need where its own x is need over |w|.
-    across = needed / 2
-    edges = across + torch.tensor([0.0, 0.0, -1.0]) * (1 - across.square().sum(-1, keepdim=True)).sqrt()
-    normals = 0.3 * OUT.expand_as(vectors)
-    return propagate_contact_force(vectors, edges[None, None], normals, torch.full((1, len(needs)), LENGTH))[0, 0]
-
-
-def test_the_skin_at_the_tip_pushes_all_edges() -> None:
-    torch.testing.assert_close(pushes([0.0, 0.0, 0.0, 7.0]), 7.0 * OUT.expand(4, 3))
+MATERIAL = HairMaterial()
+FREE = NetworkConfig(contact=False)
 
 
-def test_the_skin_only_pushes() -> None:
-    torch.testing.assert_close(pushes([8.0, 5.0]), torch.tensor([8.0, 5.0])[:, None] * OUT)
-    torch.testing.assert_close(pushes([5.0, 8.0]), torch.tensor([8.0, 8.0])[:, None] * OUT)
-    assert pushes([0.0, 0.0]).abs().max() == 0
+@pytest.fixture(scope="module")
+def groom(body: BodyModel) -> Groom:
+    return make_groom("long_wavy", body).select(torch.arange(0, 2400, 60))
 
 
-def test_pushes_from_two_sides_are_vectors() -> None:
-    """Hair between two skins: the edge above is pushed back by its own as far as the one beyond pushes it too far."""
-    vectors = torch.tensor([0.0, 0.0, -2.0]).repeat(1, 1, 2, 1)
-    normals = torch.stack([-OUT, OUT])[None, None]
-    across = LENGTH * torch.tensor([[-3.0], [5.0]]) * OUT / 2
-    edges = across + torch.tensor([0.0, 0.0, -1.0]) * (1 - across.square().sum(-1, keepdim=True)).sqrt()
-    pushed = propagate_contact_force(vectors, edges[None, None], normals, torch.full((1, 2), LENGTH))[0, 0]
-    torch.testing.assert_close(pushed, torch.tensor([2.0, 5.0])[:, None] * OUT)
+@pytest.fixture(scope="module")
+def prepared(groom: Groom, body: BodyModel) -> PreparedGroom:
+    return prepare_groom(groom, body, load_groom_encoder(), FREE, MATERIAL)
 
 
-def test_a_push_counts_as_far_as_it_goes_the_normals_way() -> None:
-    vectors = torch.tensor([0.0, 0.0, -2.0]).repeat(1, 1, 2, 1)
-    aslant = normalize(torch.tensor([1.0, 1.0, 0.0]), dim=-1)
-    normals = torch.stack([OUT, aslant])[None, None]
-    across = LENGTH * torch.stack([6.0 * OUT, 4.0 * aslant]) / 2
-    edges = across + torch.tensor([0.0, 0.0, -1.0]) * (1 - across.square().sum(-1, keepdim=True)).sqrt()
-    above, tip = propagate_contact_force(vectors, edges[None, None], normals, torch.full((1, 2), LENGTH))[0, 0]
-    torch.testing.assert_close(tip, 4.0 * aslant)
-    torch.testing.assert_close(above, 4.0 * aslant + (6.0 - 4.0 * 0.5**0.5) * OUT)
+def turned_bodies(body: BodyModel, x: float) -> BodyBatch:
+    """The body turned as a whole by `x` [rad], its head first."""
+    pose = torch.zeros(1, 81)
+    pose[0, 0] = x
+    return BodyBatch(body, pose, torch.zeros(1, 10))
 
 
-def test_contact_resolved_twice_leaves_hair_on_a_shoulder_at_less_energy() -> None:
-    """Next to a ball, edges above its rim are deflected too, where resolving once deflects those on it alone."""
-    angle = torch.linspace(0, 6.28, 50)
-    root = torch.stack([0.7 * angle.cos(), 0.7 * angle.sin(), torch.full((50,), 1.2)], dim=-1)[None]
-    vectors = torch.tensor([0.0, 0.0, -1.5]).repeat(1, 50, 20, 1)
-    vectors[..., :2] = 0.3 * normalize(root, dim=-1)[:, :, None, :2]
-    lengths, margin = torch.full((50, 20), 0.05), torch.full((50, 21), 0.02)
-    once, _ = resolve_contact_reference(root, vectors, lengths, margin, ball())
-    twice, _ = resolve_contact_twice(root, vectors, lengths, margin, ball(), torch.arange(50), 0.3)
-    ends = root[:, :, None] + (lengths[..., None] * twice).cumsum(2)
-    assert ends.norm(dim=-1).min() > 0.99
-    energy_once, energy_twice = (-(vectors * edges).sum((-1, -2)) for edges in (once, twice))
-    assert (energy_twice < energy_once - 0.1).all()
+def edges(prepared: PreparedGroom, bodies: BodyBatch, loading: Loading = STANDARD_LOADING, passes: int = 2) -> Tensor:
+    """In the head's frame."""
+    config = InitialShapeConfig(passes=passes)
+    view = head_frame_body_reference(bodies.body, bodies.body_pose, bodies.body_shape, bodies.posed, config.body)
+    return initial_shape_reference(prepared, view, loading, config).edges[0]
+
+
+def rods(count: int, length: float = 0.01) -> FreeRods:
+    """One straight, horizontal strand without support, as light as hair."""
+    direction = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).repeat(1, 1, count, 1)
+    force = torch.tensor([0.0, 0.0, -length], dtype=torch.float64).repeat(1, 1, count, 1)
+    bending = torch.full((1, 1, count), 8e-9 / (6.5e-6 * STANDARD_GRAVITY) / length, dtype=torch.float64)
+    zero = torch.zeros(1, 1, count, 3, dtype=torch.float64)
+    return FreeRods(direction, zero, force, bending, torch.zeros_like(bending), torch.full_like(bending, length))
+
+
+def test_upright_the_design_is_at_rest(prepared: PreparedGroom, groom: Groom, body: BodyModel) -> None:
+    found = edges(prepared, turned_bodies(body, 0.0), passes=6)
+    torch.testing.assert_close(
+        found, torch.nn.functional.normalize(groom.rest_strands.diff(dim=1), dim=-1), atol=2e-5, rtol=0
+    )
+
+
+def test_without_its_support_hair_falls(prepared: PreparedGroom, groom: Groom, body: BodyModel) -> None:
+    bare = replace(prepared, rods=prepared.rods._replace(support=torch.zeros_like(prepared.rods.support)))
+    moved = (edges(bare, turned_bodies(body, 0.0)) - edges(prepared, turned_bodies(body, 0.0))).norm(dim=-1)
+    assert moved.max() > 0.1
+
+
+def test_upside_down_support_that_pointed_up_is_gone(prepared: PreparedGroom, groom: Groom, body: BodyModel) -> None:
+    frames = triangle_frames(body.rest_vertices[body.faces[groom.root_faces]])
+    up = (frames.mT @ torch.tensor([0.0, 0.0, 1.0]))[:, None]
+    strength = prepared.rods.support.norm(dim=-1, keepdim=True)
+    upward = prepared.rods._replace(support=strength * up, upness=torch.full_like(prepared.rods.upness, 2.0))
+    bare = upward._replace(support=torch.zeros_like(upward.support))
+    for tilt, most, least in ((torch.pi, 2e-3, 0.0), (0.0, torch.inf, 0.1)):
+        found = [edges(replace(prepared, rods=rods), turned_bodies(body, tilt)) for rods in (upward, bare)]
+        assert least <= (found[0] - found[1]).norm(dim=-1).max() <= most
+
+
+def test_a_free_rod_ends_where_the_energy_of_the_rod_is_lowest(groom: Groom, body: BodyModel) -> None:
+    """Straight hair without support, on a head that is tilted: the minimum of `HairEnergy` without contact."""
+    straight = make_groom("long_straight", body).select(torch.arange(0, 2400, 120))
+    bodies = turned_bodies(body, 0.6)
+    prepared = prepare_groom(straight, body, load_groom_encoder(), FREE, MATERIAL)
+    prepared = replace(prepared, rods=prepared.rods._replace(support=torch.zeros_like(prepared.rods.support)))
+    found = edges(prepared, bodies, passes=8)
+    scene = Scene(straight, bodies)
+    design = design_of(straight, body, MATERIAL)
+    energy = HairEnergy(straight, MATERIAL, hair_terms("rod", design))
+    descent = StrandDescent(energy, scene.sample(0))
+    descent.fall(12)
+    head = bodies.posed.joint_rotations[0, body.joint_names.index("Head")]
+    expected = torch.from_numpy(descent.direction) @ head
+    apart = torch.rad2deg((found * expected).sum(-1).clamp(-1, 1).arccos())
+    assert apart.median() < 3
+    posed = torch.nn.functional.normalize(straight.rest_strands.diff(dim=1), dim=-1)
+    assert torch.rad2deg((posed * expected).sum(-1).clamp(-1, 1).arccos()).median() > 15
+
+
+def test_passes_converge_to_balanced_moments() -> None:
+    strand = rods(23)
+    direction = free_rod_directions(strand, 20)
+    weight = strand.force.flip(2).cumsum(2).flip(2)
+    torque = strand.length[..., None] * torch.linalg.cross(direction, weight)
+    before = torch.cat([strand.direction[:, :, :1], direction[:, :, :-1]], dim=2)
+    turned = torch.linalg.cross(before, direction)  # sine of the angle between edges
+    sine = turned.norm(dim=-1, keepdim=True)
+    half = 2 * torch.sin(torch.asin(sine) / 2) * turned / sine.clamp(min=1e-12)
+    moment = strand.bending[..., None] * half
+    left = moment - torch.nn.functional.pad(moment[:, :, 1:], (0, 0, 0, 1)) - torque
+    assert left.norm(dim=-1).max() < 1e-6 * torque.norm(dim=-1).max()
+
+
+def test_two_passes_are_near_the_end() -> None:
+    strand = rods(23)
+    tips = [(0.01 * free_rod_directions(strand, passes)).sum(2)[0, 0] for passes in (0, 1, 2, 30)]
+    apart = [float((tip - tips[-1]).norm()) for tip in tips]
+    assert apart[0] > 0.15
+    assert apart[1] < 0.06
+    assert apart[2] < 0.02
+
+
+def test_stiffer_hair_bends_less_and_heavier_more() -> None:
+    strand = rods(10)
+    drop = [
+        float(
+            (0.01 * free_rod_directions(strand._replace(bending=b * strand.bending, force=f * strand.force), 8)).sum(2)[
+                0, 0, 2
+            ]
+        )
+        for b, f in ((1, 1), (3, 1), (1, 2))
+    ]
+    assert drop[2] < drop[0] < drop[1] < 0
+
+
+def test_held_edges_stay() -> None:
+    strand = rods(10)
+    goal = strand.goal.clone()
+    goal[..., :4] = 200 * strand.bending[..., :4]
+    held = free_rod_directions(strand._replace(goal=goal), 4)
+    assert torch.rad2deg((held[:, :, :4] * strand.direction[:, :, :4]).sum(-1).clamp(-1, 1).arccos()).max() < 2
+    assert held[0, 0, -1, 2] < -0.1
+
+
+def test_acceleration_acts_in_the_world(prepared: PreparedGroom, body: BodyModel) -> None:
+    """A body on its back under gravity hangs as one that stands in wind from the front as strong as gravity."""
+    lying = turned_bodies(body, -torch.pi / 2)
+    rotation = matrix_from_axis_angle(lying.body_pose[0, :3])
+    pull = torch.tensor([0.0, 0.0, -STANDARD_GRAVITY]) @ rotation
+    x, y, z = pull.tolist()
+    torch.testing.assert_close(
+        edges(prepared, lying), edges(prepared, turned_bodies(body, 0.0), Loading(1.0, (x, y, z))), atol=2e-3, rtol=0
+    )
+
+
+def test_a_start_is_smooth_in_the_pose(prepared: PreparedGroom, body: BodyModel) -> None:
+    """Differences over half a step are half as large: no strand jumps."""
+    angles = torch.linspace(0.2, 1.4, 25)
+    found = torch.stack([edges(prepared, turned_bodies(body, float(angle))) for angle in angles])
+    step = found.diff(dim=0).norm(dim=-1)
+    assert step.max() < 0.35

@@ -4,12 +4,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from quaffure.body import FEATURE_COUNT, BodyModel, Motion, load_body
+from quaffure.body import FEATURE_COUNT, BodyModel, Motion, head_frame_body_reference, load_body
 from quaffure.body.mls_body import mls_body
 from quaffure.body.pose_features import pose_features
 from quaffure.config import HairMaterial
-from quaffure.energies import equilibrium_vectors
-from quaffure.energies.rest_state import rest_state
+from quaffure.energies.loading import STANDARD_LOADING
+from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
 from quaffure.geometry import (
     axis_angle_from_matrix,
@@ -17,7 +17,7 @@ from quaffure.geometry import (
     matrix_from_axis_angle,
     resolve_contact_reference,
 )
-from quaffure.hair import Groom, cluster_representatives
+from quaffure.hair import Groom
 from quaffure.model import (
     InitialShapeConfig,
     NetworkConfig,
@@ -26,13 +26,14 @@ from quaffure.model import (
     initial_clearance,
     load_model,
     load_network,
+    prepare_groom,
     prepared_groom,
-    resolve_contact_twice,
     save_network,
 )
+from quaffure.model.initial_shape import initial_shape_reference
+from quaffure.model.prepared_groom import balanced_depth
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
-from quaffure.types import Positions
 from tests.training_runs import perturbed
 
 MATERIAL = HairMaterial()
@@ -64,47 +65,30 @@ def shaken(config: NetworkConfig, strength: float = 0.05) -> NeuralDraper:
     return NeuralDraper(perturbed(build_network(config), strength), MATERIAL)
 
 
-def without_and_with_contact(scene: Scene) -> tuple[Positions, Positions]:
-    """The closed-form equilibrium, and the same out of the point-sampled body."""
-    rest, root = rest_state(scene.groom.rest_strands, MATERIAL), scene.posed[:, :, 0]
-    free = equilibrium_vectors(scene.director, rest.rest_length, rest.mass_beyond, MATERIAL.k_cosserat)
-    surface = mls_body(scene.bodies.body, scene.bodies.posed, SHAPE.body)
-    margin = initial_clearance(scene.groom, rest, MATERIAL, scene.bodies.body, SHAPE)
-    _, representative = cluster_representatives(scene.groom, SHAPE.cluster_size, SHAPE.cluster_radius)
-    strands = root, free, rest.rest_length, margin
-    edges, _ = resolve_contact_twice(*strands, surface, representative, SHAPE.propagated_share)
-    return tuple(integrate_directions(root, vectors, rest.rest_length) for vectors in (free, edges))  # type: ignore[return-value]
+def test_untrained_directions_are_the_initial_shape(scene: Scene, body: BodyModel) -> None:
+    prepared = prepare_groom(scene.groom, body, build_network(DIRECTIONS).encoder, DIRECTIONS, MATERIAL)
+    bodies = scene.bodies
+    view = head_frame_body_reference(body, bodies.body_pose, bodies.body_shape, bodies.posed, SHAPE.body)
+    shape = initial_shape_reference(prepared, view, STANDARD_LOADING, SHAPE)
+    edges = shape.edges @ view.world_from_head[:, None].mT
+    expected = integrate_directions(scene.posed[:, :, 0], edges, scene.groom.rest_lengths)
+    drape = NeuralDraper(build_network(DIRECTIONS), MATERIAL).deform(scene)
+    torch.testing.assert_close(drape, expected, atol=1e-4, rtol=0)
+    assert (expected - scene.posed).norm(dim=-1).max() > 0.01
 
 
-def test_untrained_directions_are_the_equilibrium_out_of_the_body(scene: Scene) -> None:
-    free, deflected = without_and_with_contact(scene)
-    drape = NeuralDraper(build_network(DIRECTIONS), MATERIAL).drape(scene)
-    torch.testing.assert_close(drape, deflected, atol=1e-4, rtol=0)
-    assert (deflected - free).norm(dim=-1).max() > 0.01
-    without_contact = replace(DIRECTIONS, contact=False)
-    drape = NeuralDraper(build_network(without_contact), MATERIAL).drape(scene)
-    torch.testing.assert_close(drape, free, atol=1e-5, rtol=0)
-    assert (free - scene.posed).norm(dim=-1).max() > 0.01
-
-
-def test_strands_of_the_crown_start_above_those_of_the_neck(groom: Groom, body: BodyModel) -> None:
-    rest = rest_state(groom.rest_strands, MATERIAL)
-    away = replace(groom, rest_strands=groom.rest_strands + groom.rest_strands.new_tensor([0.0, 0.0, 1.0]))
-    above = (
-        initial_clearance(away, rest, MATERIAL, body, SHAPE) - rest.collision_margin
-    )  # where the body hinders nothing
-    heights = groom.rest_strands[:, 0, 2]
-    assert (above[heights.argmax(), 1:] > above[heights.argmin(), 1:]).all()
-    assert above[:, 0].max() == 0
-    assert 0.9 * SHAPE.layer_thickness < above[:, -1].max() <= SHAPE.layer_thickness
+def test_upright_a_network_leaves_the_design(groom: Groom, body: BodyModel) -> None:
+    """Whatever it has learnt: what rests already is not moved."""
+    upright = Scene(groom, BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
+    assert (shaken(DIRECTIONS, 0.1).drape(upright) - upright.posed).norm(dim=-1).max() < 1e-3
 
 
 def test_hair_starts_no_further_out_than_it_is_at_rest(groom: Groom, body: BodyModel) -> None:
-    rest = rest_state(groom.rest_strands, MATERIAL)
     posed = Scene(groom, BodyBatch(body, torch.zeros(1, 81), torch.zeros(1, 10)))
     surface = mls_body(body, posed.bodies.posed, SHAPE.body)
-    margin = initial_clearance(groom, rest, MATERIAL, body, SHAPE)
-    edges, _ = resolve_contact_reference(posed.posed[:, :, 0], posed.director, rest.rest_length, margin, surface)
+    margin = initial_clearance(groom, design_of(groom, body, MATERIAL).collision_margin.float(), body, SHAPE)
+    lengths = groom.rest_lengths
+    edges, _ = resolve_contact_reference(posed.posed[:, :, 0], posed.director, lengths, margin, surface)
     torch.testing.assert_close(edges, posed.director, atol=1e-3, rtol=0)
 
 
@@ -113,12 +97,10 @@ def test_very_short_hair_is_not_bent_where_the_point_sampled_skin_is_less_exact_
     body: BodyModel, name: str
 ) -> None:
     groom = make_groom(name, body).select(torch.arange(0, 2400, 40))
-    rest, unyielding = rest_state(groom.rest_strands, MATERIAL), replace(MATERIAL, k_body_collision=1e9)
-    clearance = initial_clearance(groom, rest, unyielding, body, SHAPE)
-    deeper = (clearance - initial_clearance(groom, rest, MATERIAL, body, SHAPE)).amax(1)
-    balanced = MATERIAL.k_cosserat / (3 * MATERIAL.k_body_collision * rest.rest_length.mean(1) ** 2)
-    torch.testing.assert_close(deeper, (0.25 * balanced).clamp(max=SHAPE.max_depth), atol=1e-6, rtol=1e-3)
-    assert (deeper.median() > 2e-3) == (name == "crew_cut")
+    depth = balanced_depth(design_of(groom, body, MATERIAL), groom.rest_lengths, MATERIAL, SHAPE)
+    assert (depth.median() > 2e-3) == (name == "crew_cut")
+    assert depth.min() > 0
+    assert depth.max() <= SHAPE.max_depth
 
 
 def test_untrained_displacements_are_zero(scene: Scene) -> None:
@@ -150,7 +132,7 @@ def test_turning_the_whole_body_turns_the_drape(config: NetworkConfig, scene: Sc
     turned = Scene(scene.groom, BodyBatch(body, turned_pose, scene.bodies.body_shape))
     hips = scene.bodies.posed.joint_positions[:, None, None, 0]
     expected = (draper.drape(scene) - hips) @ turn.T + hips
-    torch.testing.assert_close(draper.drape(turned), expected, atol=2e-4, rtol=0)
+    torch.testing.assert_close(draper.drape(turned), expected, atol=1e-3, rtol=0)
 
 
 def test_a_drape_does_not_depend_on_the_batch_or_the_order_of_strands(scene: Scene, body: BodyModel) -> None:
@@ -166,8 +148,8 @@ def test_a_drape_does_not_depend_on_the_batch_or_the_order_of_strands(scene: Sce
 
 def test_a_groom_is_fitted_to_a_body_once(groom: Groom, body: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
     fitted: list[Groom] = []
-    at_rest = prepared_groom.rest_state
-    monkeypatch.setattr(prepared_groom, "rest_state", lambda *of: (fitted.append(groom), at_rest(*of))[1])
+    at_rest = prepared_groom.rest_strands
+    monkeypatch.setattr(prepared_groom, "rest_strands", lambda *of: (fitted.append(groom), at_rest(*of))[1])
     model = load_model()
     for _ in range(2):
         model.drape(groom, torch.zeros(1, 81), torch.zeros(1, 10))

@@ -40,13 +40,6 @@ def test_damaged_and_foreign_checkpoints_are_refused(folder: RunFolder) -> None:
         torch.nn.Linear(2, 2).load_state_dict({"other": torch.zeros(1)})
 
 
-def test_what_a_killed_save_left_is_swept_away(folder: RunFolder) -> None:
-    folder.save({"identity": "bob"})
-    (folder.path / ".checkpoint-x1y2.pt").write_bytes(b"half of it")
-    assert folder.load({"identity": "bob"}) == {"identity": "bob"}
-    assert [path.name for path in folder.path.iterdir()] == ["checkpoint.pt"]
-
-
 def test_logs_go_back_to_the_step_of_the_checkpoint(folder: RunFolder) -> None:
     for step in (2, 4, 6):
         folder.log("training", {"step": step, "loss": 1 / step})
@@ -89,3 +82,15 @@ def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "file", tmp_path / "file" / "run"):
         with pytest.raises(InputError, match="folder for the run"):
             RunFolder(path)
+
+
+def test_two_processes_do_not_train_in_one_folder(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path)
+    with (
+        folder.locked(),
+        pytest.raises(InputError, match="a folder that no other training uses"),
+        RunFolder(tmp_path).locked(),
+    ):
+        pass
+    with RunFolder(tmp_path).locked():
+        pass

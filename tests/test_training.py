@@ -11,6 +11,7 @@ import torch
 from quaffure.body import BodyModel, Motion, bundled_clip, load_body, load_pose_prior
 from quaffure.config import HairMaterial
 from quaffure.energies import HairEnergy, force_limit
+from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.errors import InputError
 from quaffure.hair import Groom
 from quaffure.model import NeuralDraper, build_network, load_network, save_network
@@ -51,11 +52,12 @@ class SamePoses(PoseSampler):
 def test_steps_on_the_same_poses_lower_the_loss(body: BodyModel, tmp_path: Path, output: str) -> None:
     groom = make_groom("long_straight", body).select(torch.arange(0, 2400, 60))
     network = replace(TINY.network, output=output)
-    config = replace(TINY, network=network, steps=24, log_every=24, learning_rate=2e-3)
+    elastic: Literal["rod", "modified_cosserat"] = "rod" if output == "directions" else "modified_cosserat"
+    config = replace(TINY, network=network, elastic=elastic, steps=24, log_every=24, learning_rate=2e-3)
     run = training(body, groom, tmp_path, config, sampler=SamePoses(load_pose_prior()))
     losses = [figures["loss"] for figures in islice(run.steps(), 12)]
     # Slid strands start near the minimum: their loss begins at about nothing and ends below it.
-    aim = losses[0] - 0.02 if output == "directions" else 0.6 * losses[0]
+    aim = losses[0] - 0.02 if output == "directions" else 0.8 * losses[0]
     assert losses[0] > (-0.02 if output == "directions" else 0)
     assert min(losses[-5:]) < aim
 
@@ -95,7 +97,7 @@ def test_the_log_holds_every_term_of_the_loss(body: BodyModel, groom: Groom, tmp
     train(training(body, groom, tmp_path, replace(TINY, log_every=2)), silent)
     rows = rows_of(tmp_path / "training.csv")
     assert [row["step"] for row in rows] == ["2", "4"]
-    terms = ("stretch_shear", "stretch", "gravity", "body_collision", "self_collision", "pose_regularization")
+    terms = ("elastic", "stretch", "gravity", "body_collision", "self_collision", "pose_regularization")
     for row in rows:
         values = [float(row[name]) for name in terms]
         # Strands that slide along the body from the start may touch nothing.
@@ -137,6 +139,7 @@ def test_the_mean_loss_of_several_grooms_is_followed(
 ) -> None:
     """The same groom twice is the groom, also where every force is cut off."""
     monkeypatch.setattr(force_limit, "MAX_FORCE", largest_force)
+    monkeypatch.setattr(train_decoder, "draw_loading", lambda generator: STANDARD_LOADING)
     config = replace(TINY, steps=1, grooms_per_step=2)
     alone, twice = (
         next(training(body, grooms, tmp_path, config, sampler=SamePoses(load_pose_prior())).steps())
@@ -152,14 +155,16 @@ def test_some_of_many_grooms_are_drawn_anew_for_every_step(body: BodyModel, groo
     run = training(body, grooms, tmp_path, config, sampler=SamePoses(load_pose_prior()))
     assert run.recipe.samples_per_step == 4
     drawn: list[str] = []
-    own_loss = run.recipe._loss
+    own_objective = run.recipe._objective
 
-    def recording(scene: Scene, index: int, count: int, step: int) -> tuple[torch.Tensor, dict[str, float]]:
+    def recording(
+        scene: Scene, energy: HairEnergy, loading: Loading, count: int, step: int
+    ) -> tuple[torch.Tensor, dict[str, float]]:
         drawn.append(scene.groom.name)
         assert count == 2
-        return own_loss(scene, index, count, step)
+        return own_objective(scene, energy, loading, count, step)
 
-    run.recipe._loss = recording  # type: ignore[method-assign]
+    run.recipe._objective = recording  # type: ignore[method-assign]
     for _ in run.steps():
         pass
     pairs = {frozenset(pair) for pair in zip(drawn[::2], drawn[1::2], strict=True)}
@@ -172,14 +177,20 @@ def test_some_of_many_grooms_are_drawn_anew_for_every_step(body: BodyModel, groo
 def test_self_collision_on_every_second_step_is_as_strong(
     body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(train_decoder, "clip_gradients", lambda positions, rest, joules: positions)  # is not linear
+    # What is not linear.
+    monkeypatch.setattr(train_decoder, "clip_gradients", lambda positions, rest, joules: None)
+    monkeypatch.setattr(train_decoder, "ENERGY_OFFSET", 1e6)
     bodies = BodyBatch(body, *SamePoses(load_pose_prior()).sample(1, 2, torch.Generator()))
+    groom = make_groom("bob", body).select(torch.arange(200))  # neighbours, which press each other
     gradients: dict[tuple[int, int], torch.Tensor] = {}
     for every in (1, 2):
         run = training(body, groom, tmp_path, replace(TINY, self_collision_every=every))
+        torch.manual_seed(0)
+        torch.nn.init.normal_(run.recipe.network.strand[-1].weight, std=0.3)  # presses strands into each other
         for step in (0, 1):
-            loss, _ = run.recipe._loss(Scene(groom, bodies), 0, 1, step)
-            loss.backward()
+            energy = run.recipe.energies[0]
+            objective, _ = run.recipe._objective(Scene(groom, bodies), energy, STANDARD_LOADING, 1, step)
+            (1e6 * objective).backward()
             last = run.recipe.network.strand[-1].bias
             gradients[every, step] = last.grad.clone()
             last.grad = None
@@ -189,29 +200,17 @@ def test_self_collision_on_every_second_step_is_as_strong(
     torch.testing.assert_close(for_every_second, for_every_step, rtol=1e-3, atol=1e-3 * float(apart))
 
 
-def test_contact_counts_in_the_loss_as_often_as_it_is_asked_to(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
-    through_the_body = replace(TINY, network=replace(TINY.network, contact=False), steps=1)
-    rows = []
-    for weight in (1.0, 3.0):
-        config = replace(through_the_body, body_contact_weight=weight)
-        train(training(body, groom, tmp_path / f"{weight}", config), silent)
-        rows += rows_of(tmp_path / f"{weight}" / "training.csv")
-    contact, same_contact = (float(row["body_collision"]) for row in rows)
-    assert contact == same_contact > 0
-    assert float(rows[1]["loss"]) - float(rows[0]["loss"]) == pytest.approx(2 * contact, rel=1e-3)
-
-
 @pytest.mark.parametrize("elastic", ["cosserat", "mass_spring"])
 def test_the_loss_holds_strands_together_with_the_elastic_model_that_is_asked_for(
     body: BodyModel, groom: Groom, tmp_path: Path, elastic: Literal["cosserat", "mass_spring"]
 ) -> None:
-    config = replace(TINY, elastic=elastic, steps=1, body_contact_weight=3.0)
+    config = replace(TINY, elastic=elastic, steps=1)
     run = training(body, groom, tmp_path, config)
     train(run, silent)
     terms = {name: float(value) for name, value in rows_of(tmp_path / "training.csv")[0].items()}
     assert terms["elastic"] > 1e-3
-    parts = ("elastic", "gravity", "self_collision", "pose_regularization")
-    assert terms["loss"] == pytest.approx(sum(terms[name] for name in parts) + 3 * terms["body_collision"], abs=2e-5)
+    parts = ("elastic", "gravity", "body_collision", "self_collision", "pose_regularization")
+    assert terms["loss"] == pytest.approx(sum(terms[name] for name in parts), abs=2e-5)
     assert load_network(tmp_path / "best.safetensors")[2]["elastic"] == elastic
     with pytest.raises(InputError, match="a run of"):
         training(body, groom, tmp_path, replace(config, elastic="modified_cosserat")).resume()
@@ -220,12 +219,12 @@ def test_the_loss_holds_strands_together_with_the_elastic_model_that_is_asked_fo
 def test_the_best_weights_are_those_of_the_lowest_loss(
     body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    figures = iter([{"energy": 1.0, "body_collision": 0.2}, {"energy": 0.9, "body_collision": 0.3}])
+    figures = iter([{"energy": 1.0}, {"energy": 0.8}, {"energy": 0.9}])
     monkeypatch.setattr(train_decoder, "validation_metrics", lambda draper, scenes: next(figures))
-    run = training(body, groom, tmp_path, replace(TINY, body_contact_weight=3.0))
-    for run.step in (1, 2):
+    run = training(body, groom, tmp_path, replace(TINY))
+    for run.step in (1, 2, 3):
         run.validate()
-    assert load_network(tmp_path / "best.safetensors")[2]["step"] == "1"
+    assert load_network(tmp_path / "best.safetensors")[2]["step"] == "2"
 
 
 def test_some_of_many_grooms_stand_for_all_in_a_validation(
@@ -316,13 +315,16 @@ def test_a_run_goes_on_after_a_gradient_that_is_not_finite(
     body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = training(body, groom, tmp_path, replace(TINY, validate_every=100))
-    own_loss = run.recipe._loss
+    own_objective = run.recipe._objective
 
-    def broken_once(scene: Scene, index: int, grooms: int, step: int) -> tuple[torch.Tensor, dict[str, float]]:
-        loss, terms = own_loss(scene, index, grooms, step)
-        return (loss * float("nan") if step == 1 else loss), terms
+    def broken_once(
+        scene: Scene, energy: HairEnergy, loading: Loading, grooms: int, step: int
+    ) -> tuple[torch.Tensor, dict[str, float]]:
+        objective, metrics = own_objective(scene, energy, loading, grooms, step)
+        nan = float("nan")
+        return (nan * objective, metrics | {"loss": nan}) if step == 1 else (objective, metrics)
 
-    monkeypatch.setattr(run.recipe, "_loss", broken_once)
+    monkeypatch.setattr(run.recipe, "_objective", broken_once)
     train(run, silent)
     rows = rows_of(tmp_path / "training.csv")
     assert [row["step"] for row in rows] == ["1", "2", "3", "4"]
@@ -349,8 +351,6 @@ def test_impossible_networks_are_refused(tmp_path: Path) -> None:
 def test_settings_out_of_range_are_refused() -> None:
     with pytest.raises(InputError, match="validate-every"):
         TrainConfig(validate_every=0)
-    with pytest.raises(InputError, match="body-contact-weight"):
-        TrainConfig(body_contact_weight=0.0)
 
 
 @pytest.mark.cuda

@@ -29,6 +29,7 @@ from quaffure.baselines import PosedDraper
 from quaffure.body import CLIP_FPS, CLIP_NAMES, bundled_clip, joint_matrices
 from quaffure.body.pose_features import HEAD
 from quaffure.config import HairMaterial
+from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.hair import DrapeSequence, Groom, GuideInterpolation
 from quaffure.io import read_drape
@@ -36,7 +37,6 @@ from quaffure.model import Quaffure, load_model
 from quaffure.procedural import STYLES, make_groom
 from quaffure.scene import Scene
 from quaffure.solvers import SOLVERS, CoherentDraper
-from quaffure.solvers.strand_newton import RodLoads
 from quaffure.types import Positions
 
 if TYPE_CHECKING:
@@ -479,7 +479,7 @@ def test_stiffness_gravity_and_wind_reach_strand_newton_live(page: Page, catalog
     while after.draper.is_moving:
         settled(page)
     assert after.draper is before.draper
-    assert after.loads == RodLoads(0.5, (6.0, 0.0, -9.81))
+    assert after.loads == Loading(0.5, (6.0, 0.0, -9.81))
     shown = page.session.shown
     assert shown is not None
     assert (shown.sequence.meta["stiffness"], shown.sequence.meta["acceleration"]) == (0.5, (6.0, 0.0, -9.81))
@@ -487,7 +487,7 @@ def test_stiffness_gravity_and_wind_reach_strand_newton_live(page: Page, catalog
     assert float(aside.mean()) > 0.01
     page._reset_loads()
     page.session.ask_edit("draper", lambda state: replace(state, draper=catalogue.draper("neural")))
-    assert settled(page).loads == RodLoads()
+    assert settled(page).loads == Loading()
     assert page.panel.wind[0].value == 0.0
 
 

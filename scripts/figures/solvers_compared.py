@@ -1,6 +1,6 @@
 """Fig. 7: one hairstyle and pose by the network and by solvers of the same energy, with metrics.
 
-Times are of one core, in processor time. `--slow` adds `lbfgs` and `newton`, which take minutes.
+Times are of one core, in processor time. `--slow` adds `adam` and `lbfgs`, which take minutes.
 """
 
 import time
@@ -34,7 +34,7 @@ from quaffure.types import Positions
 
 OUT = FIGURES / "solvers_compared.jpg"
 FRAME = CaseEntry("long_ringlets", "13_26", "e", (94,))
-FAST, SLOW = ("posed", "neural", "neural_refined", "xpbd", "adam"), ("lbfgs", "newton")
+FAST, SLOW = ("posed", "neural", "neural_settled", "strand_newton"), ("adam", "lbfgs")
 VIEWS = (View(15.0), View(-150.0))
 SLOW_SECONDS, REPEATS = 1.0, 5  # s; what takes longer is timed by the run that drapes
 WARM_UP_STRANDS = 8

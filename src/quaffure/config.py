@@ -1,6 +1,7 @@
 """Physical parameters, one set for every groom, pose and body."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 
 STANDARD_GRAVITY = 9.81
 """Gravitational acceleration [m/s^2]."""
@@ -13,6 +14,10 @@ EDGES_PER_STRAND = VERTICES_PER_STRAND - 1
 TEXTURE_SIZE = 64
 """T of the paper."""
 
+LARGEST_STIFFNESS, LARGEST_HAIR_LENGTH = 1e12, 1.0
+"""Limits of what a material may hold: every stiffness, in its own unit, and density; every length [m]."""
+LENGTHS = ("collision_margin", "smoothing_length")
+
 
 @dataclass(frozen=True)
 class HairMaterial:
@@ -20,6 +25,10 @@ class HairMaterial:
 
     The stiffnesses are those of the paper's equations, which prints no values; `docs/paper_notes.md` says how these
     were chosen. They are never tuned for one groom or one pose.
+
+    Raises:
+        ValueError: a value that is not a finite number of 0 or more (`linear_density` and `smoothing_length`: above 0)
+            or beyond its limit. Tensors, which a derivative is taken with respect to, are not checked.
     """
 
     linear_density: float = 6.5e-6
@@ -40,3 +49,13 @@ class HairMaterial:
     """Smoothing length h of the density, Eqs. 12-13; the support is 2h [m]."""
     k_pose_reg: float = 3e-4
     """Stiffness of the pose regularization, Eq. 14 [J/m^2]."""
+
+    def __post_init__(self) -> None:
+        for name in (field.name for field in fields(self)):
+            value, most = getattr(self, name), LARGEST_HAIR_LENGTH if name in LENGTHS else LARGEST_STIFFNESS
+            if hasattr(value, "requires_grad"):
+                continue
+            is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+            is_divisor = name in ("linear_density", "smoothing_length")
+            if not is_number or not 0 <= value <= most or (is_divisor and value == 0):
+                raise ValueError(f"expected {name} from 0 to {most:g}, found {value!r:.60}")

@@ -12,6 +12,8 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.motion import Motion
 from quaffure.config import HairMaterial
 from quaffure.draper import ClipDraper, Draper
+from quaffure.errors import refused
+from quaffure.file_values import material_from
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.hair.strands import held_parts_of
@@ -84,8 +86,13 @@ def bodies_of(sequence: DrapeSequence, body: BodyModel, frames: slice = slice(No
 
 
 def material_of(sequence: DrapeSequence) -> HairMaterial:
-    """The material that a drape was made with; the default one where its file does not say."""
-    return HairMaterial(**sequence.meta.get("material", {}))
+    """The material that a drape was made with; the default one where its file does not say.
+
+    Raises:
+        InputError: its file holds something else under that name.
+    """
+    with refused("meta of the drape", "the material of its hair", ValueError):
+        return material_from(sequence.meta.get("material", {}))
 
 
 def _frames(parts: list[torch.Tensor]) -> np.ndarray:

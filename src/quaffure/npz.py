@@ -1,15 +1,16 @@
 """Arrays of an `.npz` file, each checked by its header before memory is taken for it. Nothing is ever unpickled."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile, ZipFile
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
 import numpy as np
 
 from quaffure.errors import InputError, refused
+from quaffure.input_file import check_input_file
 
 NumberType = type[np.generic]
 Spec = Mapping[str, tuple[tuple[int | str, ...], tuple[NumberType, ...]]]
@@ -19,8 +20,12 @@ REAL: tuple[NumberType, ...] = (np.floating,)
 INTEGER: tuple[NumberType, ...] = (np.integer,)
 NUMBER: tuple[NumberType, ...] = (np.floating, np.integer)
 TEXT: tuple[NumberType, ...] = (np.str_,)
-# The most that deflate can shrink (zlib's technical notes); a member that claims more has a forged size.
-MOST_COMPRESSION = 1032
+FREE_BYTES = 2**24
+"""What the arrays of any file may take [bytes]; beyond it at most `MOST_COMPRESSION` times the size of the file."""
+MOST_COMPRESSION = 32
+"""Arrays of hair and motion shrink by less than 4, but zeros by 1000: a small file must not fill the memory."""
+IS_ENCRYPTED = 0x1
+"""Bit of a member's flags."""
 
 
 class Header(NamedTuple):
@@ -33,9 +38,9 @@ class Header(NamedTuple):
 def array_names(path: Path) -> frozenset[str]:
     """Names of the arrays in a file; none where it is no readable `.npz`."""
     try:
-        with ZipFile(path) as archive:
+        with _opened(path, "an .npz file") as archive:
             return frozenset(name.removesuffix(".npy") for name in archive.namelist())
-    except (OSError, BadZipFile):
+    except InputError:
         return frozenset()
 
 
@@ -47,6 +52,7 @@ def read_numbers(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """
     with _opened(path, "an undamaged .npz file") as archive:
         present = [name for name in names if f"{name}.npy" in archive.namelist()]
+        _check_members(archive, present, path)
         headers = {name: _header(archive, name, path) for name in present}
         for name, header in headers.items():
             if not _is_any(header.dtype, NUMBER):
@@ -74,6 +80,7 @@ def read_arrays(
             raise InputError(path, f"{what} with the arrays {', '.join(spec)}", f"no array {', '.join(missing)}")
         found = {name: kind for name, kind in (optional or {}).items() if f"{name}.npy" in archive.namelist()}
         spec = {**spec, **found}
+        _check_members(archive, spec, path)
         sizes = _check_headers({name: _header(archive, name, path) for name in spec}, spec, path, what)
         arrays = {name: _array(archive, name) for name in spec}
     _check_finite(arrays, path, what)
@@ -95,8 +102,22 @@ def check_arrays(arrays: Mapping[str, np.ndarray], spec: Spec, source: Path, wha
 @contextmanager
 def _opened(path: Path, what: str) -> Iterator[ZipFile]:
     # On damaged bytes zipfile, zlib and numpy's header parser raise some ten unrelated types between them.
+    check_input_file(path, what)
     with refused(path, what, Exception), ZipFile(path) as archive:
         yield archive
+
+
+def _check_members(archive: ZipFile, names: Iterable[str], path: Path) -> None:
+    """Refuse members that numpy does not write, and more bytes than a file of this size should hold."""
+    members: list[ZipInfo] = [archive.getinfo(f"{name}.npy") for name in names]
+    for member in members:
+        if member.flag_bits & IS_ENCRYPTED or member.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+            found = f"{member.filename} encrypted or compressed in another way"
+            raise InputError(path, "arrays as numpy.savez writes them", found)
+    total = sum(member.file_size for member in members)
+    most = max(FREE_BYTES, MOST_COMPRESSION * path.stat().st_size)
+    if total > most:
+        raise InputError(path, f"arrays of at most {most} bytes in a file of its size", f"{total} bytes")
 
 
 def _header(archive: ZipFile, name: str, path: Path) -> Header:
@@ -108,17 +129,18 @@ def _header(archive: ZipFile, name: str, path: Path) -> Header:
         shape, _, dtype = read(file)
         header = Header(shape, dtype)
         expected = file.tell() + math.prod(header.shape) * header.dtype.itemsize
-    forged = member.file_size > MOST_COMPRESSION * path.stat().st_size
     # The size of pickled objects is not in the header; they are refused by their type.
-    if not header.dtype.hasobject and (expected != member.file_size or forged):
+    if not header.dtype.hasobject and expected != member.file_size:
         found = f"{member.file_size} bytes"
         raise InputError(path, f"{expected} bytes to hold its array {name} {list(header.shape)}", found)
     return header
 
 
 def _array(archive: ZipFile, name: str) -> np.ndarray:
+    """An array in the byte order of this machine, which is the only one that torch takes."""
     with archive.open(f"{name}.npy") as file:
-        return np.lib.format.read_array(file, allow_pickle=False)
+        array = np.lib.format.read_array(file, allow_pickle=False)
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
 def _check_headers(headers: Mapping[str, Header], spec: Spec, source: Path, what: str) -> dict[str, int]:
@@ -138,9 +160,14 @@ def _check_headers(headers: Mapping[str, Header], spec: Spec, source: Path, what
 
 def _check_finite(arrays: Mapping[str, np.ndarray], source: Path, what: str) -> None:
     for name, array in arrays.items():
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
+        # As float32, in which arrays are used: 1e300 is infinite there.
+        with np.errstate(over="ignore"):
+            is_finite = array.dtype.kind != "f" or np.isfinite(array.astype(np.float32, copy=False)).all()
+        if not is_finite:
             raise InputError(source, f"{what} with finite {name}", "NaN or infinity")
 
 
 def _is_any(dtype: np.dtype[Any], types: tuple[NumberType, ...]) -> bool:
-    return any(np.issubdtype(dtype, kind) for kind in types)
+    # numpy counts time differences as integers, and torch has no real numbers of more than 8 bytes.
+    torch_has = dtype.kind in "iuU" or (dtype.kind == "f" and dtype.itemsize <= 8)
+    return torch_has and any(np.issubdtype(dtype, kind) for kind in types)

@@ -6,9 +6,10 @@ from functools import cached_property
 from quaffure.body.body_model import BodyModel, PosedBody
 from quaffure.body.kinematics import PosedJoints, pose_joints
 from quaffure.body.pose_features import HEAD
+from quaffure.body.pose_limits import check_body_pose, check_body_shape
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface, posed_surface
-from quaffure.hair.groom import Groom
+from quaffure.hair.groom import Groom, check_groom
 from quaffure.hair.posing import posed_strands, rigid_rotations, root_rotations
 from quaffure.types import BodyPose, BodyShape, EdgeVectors, Float, Positions, Tensor
 
@@ -83,10 +84,20 @@ class PosedScene:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A groom on a batch of bodies. Properties are computed once, when read, and differentiable in pose and shape."""
+    """A groom on a batch of bodies. Properties are computed once, when read, and differentiable in pose and shape.
+
+    Raises:
+        InputError: a groom without strands, or NaN, infinity or a size of no groom, pose or shape in them
+            (`quaffure.hair.groom.check_groom`, `quaffure.body.pose_limits`).
+    """
 
     groom: Groom
     bodies: BodyBatch
+
+    def __post_init__(self) -> None:
+        check_groom(self.groom)
+        check_body_pose(self.bodies.body_pose, "body_pose")
+        check_body_shape(self.bodies.body_shape, "body_shape")
 
     @cached_property
     def posed(self) -> Positions:

@@ -1,7 +1,6 @@
 """The supervised baseline's drape: one pass, for one groom."""
 
 from pathlib import Path
-from weakref import WeakKeyDictionary
 
 import torch
 
@@ -12,6 +11,7 @@ from quaffure.body.pose_features import HEAD, world_from_head
 from quaffure.config import TEXTURE_SIZE, HairMaterial
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
+from quaffure.hair.groom_cache import GroomCache
 from quaffure.scene import Scene
 from quaffure.types import Float, Int, Positions, Tensor
 
@@ -34,7 +34,7 @@ class GroomGenDraper:
 
     def __init__(self, network: GroomGenNetwork, material: HairMaterial) -> None:
         self.network, self.material = network, material
-        self._found: WeakKeyDictionary[Groom, Int[Tensor, " s"]] = WeakKeyDictionary()
+        self._found: GroomCache[Int[Tensor, " s"]] = GroomCache()
 
     @torch.no_grad()
     def drape(self, scene: Scene) -> Positions:
@@ -53,13 +53,14 @@ class GroomGenDraper:
         return find_strands(self.network, groom, body) is not None
 
     def _strands(self, groom: Groom, body: BodyModel) -> Int[Tensor, " s"]:
-        if groom not in self._found:
+        def find() -> Int[Tensor, " s"]:
             found = find_strands(self.network, groom, body)
             if found is None:
                 expected = f"the groom of {len(self.network.rest_strands)} strands that groomgen was trained on"
                 raise InputError(groom.name, expected, f"another of {len(groom)}")
-            self._found[groom] = found
-        return self._found[groom]
+            return found
+
+        return self._found.of(groom, find)
 
 
 def head_strands(groom: Groom, body: BodyModel) -> Float[Tensor, "s n 3"]:

@@ -23,9 +23,9 @@ from torch import nn
 
 from quaffure.config import TEXTURE_SIZE, VERTICES_PER_STRAND, HairMaterial
 from quaffure.errors import InputError, refused
+from quaffure.file_values import known_fields, material_from
 from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.model.groom_autoencoder import Widths, start_layers
-from quaffure.model.network_config import known_fields
 from quaffure.model.weights_file import MAX_WIDTH, read_weights, save_weights
 from quaffure.types import Float, Int, Positions, Tensor
 
@@ -130,10 +130,11 @@ def load_groomgen_network(path: str | Path) -> tuple[GroomGenNetwork, HairMateri
     weights, notes = read_weights(path, f"{expected} (.safetensors)")
     if "groomgen" not in notes:
         raise InputError(path, expected, "weights of another network")
-    with refused(path, expected, KeyError, TypeError, ValueError, RuntimeError):
+    # Notes are JSON of any kind, and tensors of any shape.
+    with refused(path, expected, Exception):
         layers = known_fields(json.loads(notes.pop("groomgen")), GroomGenLayers)
         config = GroomGenLayers(**layers | {"widths": tuple(layers["widths"])})  # JSON has lists alone
-        material = HairMaterial(**known_fields(json.loads(notes.pop("material")), HairMaterial))
+        material = material_from(json.loads(notes.pop("material")))
         rest, cells = weights["rest_strands"], weights["texel_cells"].long()
         if rest.shape != (len(cells), VERTICES_PER_STRAND, 3) or not ((cells >= 0) & (cells < TEXTURE_SIZE)).all():
             raise ValueError("another groom's strands")

@@ -9,7 +9,8 @@ import torch
 from quaffure.digest import array_digest
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
-from quaffure.io.atomic import made_folder, replacing
+from quaffure.io.atomic import replacing
+from quaffure.io.output_path import made_folder
 from quaffure.npz import REAL, TEXT, Spec, read_arrays
 from quaffure.types import Float, Tensor
 

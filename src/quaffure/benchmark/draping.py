@@ -2,7 +2,6 @@
 
 import time
 from statistics import median
-from weakref import WeakKeyDictionary
 
 import torch
 
@@ -15,7 +14,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.digest import array_digest
 from quaffure.draper import Draper
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
+from quaffure.hair.groom_cache import GroomCache
 from quaffure.scene import Scene
 from quaffure.types import Float, Tensor
 
@@ -41,7 +40,7 @@ class CaseDraper:
             body.skin_joints, body.skin_weights, body.faces,
         )  # fmt: skip
         self._method_keys: dict[str, str] = {}
-        self._groom_keys: WeakKeyDictionary[Groom, str] = WeakKeyDictionary()
+        self._groom_keys: GroomCache[str] = GroomCache()
 
     def drape(self, method: Method, case: EvaluationCase, frame: int) -> TimedDrape | None:
         """One frame, counted within the case; None where the method cannot drape the groom.
@@ -87,9 +86,6 @@ class CaseDraper:
     def _key(self, method: Method, case: EvaluationCase, frame: int) -> str:
         if method.name not in self._method_keys:
             self._method_keys[method.name] = draper_key(method.draper)
-        if case.groom not in self._groom_keys:
-            self._groom_keys[case.groom] = self.cache.groom_key(case.groom)
+        groom_key = self._groom_keys.of(case.groom, lambda: self.cache.groom_key(case.groom))
         pose = case.motion.body_pose[frame]
-        return drape_key(
-            self._method_keys[method.name], self._groom_keys[case.groom], self._body_key, pose, case.body_shape
-        )
+        return drape_key(self._method_keys[method.name], groom_key, self._body_key, pose, case.body_shape)

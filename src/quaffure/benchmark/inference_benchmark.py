@@ -18,7 +18,9 @@ from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.model.cpu_backend import BATCH, CpuBackend
 from quaffure.model.inference_network import InferenceNetwork
+from quaffure.model.loading_features import loading_features
 from quaffure.model.quaffure_model import Quaffure
+from quaffure.model.quaffure_network import pose_code
 from quaffure.scene import BodyBatch
 from quaffure.types import BodyPose
 
@@ -124,13 +126,15 @@ def time_parts(model: Quaffure, groom: Groom) -> dict[str, float]:
         joints = pose_joints(bodies.body, bodies.body_pose, bodies.body_shape)
         return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, joints, config, collides)
 
-    pose_code, (_, posed) = pose(False).pose_code, next(backend.posed([prepared], bodies.rows(slice(0, 1))))
+    batch, (_, posed) = pose(False), next(backend.posed([prepared], bodies.rows(slice(0, 1))))
+    loading = loading_features(model.draper.loading, batch.world_from_head)
+    codes = pose_code(backend.config, batch.pose_code, loading)
     shape = backend.initial_shape(prepared, posed)
     changes = backend.network(prepared, posed, shape)
     hair = backend.integrate(prepared, posed, shape, changes)
     parts: dict[str, tuple[Callable[[], object], int]] = {
         "body": (lambda: pose(False), BATCH),
-        "texture": (lambda: backend.layout.encode(code, pose_code), BATCH),
+        "texture": (lambda: backend.layout.encode(code, codes), BATCH),
         "strands_before": (lambda: backend.initial_shape(prepared, posed), 1),
         "strand_layers": (lambda: backend.network(prepared, posed, shape), 1),
         "strands_after": (lambda: backend.integrate(prepared, posed, shape, changes), 1),

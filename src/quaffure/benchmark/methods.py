@@ -12,16 +12,17 @@ from quaffure.draper import Draper
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.model.quaffure_model import load_model
-from quaffure.solvers.by_name import solver
-from quaffure.solvers.refined import RefinedDraper
+from quaffure.solvers.design_solver import DesignSolver
+from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
 
-POSED, NETWORK, REFINED = "posed", "neural", "neural_refined"
+POSED, NETWORK, SETTLED = "posed", "neural", "neural_settled"
 GROOMGEN = GroomGenDraper.name
 """The row whose weights are those of `quaffure train-groomgen`."""
-SOLVER_ROWS = ("adam", "lbfgs", "xpbd", "newton")
+SOLVER_ROWS = ("adam", "lbfgs", "strand_newton")
 """Whose lowest drape of a frame is the reference of all rows."""
-ROWS = (POSED, *SOLVER_ROWS, NETWORK, REFINED)
-QUICK_ROWS = (POSED, "xpbd", NETWORK, REFINED)
+ROWS = (POSED, *SOLVER_ROWS, NETWORK, SETTLED)
+QUICK_ROWS = (POSED, "strand_newton", NETWORK, SETTLED)
+SETTLING_PASSES = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +58,13 @@ def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:
     """
     shipped = load_model(weights.get(NETWORK))
     material = shipped.draper.material
+    settled = SettledDraper(shipped.draper, StrandNewtonDraper(material), SETTLING_PASSES)
     rows = {
         POSED: Method(POSED, PosedDraper(material)),
         NETWORK: Method(NETWORK, shipped.draper, notes=shipped.notes),
-        REFINED: Method(REFINED, RefinedDraper(shipped.draper), notes=shipped.notes),
+        SETTLED: Method(SETTLED, settled, notes=shipped.notes),
     }
-    rows |= {name: Method(name, solver(name, material), is_solver=True) for name in SOLVER_ROWS}
+    rows |= {name: Method(name, DesignSolver(name, material), is_solver=True) for name in SOLVER_ROWS}
     for name, path in weights.items():
         if name == NETWORK:
             continue

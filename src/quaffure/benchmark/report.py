@@ -7,7 +7,8 @@ from typing import Any
 from quaffure.benchmark.comparison import TIME
 from quaffure.benchmark.paper_table import ratio_rows
 from quaffure.benchmark.results import Results
-from quaffure.io.atomic import made_folder, replacing
+from quaffure.io.atomic import replacing
+from quaffure.io.output_path import made_folder
 
 PAGE = "evaluation_results.md"
 PICTURE = "figures/evaluation_results.png"

@@ -19,6 +19,8 @@ from quaffure.scene import Scene
 
 ROOT_SLACK = 1e-3
 """Largest distance of a root from its position on the scalp [m]."""
+LONGEST_DRAPE = 1e9
+"""Limit of the time of a drape that a file may state [ms]."""
 
 
 def write_case(folder: Path, case: EvaluationCase, set_version: int, body: BodyModel, material: HairMaterial) -> Path:
@@ -81,5 +83,7 @@ def submitted_frames(path: Path, sequence: DrapeSequence, case: EvaluationCase, 
     if off > ROOT_SLACK:
         raise InputError(path, f"roots within {1000 * ROOT_SLACK:g} mm of the scalp", f"{1000 * off:.3g} mm")
     milliseconds = sequence.meta.get("milliseconds")
-    taken = float(milliseconds) if isinstance(milliseconds, int | float) else None
+    # JSON has whole numbers beyond any float.
+    is_time = isinstance(milliseconds, int | float) and 0 <= milliseconds < LONGEST_DRAPE
+    taken = float(milliseconds) if is_time else None  # type: ignore[arg-type]
     return [TimedDrape(torch.from_numpy(frame), taken) for frame in sequence.strands]

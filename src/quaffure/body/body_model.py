@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from quaffure.body.pose_limits import Rows, check_body_pose, check_body_shape, rows_of
 from quaffure.body.scalp import ScalpChart
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
@@ -113,9 +114,21 @@ class BodyModel:
         """Forward kinematics alone: `world_from_joint` rotations and joint positions [m]."""
         return self.forward_kinematics(body_pose, self.shaped_joints(body_shape))
 
-    def pose(self, body_pose: BodyPose, body_shape: BodyShape) -> PosedBody:
-        """Bodies of shape beta [standard deviations] in pose theta [rad]; differentiable in both."""
-        return self.skin(body_shape, *self.posed_joints(body_pose, body_shape))
+    def pose(self, body_pose: Rows, body_shape: Rows) -> PosedBody:
+        """Bodies of shape beta [standard deviations] in pose theta [rad]; differentiable in tensors.
+
+        Args:
+            body_pose: [batch, 81].
+            body_shape: [batch, 10].
+
+        Raises:
+            InputError: other shapes, numbers that are not finite, a rotation beyond 4 pi, or a coefficient beyond 10.
+        """
+        poses = rows_of(body_pose, 3 * JOINT_COUNT, self.rest_vertices, "body_pose")
+        shapes = rows_of(body_shape, SHAPE_COUNT, self.rest_vertices, "body_shape")
+        check_body_pose(poses, "body_pose")
+        check_body_shape(shapes, "body_shape")
+        return self.skin(shapes, *self.posed_joints(poses, shapes))
 
     def skin(
         self, body_shape: BodyShape, rotations: Float[Tensor, "b j 3 3"], positions: Float[Tensor, "b j 3"]

@@ -7,24 +7,24 @@ vertices rest near the skin, and keeps every direction of descent.
 
 from quaffure.config import STANDARD_GRAVITY
 from quaffure.energies.rest_state import RestState
-from quaffure.types import Positions
+from quaffure.types import Energy, Positions, Tensor
 
 MAX_FORCE = 10.0
 """Largest force on a vertex, in weights of its whole strand."""
 
 
-def clip_gradients(positions: Positions, rest: RestState, joules: float) -> Positions:
-    """The same positions; on the way back, each vertex's gradient is scaled down to at most `MAX_FORCE`.
+def clip_gradients(positions: Positions, rest: RestState, joules: float | Energy) -> None:
+    """Scale each vertex's gradient down to at most `MAX_FORCE` where it is passed back through the positions.
 
     Args:
-        joules: what one unit of the loss means [J], so that gradients become forces [N].
+        positions: no leaf, or every call would add to what earlier ones do.
+        joules: what one unit of the loss means [J], of all samples or of each, so that gradients become forces [N].
     """
-    limit = MAX_FORCE * STANDARD_GRAVITY * rest.mass.sum(dim=1)[:, None, None] / joules
-    through = positions.view_as(positions)
+    strand_weight = STANDARD_GRAVITY * rest.mass.sum(dim=1)[:, None, None]
+    limit = MAX_FORCE * strand_weight / (joules[:, None, None, None] if isinstance(joules, Tensor) else joules)
 
     def at_most(gradient: Positions) -> Positions:
         return gradient * (limit / gradient.norm(dim=-1, keepdim=True).clamp(min=1e-30)).clamp(max=1.0)
 
-    if through.requires_grad:
-        through.register_hook(at_most)
-    return through
+    if positions.requires_grad:
+        positions.register_hook(at_most)

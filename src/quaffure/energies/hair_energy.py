@@ -77,6 +77,10 @@ class HairEnergy:
         """The same energy without the terms of these names."""
         return copy(self)._use(tuple(term for term in self.terms if term.name not in names))
 
+    def of_terms(self, terms: Terms) -> "HairEnergy":
+        """The same energy with other terms of the same kinds: another stiffness or another acceleration."""
+        return copy(self)._use(terms)
+
     def total(self, positions: Positions, scene: HairScene, variables: Variables | None = None) -> Energy:
         """Sum of all terms [J], differentiable in the positions [m] and the variables."""
         energies = []

@@ -75,7 +75,7 @@ class Rod(EnergyTerm):
             rest = replace(rest, collision_margin=margin.to(rest.collision_margin))
         if goal is None:
             return rest
-        return replace(rest, held=torch.nn.functional.pad(goal > 0, (1, 0)))
+        return replace(rest, held=torch.nn.functional.pad(goal > 0, (1, 0)).to(rest.collision_margin.device))
 
     def prepare(self, rest: RestState, scene: HairScene) -> PosedRod:
         rod = (rest.stress_free_rod if self.design is None else self.design.rod).stiffened(self.stiffness)

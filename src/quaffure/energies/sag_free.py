@@ -17,7 +17,6 @@ made stiffer.
 """
 
 from dataclasses import dataclass, replace
-from weakref import WeakKeyDictionary
 
 import torch
 
@@ -40,13 +39,14 @@ from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import distances_and_normals, rest_surface
 from quaffure.hair.groom import Groom
+from quaffure.hair.groom_cache import GroomCache
 from quaffure.types import Bool, Float, Tensor
 
 MOST_PRELOAD = 0.25
 """Largest |q|: sine of the angle between an edge of the design and its rest direction."""
 MOST_REST_TWIST = 0.5
 """Largest |psi| [rad]."""
-SUPPORT_DISTANCE, SUPPORT_FADE = 0.025, 0.02
+SUPPORT_DISTANCE, SUPPORT_FADE = 0.015, 0.01
 """Vertices up to this far from the skin are supported, by the skin or the hair below; beyond, fading to none [m]."""
 LEAST_SUPPORT = 1e-3
 """Forces below this share of a vertex's mean weight are taken as none."""
@@ -138,7 +138,7 @@ def sag_free_rest(
     own = groom.to("cpu")
     held = own.held_edges if held is None else held.cpu()
     own_scale = stiffness_scale_of(own).double()
-    distance, normal = distances_and_normals(strands, surface or rest_surface(body))
+    distance, normal = distances_and_normals(strands, surface or rest_surface(body.to("cpu")))
     weight = STANDARD_GRAVITY * state.mass
     forces = StrandForces.of(
         strands, weight, normal, held, own_scale * BENDING_STIFFNESS / joint, own_scale * TWISTING_STIFFNESS / joint
@@ -228,12 +228,12 @@ def _leaned(direction: Float[Tensor, "s e 3"], moment: Float[Tensor, "s e 3"]) -
     return (1 - lean.square().sum(-1, keepdim=True)).clamp(min=0).sqrt() * direction + lean
 
 
-_DESIGNS: WeakKeyDictionary[Groom, dict[tuple[BodyModel, HairMaterial], SagFreeRest]] = WeakKeyDictionary()
+_DESIGNS: GroomCache[dict[tuple[BodyModel, HairMaterial], SagFreeRest]] = GroomCache()
 
 
 def design_of(groom: Groom, body: BodyModel, material: HairMaterial) -> SagFreeRest:
     """`sag_free_rest`, computed once for a groom, a body and a material. Arguments and errors are the same."""
-    designs = _DESIGNS.setdefault(groom, {})
+    designs = _DESIGNS.of(groom, dict)
     if (body, material) not in designs:
         designs[body, material] = sag_free_rest(groom, body, material)
     return designs[body, material]

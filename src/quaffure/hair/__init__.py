@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from quaffure.hair.resample import concatenate_strands, polyline_lengths, resample_by_arc_length
     from quaffure.hair.scalp_roots import ScalpRoots, spread_roots
     from quaffure.hair.scalp_texture import select_guides
-    from quaffure.hair.strand_blocks import cluster_representatives
     from quaffure.hair.strands import Strands
     from quaffure.hair.tie_detection import FoundTie, find_ties
 

@@ -1,5 +1,6 @@
 """A hairstyle at rest on the body's scalp."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -8,8 +9,12 @@ import torch
 
 from quaffure.body.scalp import texel_index
 from quaffure.config import TEXTURE_SIZE
-from quaffure.hair.strands import held_parts_of
+from quaffure.errors import InputError
+from quaffure.hair.strands import HELD_PARTS
 from quaffure.types import Bool, Float, Int, Tensor
+
+LARGEST_COORDINATE = 10.0
+"""Limit of the vertices of a groom, which is on a body at the origin [m], and of the coordinates of its roots [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +79,33 @@ class Groom:
             return self
         return self._map_tensors(lambda tensor: tensor.to(device))
 
+    def arrays(self) -> dict[str, Tensor]:
+        """Its tensors by the names of their fields, without those of held parts that it does not have."""
+        found: dict[str, Tensor] = {}
+        for name in ("rest_strands", "root_faces", "root_barycentric", "root_uv", *HELD_PARTS):
+            values = getattr(self, name)
+            if values is not None:
+                found[name] = values
+        return found
+
     def _map_tensors(self, function: Callable[[Tensor], Tensor]) -> "Groom":
-        names = ("rest_strands", "root_faces", "root_barycentric", "root_uv", *held_parts_of(self))
-        changes: dict[str, Any] = {name: function(getattr(self, name)) for name in names}
+        changes: dict[str, Any] = {name: function(values) for name, values in self.arrays().items()}
         return replace(self, **changes)
+
+
+def check_groom(groom: Groom) -> None:
+    """Refuse a groom that no hair can be computed of.
+
+    Raises:
+        InputError: no strands, or NaN, infinity or a size of no groom [m] in its arrays.
+    """
+    if not groom.rest_strands.shape[0]:
+        raise InputError(groom.name, "at least one strand", "none")
+    for name, values in groom.arrays().items():
+        if not values.is_floating_point():
+            continue
+        least, most = map(float, values.detach().aminmax())  # NaN where there is one
+        limit = LARGEST_COORDINATE if name not in HELD_PARTS else math.inf
+        if not (-limit <= least and most <= limit and math.isfinite(most - least)):
+            expected = f"finite {name}" if limit == math.inf else f"finite {name} within +-{limit:g}"
+            raise InputError(groom.name, expected, f"{least:.3g} to {most:.3g}")

@@ -13,7 +13,6 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.head_frame import scalp_vertices
 from quaffure.errors import InputError
 from quaffure.geometry.mls_surface import LANES
-from quaffure.geometry.sampling import neighbours_together
 from quaffure.hair.groom import Groom
 from quaffure.hair.posing import root_positions, triangle_frames
 from quaffure.types import Float, Int, Tensor
@@ -78,26 +77,3 @@ def strand_blocks(strands: RestStrands, margin: Float[Tensor, "s n"], order: Int
 def in_blocks(values: Tensor) -> np.ndarray:
     """[strand, ...] to [block, ..., lane]."""
     return np.ascontiguousarray(values.detach().unflatten(0, (-1, LANES)).movedim(1, -1).numpy())
-
-
-def cluster_representatives(groom: Groom, size: int, radius: float) -> tuple[Int[Tensor, " s"], Int[Tensor, " s"]]:
-    """Clusters of neighbouring strands.
-
-    Args:
-        size: strands of a cluster.
-        radius: largest distance of roots from the representative's [m]; strands further away represent themselves.
-
-    Returns:
-        An order of the strands in which every `size` are a cluster, and the representative of each strand: the one in
-        the middle of its cluster.
-    """
-    middle, root = groom.rest_strands.shape[1] // 2, groom.rest_strands[:, 0]
-    # The root counts most, for there the skin is.
-    positions = torch.cat([root, 0.5 * groom.rest_strands[:, middle], 0.5 * groom.rest_strands[:, -1]], dim=1)
-    order = neighbours_together(positions, size)
-    clusters = torch.cat([order, order[-1:].expand(-len(order) % size)]).view(-1, size)
-    off_centre = (positions[clusters] - positions[clusters].mean(dim=1, keepdim=True)).square().sum(-1)
-    central = torch.empty_like(order)
-    central[clusters] = clusters.gather(1, off_centre.argmin(dim=1, keepdim=True)).expand_as(clusters)
-    own = torch.arange(len(order), device=order.device)
-    return order, torch.where((root - root[central]).norm(dim=-1) < radius, central, own)

@@ -14,7 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from quaffure.body.body_model import BodyModel
-from quaffure.body.motion import Motion, filter_flips, resample
+from quaffure.body.motion import MAX_FRAMES, Motion, filter_flips, resample
+from quaffure.body.pose_limits import check_body_pose
 from quaffure.body.retargeting import (
     BODY_FROM_Y_UP,
     RETARGET_FPS,
@@ -27,6 +28,7 @@ from quaffure.body.retargeting import (
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
 from quaffure.npz import read_numbers
+from quaffure.types import BodyPose
 
 # SMPL's body joints, in the order of `poses`, and each one's parent.
 SMPL_JOINTS = (
@@ -37,6 +39,7 @@ SMPL_JOINTS = (
 )  # fmt: skip
 FRAME_RATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
 Y_UP_COSINE = 0.8
+FRAMES_AT_ONCE = 4096
 
 # Of SMPL's T pose: the arms lie along x to within a few degrees.
 REST_ARM_DIRECTION = {"Left": (1.0, 0.0, 0.0), "Right": (-1.0, 0.0, 0.0)}
@@ -49,25 +52,30 @@ def read_amass(path: Path, body: BodyModel) -> Motion:
     """The motion of an AMASS file on the body's joints at 30 fps, joint flips repaired.
 
     Raises:
-        InputError: not an `.npz`, no `poses` [F >= 1, >= 66] or frame rate in it, or a number that is not finite.
+        InputError: not an `.npz`, no `poses` [1 <= F <= MAX_FRAMES, >= 66] or frame rate in it, a number that is not
+            finite, or a rotation beyond 4 pi.
     """
     arrays = read_numbers(path, ("poses", "trans", *FRAME_RATE_KEYS))
     if "poses" not in arrays:
         raise InputError(path, "an array poses [frames, 66 or more], as in AMASS", "none")
-    poses = arrays["poses"]
-    if poses.ndim != 2 or poses.shape[0] < 1 or poses.shape[1] < 66:
-        raise InputError(path, "poses [frames >= 1, 66 or more]", f"shape {list(poses.shape)}")
-    if not np.isfinite(poses[:, :66]).all():
-        raise InputError(path, "finite joint angles", "NaN or infinity in poses")
-    local = matrix_from_axis_angle(torch.from_numpy(poses[:, :66].astype(np.float64)).unflatten(-1, (22, 3)))
-    z_up_from_file = _z_up_from_file(local)
-    local[:, 0] = z_up_from_file @ local[:, 0]
+    poses = _poses(path, arrays["poses"])
+    z_up_from_file = _z_up_from_file(poses)
     translation = None
     if "trans" in arrays:
         translation = _translation(path, arrays["trans"], len(poses), z_up_from_file, body)
-    rotations = _on_body(_world_rotations(local), body)
-    motion = Motion(local_pose(rotations, body), _frame_rate(path, arrays), str(path), translation)
+    # Some frames at a time: rotation matrices of a frame take 5 times the memory of its pose.
+    parts = [_on_body(part, z_up_from_file, body) for part in poses.split(FRAMES_AT_ONCE)]
+    motion = Motion(torch.cat(parts), _frame_rate(path, arrays), str(path), translation)
     return resample(filter_flips(motion), RETARGET_FPS)
+
+
+def _poses(path: Path, poses: np.ndarray) -> Float[Tensor, "f 66"]:
+    """Axis-angles of the joints that all three models have."""
+    if poses.ndim != 2 or not 1 <= poses.shape[0] <= MAX_FRAMES or poses.shape[1] < 66:
+        raise InputError(path, f"poses [1 to {MAX_FRAMES} frames, 66 or more]", f"shape {list(poses.shape)}")
+    joints = torch.from_numpy(poses[:, :66].astype(np.float64))
+    check_body_pose(joints, str(path))
+    return joints
 
 
 def _frame_rate(path: Path, arrays: dict[str, np.ndarray]) -> float:
@@ -77,8 +85,8 @@ def _frame_rate(path: Path, arrays: dict[str, np.ndarray]) -> float:
     return float(rates[0].reshape(()))
 
 
-def _z_up_from_file(local: Float[Tensor, "f 22 3 3"]) -> Float[Tensor, "3 3"]:
-    pelvis_up = local[:, 0, :, 1].mean(0)
+def _z_up_from_file(poses: Float[Tensor, "f 66"]) -> Float[Tensor, "3 3"]:
+    pelvis_up = matrix_from_axis_angle(poses[:, :3])[:, :, 1].mean(0)
     return BODY_FROM_Y_UP if float(pelvis_up[1]) > Y_UP_COSINE else torch.eye(3, dtype=torch.float64)
 
 
@@ -100,8 +108,11 @@ def _world_rotations(local: Float[Tensor, "f 22 3 3"]) -> dict[str, Float[Tensor
     return {name: rotation @ BODY_FROM_Y_UP.T for (name, _), rotation in zip(SMPL_JOINTS, world)}
 
 
-def _on_body(world: dict[str, Float[Tensor, "f 3 3"]], body: BodyModel) -> dict[str, Float[Tensor, "f 3 3"]]:
-    """World rotations by the body's joint names; see the formula in `quaffure.body.retargeting`."""
+def _on_body(poses: Float[Tensor, "f 66"], z_up_from_file: Float[Tensor, "3 3"], body: BodyModel) -> BodyPose:
+    """Poses of the body; see the formula in `quaffure.body.retargeting`."""
+    local = matrix_from_axis_angle(poses.unflatten(-1, (22, 3)))
+    local[:, 0] = z_up_from_file @ local[:, 0]
+    world = _world_rotations(local)
     rotations: dict[str, Tensor] = {}
     for name, source in SMPL_BODY.items():
         rotation = source_rotation(source, world)
@@ -110,4 +121,4 @@ def _on_body(world: dict[str, Float[Tensor, "f 3 3"]], body: BodyModel) -> dict[
             bone = body_bone(body, name, source.bone_ends[0])
             rotation = rotation @ align_bone(bone, torch.tensor(direction, dtype=torch.float64))
         rotations[name] = rotation
-    return rotations
+    return local_pose(rotations, body)

@@ -2,81 +2,57 @@
 
 import json
 import os
-import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from quaffure.errors import InputError, refused
+from quaffure.errors import refused
+from quaffure.io.output_path import WRITABLE, check_place
+from quaffure.io.temporary_file import sweep_temporary_files, temporary_in
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a path in the same folder, with the same suffix, that replaces `path` when the block ends well.
 
-    When the block raises, the temporary file is removed and a file at `path` stays as it was.
+    Its bytes are on the disk before. When the block raises, the temporary file is removed and a file at `path` stays as
+    it was. Where `path` is a symbolic link, the file that it leads to is replaced.
 
     Raises:
-        InputError: the folder of `path` does not exist or is not writable.
+        InputError: the folder of `path` does not exist or is not writable, or the block raises an `OSError`, on a full
+            disk for instance. Libraries that write by themselves and raise something else need a translation.
     """
-    check_folder_of(path)
-    with refused(path, "a writable folder", OSError):
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    target = check_place(path)
+    sweep_temporary_files(target.parent)
+    temporary = temporary_in(target.parent, path.suffix)
+    # The name is known before the file exists: an interrupt at any moment leads to the removal.
     try:
-        yield temporary
-        # mkstemp makes the file private; give it the mode that open() would have given.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        temporary.replace(path)
+        with refused(path, WRITABLE, OSError):
+            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        with refused(path, "a file that can be written", OSError):
+            yield temporary
+            _synchronise(temporary, os.O_RDWR)
+            temporary.replace(target)
+        with suppress(OSError):  # not every system synchronises folders
+            _synchronise(target.parent, os.O_RDONLY)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def check_folder_of(path: Path) -> None:
-    """Refuse a file that could not be written later on, before any work is done for it.
-
-    Raises:
-        InputError: the folder of `path` does not exist, or `path` is a folder itself.
-    """
-    if not path.parent.is_dir():
-        raise InputError(path, "a path in an existing folder", f"no folder {path.parent}")
-    if path.is_dir():
-        raise InputError(path, "a file to write", "a folder")
-
-
-def check_output(path: Path, *suffixes: str) -> None:
-    """Refuse an output file that could not be written, before the work for it.
-
-    Raises:
-        InputError: another suffix, no folder to write into, or a folder of that name.
-    """
-    if path.suffix.lower() not in suffixes:
-        raise InputError(path, f"an output of suffix {', '.join(suffixes)}", f"suffix '{path.suffix}'")
-    check_folder_of(path)
-
-
-def made_folder(path: Path, what: str) -> Path:
-    """The folder, made with its parents where it does not exist.
-
-    Args:
-        what: what it is, for the error: `a folder for drapes`.
-
-    Raises:
-        InputError: it cannot be made.
-    """
-    with refused(path, what, OSError):
-        path.mkdir(parents=True, exist_ok=True)
-    return path
 
 
 def write_json(path: Path, value: object) -> None:
     """Write plain JSON.
 
     Raises:
-        InputError: the folder does not exist or is not writable.
+        InputError: it cannot be written.
     """
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+
+
+def _synchronise(path: Path, flags: int) -> None:
+    """Wait until the disk has a file, or the names in a folder."""
+    descriptor = os.open(path, flags)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

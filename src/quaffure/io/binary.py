@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from quaffure.errors import InputError, refused
+from quaffure.input_file import check_input_file
 
 
 class BinaryCursor:
@@ -18,6 +19,7 @@ class BinaryCursor:
     """
 
     def __init__(self, path: Path) -> None:
+        check_input_file(path, "a readable file")
         with refused(path, "a readable file", OSError):
             self.content = path.read_bytes()
         self.path, self.offset = path, 0

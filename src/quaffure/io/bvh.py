@@ -11,8 +11,10 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 
 from quaffure.body.bvh_clip import CHANNEL_NAMES, BvhClip
-from quaffure.errors import InputError, refused
+from quaffure.errors import InputError
+from quaffure.input_file import read_text
 
+MOST_DIGITS = 18
 _CANONICAL_CHANNEL = {name.lower(): name for name in CHANNEL_NAMES}
 
 
@@ -76,8 +78,7 @@ def read_bvh(path: Path) -> BvhClip:
 
 
 def _read_lines(path: Path) -> _Lines:
-    with refused(path, "a BVH text file", OSError, UnicodeDecodeError):
-        text = path.read_text(encoding="utf-8-sig")
+    text = read_text(path, "a BVH text file", "utf-8-sig")
     lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), start=1)]
     return _Lines(path, [(number, line) for number, line in lines if line], last=max(len(lines), 1))
 
@@ -87,12 +88,14 @@ def _parse_hierarchy(lines: _Lines) -> list[_Joint]:
     lines.skip("HIERARCHY")
     joints: list[_Joint] = []
     open_joints: list[int] = []
+    names: set[str] = set()
     while open_joints or not joints:
         word, _, rest = lines.take("ROOT" if not joints else "JOINT, End Site or }").partition(" ")
         if word == "}" and open_joints:
             open_joints.pop()
         elif word.upper() == ("JOINT" if open_joints else "ROOT"):
-            joints.append(_parse_joint(lines, joints, rest.strip(), open_joints[-1] if open_joints else -1))
+            joints.append(_parse_joint(lines, names, rest.strip(), open_joints[-1] if open_joints else -1))
+            names.add(joints[-1].name)
             open_joints.append(len(joints) - 1)
         elif word.upper() == "END" and open_joints:
             lines.skip("{")
@@ -103,10 +106,10 @@ def _parse_hierarchy(lines: _Lines) -> list[_Joint]:
     return joints
 
 
-def _parse_joint(lines: _Lines, others: list[_Joint], name: str, parent: int) -> _Joint:
+def _parse_joint(lines: _Lines, others: set[str], name: str, parent: int) -> _Joint:
     if not name:
         lines.fail("a joint name", "none")
-    if any(name == other.name for other in others):
+    if name in others:
         lines.fail("joint names that differ", f"'{name}' twice")
     lines.skip("{")
     return _Joint(name, parent, _parse_offset(lines), _parse_channels(lines))
@@ -121,7 +124,7 @@ def _parse_offset(lines: _Lines) -> list[float]:
 
 def _parse_channels(lines: _Lines) -> tuple[str, ...]:
     word, *entries = lines.take("CHANNELS").split()
-    if word.upper() != "CHANNELS" or not entries or not entries[0].isdecimal():
+    if word.upper() != "CHANNELS" or not entries or not _is_count(entries[0]):
         lines.fail("CHANNELS, their number and names", f"'{' '.join([word, *entries])[:40]}'")
     count, names = int(entries[0]), entries[1:]
     if len(names) != count:
@@ -136,7 +139,7 @@ def _parse_motion_header(lines: _Lines) -> tuple[int, float]:
     """Number of frames and seconds per frame."""
     lines.skip("MOTION")
     label, _, count = lines.take("Frames: and their number").partition(":")
-    if label.strip().lower() != "frames" or not count.strip().isdecimal() or int(count) < 1:
+    if label.strip().lower() != "frames" or not _is_count(count.strip()) or int(count) < 1:
         lines.fail("Frames: and a number above 0", f"'{label}:{count}'"[:60])
     label, _, seconds = lines.take("Frame Time: and its seconds").partition(":")
     if label.strip().lower() != "frame time" or len(seconds.split()) != 1:
@@ -160,6 +163,11 @@ def _parse_frames(lines: _Lines, frame_count: int, channel_count: int) -> np.nda
             lines.fail(f"{channel_count} channel values", f"{len(words)}")
         values[frame] = _finite_numbers(lines, words)
     return values
+
+
+def _is_count(word: str) -> bool:
+    """Whether a word is a whole number. Python converts some thousand digits at most, and no file has so many lines."""
+    return word.isdecimal() and len(word) <= MOST_DIGITS
 
 
 def _finite_numbers(lines: _Lines, words: list[str]) -> list[float]:

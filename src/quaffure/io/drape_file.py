@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
+from quaffure.body.pose_limits import check_body_pose, check_body_shape
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.strands import held_parts_of
@@ -28,6 +30,8 @@ SPEC: Spec = {
 # Only in files of a body that moves.
 TRANSLATION: Spec = {"body_translation": (("F", 3), NUMBER)}
 DRAPE_FILE = "a drape file (.npz)"
+LARGEST_POSITION = 1e6
+"""Limit of all positions [m]: a drape in millimetres is refused elsewhere, with what is wrong."""
 
 
 def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] | None = None) -> None:
@@ -72,7 +76,7 @@ def _dtype(name: str) -> np.dtype:
 def _parse_meta(array: np.ndarray, path: Path) -> dict[str, Any]:
     try:
         meta = json.loads(str(array))
-    except (json.JSONDecodeError, RecursionError):
+    except (ValueError, RecursionError):  # ValueError: also a number of thousands of digits
         meta = None
     if not isinstance(meta, dict):
         raise InputError(path, "meta, a JSON object in a string", f"{str(array)[:60]!r}")
@@ -90,5 +94,11 @@ def _check_meaning(arrays: dict[str, np.ndarray], sizes: dict[str, int], path: P
     if not faces.size or faces.min() < 0 or faces.max() >= sizes["V"]:
         found = f"{faces.min()}..{faces.max()}" if faces.size else "no faces"
         raise InputError(path, f"body_faces within 0..{sizes['V'] - 1}", found)
+    check_body_pose(torch.from_numpy(arrays["body_pose"]), str(path))
+    check_body_shape(torch.from_numpy(arrays["body_shape"]), str(path))
+    for name in ("strands", "posed", "body_vertices"):
+        farthest = float(np.abs(arrays[name]).max())
+        if farthest > LARGEST_POSITION:
+            raise InputError(path, f"positions within {LARGEST_POSITION:g} m in {name}", f"{farthest:.3g} m")
     if arrays["fps"] <= 0:
         raise InputError(path, "a positive fps", f"{float(arrays['fps'])}")

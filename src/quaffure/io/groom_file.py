@@ -7,7 +7,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
+from quaffure.hair.groom import Groom, check_groom
 from quaffure.hair.strands import held_parts_of
 from quaffure.io.atomic import replacing
 from quaffure.io.held_parts import HELD_PARTS_SPEC, checked_held_parts
@@ -31,8 +31,9 @@ def write_groom(path: Path, groom: Groom) -> None:
     """Write a groom file, whole or not at all.
 
     Raises:
-        InputError: the folder of `path` is missing or not writable.
+        InputError: the folder of `path` is missing or not writable, or a groom of no strands or with NaN.
     """
+    check_groom(groom)
     names = (*NUMBERS, *held_parts_of(groom))
     arrays = {name: getattr(groom, name).detach().cpu().numpy() for name in names}
     texts = {name: np.array(getattr(groom, name)) for name in TEXTS}

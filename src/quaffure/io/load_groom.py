@@ -1,15 +1,19 @@
 """A groom from whatever names one: a bundled style, a registered groom file, or strands of any supported format."""
 
+import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from quaffure.body.body_model import BodyModel, shipped_body
 from quaffure.config import VERTICES_PER_STRAND
-from quaffure.errors import InputError, refused
+from quaffure.errors import InputError
+from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
 from quaffure.hair.registration import HeadMesh, register_groom
 from quaffure.hair.scalp_texture import select_guides
+from quaffure.input_file import read_text
 from quaffure.io.groom_file import is_groom_file, read_groom
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural.generator import make_groom
@@ -31,16 +35,23 @@ def load_groom(groom: str | Path, body: BodyModel | None = None, head: Path | No
     if isinstance(groom, str) and groom in STYLES:
         return make_groom(groom, body)
     path = Path(groom)
-    if not path.exists() and not path.suffix:
+    # Not Path.exists, which raises where the text is longer than a name can be.
+    if not os.path.exists(path) and not path.suffix:
         raise InputError(groom, f"a bundled groom ({', '.join(sorted(STYLES))}) or a file", "neither")
     if path.suffix.lower() == ".npz" and is_groom_file(path):
         loaded = read_groom(path, body)
         if loaded.rest_strands.shape[1] != VERTICES_PER_STRAND:
             found = f"{loaded.rest_strands.shape[1]}"
             raise InputError(path, f"{VERTICES_PER_STRAND} vertices a strand", found)
-        return select_guides(loaded)
+        return _opened(select_guides(loaded))
     mesh = read_head(head) if head is not None else None
-    return select_guides(register_groom(read_strands(path), body, path.stem, mesh)[0])
+    return _opened(select_guides(register_groom(read_strands(path), body, path.stem, mesh)[0]))
+
+
+def _opened(groom: Groom) -> Groom:
+    """The groom without folds, at which no rod can rest."""
+    strands = without_folds(groom.rest_strands)
+    return groom if strands is groom.rest_strands else replace(groom, rest_strands=strands)
 
 
 def read_head(path: Path) -> HeadMesh:
@@ -49,8 +60,7 @@ def read_head(path: Path) -> HeadMesh:
     Raises:
         InputError: no such file, or no mesh in it.
     """
-    with refused(path, "a head mesh (.obj)", OSError):
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = read_text(path, "a head mesh (.obj)", errors="replace").splitlines()
     vertices: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
     try:
@@ -59,9 +69,9 @@ def read_head(path: Path) -> HeadMesh:
                 vertices.append([float(word) for word in words[1:4]])
             elif words[:1] == ["f"]:
                 faces += _fan([int(word.split("/")[0]) for word in words[1:]], len(vertices))
-    except ValueError as error:
+        corners = np.array(faces, dtype=np.int64).reshape(-1, 3)
+    except (ValueError, OverflowError) as error:
         raise InputError(path, "numbers in the v and f lines of an .obj", str(error)) from error
-    corners = np.array(faces, dtype=np.int64).reshape(-1, 3)
     points = np.array([vertex for vertex in vertices if len(vertex) == 3]).reshape(-1, 3)
     if not len(faces) or len(points) != len(vertices) or corners.min() < 0 or corners.max() >= len(points):
         raise InputError(path, "a mesh of vertices and faces", f"{len(points)} vertices, {len(faces)} faces")

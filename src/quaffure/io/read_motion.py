@@ -11,9 +11,11 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.motion import Motion
 from quaffure.body.retargeting import retarget_bvh
 from quaffure.errors import InputError
+from quaffure.input_file import check_input_file
 from quaffure.io.amass import read_amass
 from quaffure.io.bvh import read_bvh
 from quaffure.npz import read_numbers
+from quaffure.types import Float, Tensor
 
 
 def read_motion(path: Path, body: BodyModel) -> Motion:
@@ -27,8 +29,7 @@ def read_motion(path: Path, body: BodyModel) -> Motion:
         InputError: no such file, a suffix without a reader, or what the format's reader refuses.
     """
     supported = f"a motion file ({', '.join(sorted(MOTION_READERS))})"
-    if not path.is_file():
-        raise InputError(path, supported, "a folder" if path.is_dir() else "no such file")
+    check_input_file(path, supported)
     if path.suffix.lower() not in MOTION_READERS:
         raise InputError(path, supported, f"suffix {path.suffix!r}")
     return replace(MOTION_READERS[path.suffix.lower()](path, body), name=path.stem)
@@ -40,11 +41,16 @@ def _read_npz_motion(path: Path, body: BodyModel) -> Motion:
         return read_amass(path, body)
     if "fps" not in arrays or arrays["fps"].size != 1:
         raise InputError(path, "one number fps with body_pose", "none" if "fps" not in arrays else "several")
-    body_pose = torch.from_numpy(arrays["body_pose"].astype(np.float32))
+    body_pose = _single_precision(arrays["body_pose"])
     translation = None
     if "body_translation" in arrays:
-        translation = torch.from_numpy(arrays["body_translation"].astype(np.float32))
+        translation = _single_precision(arrays["body_translation"])
     return Motion(body_pose, float(arrays["fps"].reshape(())), str(path), translation)
+
+
+def _single_precision(values: np.ndarray) -> Float[Tensor, "..."]:
+    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, which Motion refuses
+        return torch.from_numpy(values.astype(np.float32))
 
 
 MOTION_READERS: dict[str, Callable[[Path, BodyModel], Motion]] = {

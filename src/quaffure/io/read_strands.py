@@ -5,17 +5,12 @@ from pathlib import Path
 
 from quaffure.errors import InputError
 from quaffure.hair.strands import Strands
+from quaffure.input_file import check_input_file
 from quaffure.io.counted_strands import read_ct2hair, read_hairsalon
 from quaffure.io.hair import read_hair
 from quaffure.io.npz_strands import read_npz_strands
 from quaffure.io.tressfx import read_tressfx
-
-
-def _read_usd(path: Path) -> Strands:
-    from quaffure.io.usd import read_usd_strands
-
-    return read_usd_strands(path)
-
+from quaffure.io.usd_process import read_usd_strands
 
 STRAND_READERS: dict[str, Callable[[Path], Strands]] = {
     ".bin": read_ct2hair,
@@ -23,9 +18,9 @@ STRAND_READERS: dict[str, Callable[[Path], Strands]] = {
     ".hair": read_hair,
     ".npz": read_npz_strands,
     ".tfx": read_tressfx,
-    ".usd": _read_usd,
-    ".usda": _read_usd,
-    ".usdc": _read_usd,
+    ".usd": read_usd_strands,
+    ".usda": read_usd_strands,
+    ".usdc": read_usd_strands,
 }
 
 
@@ -36,8 +31,7 @@ def read_strands(path: Path) -> Strands:
         InputError: no such file, a folder, a suffix without a reader, or what the format's reader refuses.
     """
     supported = f"a strand file ({', '.join(sorted(STRAND_READERS))})"
-    if not path.is_file():
-        raise InputError(path, supported, "a folder" if path.is_dir() else "no such file")
+    check_input_file(path, supported)
     if path.suffix.lower() not in STRAND_READERS:
         raise InputError(path, supported, f"suffix {path.suffix!r}")
     return STRAND_READERS[path.suffix.lower()](path)

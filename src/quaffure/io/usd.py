@@ -1,4 +1,4 @@
-"""OpenUSD: a drape out, as animated curves on an animated body; curves in, as a groom.
+"""OpenUSD: a drape, as animated curves on an animated body.
 
 The layout follows what hair tools expect. Blender makes hair curves of every `BasisCurves`; Unreal makes a groom of
 all curves below a prim with `GroomAPI` and reads the `groom_*` primvars of its Alembic convention, where `groom_guide`
@@ -6,6 +6,7 @@ is 1 for simulation guides and 0 for rendered strands; guides alone would show n
 once as strands, and a few of them once more as guides, with the purpose `guide` that viewers hide.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +15,14 @@ from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 from quaffure.errors import InputError
 from quaffure.geometry.sampling import spread_subset
 from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.hair.resample import concatenate_strands
-from quaffure.hair.strands import HELD_PARTS, TIE_VERTEX, Strands, checked_strands, held_parts_of
+from quaffure.hair.strands import TIE_VERTEX, held_parts_of
 from quaffure.io.atomic import replacing
-from quaffure.io.held_parts import checked_held_parts
+from quaffure.io.usd_process import PREFIX
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc")
 STRAND_WIDTH = 1.0e-4  # m: a real hair, a little thickened; tapers to its tip
 # Hsu et al. 2024 interpolate a full head from 128 guides.
 MOST_GUIDES = 128
-PREFIX = "quaffure:"
-"""Prefix of the primvars of held parts."""
 HAIR_COLOUR, BODY_COLOUR = (0.15, 0.062, 0.025), (0.62, 0.50, 0.435)
 
 
@@ -48,31 +46,22 @@ def write_usd(path: Path, seq: DrapeSequence) -> None:
         every = np.arange(seq.strands.shape[1])
         _add_curves(stage, "/Drape/Hair/Strands", seq, every, guide=False)
         _add_curves(stage, "/Drape/Hair/Guides", seq, spread_subset(seq.posed[0, :, 0], MOST_GUIDES), guide=True)
-        if not stage.GetRootLayer().Export(str(temporary)):
-            raise InputError(path, "a writable file", "USD could not write it")
+        _export(stage, temporary)
 
 
-def read_usd_strands(path: Path) -> Strands:
-    """All curves of a stage in world space, at each one's first time sample; the file's units and up axis are kept.
-
-    Curves of purpose `guide` are left out where there are others.
+def _export(stage: Usd.Stage, path: Path) -> None:
+    """Write a stage.
 
     Raises:
-        InputError: not a USD file, or no curves in it.
+        OSError: it cannot be written.
     """
-    if not path.is_file():
-        raise InputError(path, "a USD file", "no such file")
     try:
-        stage = Usd.Stage.Open(str(path))
+        written = stage.GetRootLayer().Export(str(path))
     except Tf.ErrorException as error:
-        raise InputError(path, "a USD file", str(error).strip().splitlines()[-1].strip()) from error
-    curves = [UsdGeom.Curves(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.BasisCurves)]
-    rendered = [curve for curve in curves if curve.ComputePurpose() != UsdGeom.Tokens.guide]
-    parts = [_read_curves(curve, path) for curve in rendered or curves]
-    if not parts:
-        raise InputError(path, "at least one strand", "no strands: no curves")
-    every = concatenate_strands(parts)
-    return checked_strands(every.points, every.counts, path, held_parts_of(every))
+        said = re.search(r"writing file: (.+?)'", str(error))
+        raise OSError(said[1] if said else "USD could not write it") from error
+    if not written:
+        raise OSError("USD could not write it")
 
 
 def _set_stage(stage: Usd.Stage, seq: DrapeSequence) -> None:
@@ -146,32 +135,3 @@ def _animate(gprim: UsdGeom.PointBased, positions: np.ndarray, margin: float) ->
 
 def _points(positions: np.ndarray) -> Vt.Vec3fArray:
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(positions.reshape(-1, 3), dtype=np.float32))
-
-
-def _read_curves(curve: UsdGeom.Curves, path: Path) -> Strands:
-    samples = curve.GetPointsAttr().GetTimeSamples()
-    time = Usd.TimeCode(samples[0]) if samples else Usd.TimeCode.Default()
-    points = np.array(curve.GetPointsAttr().Get(time) or [], dtype=np.float64).reshape(-1, 3)
-    counts = np.array(curve.GetCurveVertexCountsAttr().Get(time) or [], dtype=np.int64)
-    if (counts < 0).any() or counts.sum() != len(points):
-        raise InputError(path, f"{counts.sum()} points in {curve.GetPath()}", f"{len(points)}")
-    # Row vectors, as in all of USD.
-    world = np.array(curve.ComputeLocalToWorldTransform(time))
-    return Strands(points @ world[:3, :3] + world[3, :3], counts, str(path), **_read_held_parts(curve, counts, path))
-
-
-def _read_held_parts(curve: UsdGeom.Curves, counts: np.ndarray, path: Path) -> dict[str, np.ndarray]:
-    """Per-vertex values of edges, repeated where a curve has one for all of its edges."""
-    found: dict[str, np.ndarray] = {}
-    primvars = UsdGeom.PrimvarsAPI(curve)
-    for name in HELD_PARTS:
-        if not primvars.HasPrimvar(PREFIX + name):
-            continue
-        array = np.array(primvars.GetPrimvar(PREFIX + name).ComputeFlattened(Usd.TimeCode.EarliestTime()))
-        if name != TIE_VERTEX and len(array) == len(counts):
-            array = np.repeat(array, counts)
-        expected = len(counts) if name == TIE_VERTEX else int(counts.sum())
-        if array.shape != (expected,):
-            raise InputError(path, f"{expected} values of primvars:{PREFIX}{name}", f"{array.shape}")
-        found[name] = array
-    return checked_held_parts(found, counts, path)

@@ -6,14 +6,16 @@ from pathlib import Path
 
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError, refused
-from quaffure.model.network_config import from_file_values, known_fields, to_file_values
+from quaffure.file_values import material_from
+from quaffure.model.network_config import from_file_values, to_file_values
 from quaffure.model.quaffure_network import QuaffureNetwork, build_network
 from quaffure.model.weights_file import read_weights, save_weights
 
-FORMAT = "4"
+FORMAT = "5"
 """Changes whenever the same weights would come to mean something else: since 2, outputs count in compliance; since 3,
 contact is resolved twice before the network (`quaffure.model.initial_shape`); since 4, contact forces are estimated on
-cluster representatives, and very short hair starts at its rest shape."""
+cluster representatives, and very short hair starts at its rest shape; since 5, outputs are rotations of joints from a
+rod's equilibrium, under a loading."""
 
 
 def save_network(path: Path, network: QuaffureNetwork, material: HairMaterial, notes: dict[str, str]) -> None:
@@ -33,9 +35,10 @@ def load_network(path: str | Path) -> tuple[QuaffureNetwork, HairMaterial, dict[
     found = notes.pop("format", "1")
     if "network" in notes and found != FORMAT:
         raise InputError(path, f"weights of format {FORMAT}", f"format {found}, of another version of this package")
-    with refused(path, "a checkpoint of this package", KeyError, TypeError, ValueError, RuntimeError):
+    # Notes are JSON of any kind, and tensors of any shape.
+    with refused(path, "a checkpoint of this package", Exception):
         config = from_file_values(json.loads(notes.pop("network")))
-        material = HairMaterial(**known_fields(json.loads(notes.pop("material")), HairMaterial))
+        material = material_from(json.loads(notes.pop("material")))
         network = build_network(config)
         network.load_state_dict(weights)
     return network.eval(), material, notes

@@ -11,12 +11,13 @@ from numba import get_num_threads, njit, prange
 from quaffure.body.collision_skin import CollisionSkin, collision_skin
 from quaffure.body.head_frame import HeadFrameBody, head_frame_body
 from quaffure.body.kinematics import PosedJoints
-from quaffure.config import HairMaterial
+from quaffure.energies.loading import Loading
 from quaffure.geometry.mls_surface import FAST
 from quaffure.model.initial_shape import InitialShape, bits, empty_shape, fill_initial_shape
+from quaffure.model.loading_features import loading_features
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project
-from quaffure.model.quaffure_network import FEATURE_SIZE, DirectionNetwork
+from quaffure.model.quaffure_network import FEATURE_SIZE, DirectionNetwork, pose_code
 from quaffure.model.torch_backend import TorchBackend, TorchPosed
 from quaffure.scene import BodyBatch
 from quaffure.types import Float, Positions, Tensor
@@ -49,16 +50,15 @@ class CpuBackend:
         network_seconds: wall time of the network alone, of all drapes so far.
     """
 
-    def __init__(self, network: DirectionNetwork, material: HairMaterial, bf16: bool) -> None:
-        self.config, self._material = network.config, material
+    def __init__(self, network: DirectionNetwork, loading: Loading, bf16: bool) -> None:
+        self.config, self._loading = network.config, loading
         self.layout: Any = network.for_inference(bf16)
         self.network_seconds = 0.0
-        self._clearance = self.config.projection.clearance_share * material.collision_margin
 
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, CpuPosed]]:
         """Each groom with the body of its row; bodies are posed, and grooms encoded, `BATCH` at a time."""
         body, config = bodies.body, self.config
-        skin = collision_skin(body, self._clearance)
+        skin = collision_skin(body, self.config.projection.most)
         rest, rotations, positions = bodies.joints
         for first in range(0, len(grooms), BATCH):
             part, rows = grooms[first : first + BATCH], slice(first, first + BATCH)
@@ -70,7 +70,8 @@ class CpuBackend:
                 codes.append(groom.code)
                 most = max(most, groom.blocks.rows.size)
             begun = time.perf_counter()
-            encoded = self.layout.encode(torch.stack(codes), batch.pose_code)
+            pose_codes = pose_code(config, batch.pose_code, loading_features(self._loading, batch.world_from_head))
+            encoded = self.layout.encode(torch.stack(codes), pose_codes)
             self.network_seconds += time.perf_counter() - begun
             memory = empty_shape(1, most, self.layout.columns, self.layout.dtype)
             for row, groom in enumerate(part):
@@ -81,11 +82,11 @@ class CpuBackend:
         rows, (roots, edges, compliance, features) = groom.blocks.rows, posed.memory
         count = rows.size
         shape = InitialShape(roots[:, :count], edges[:, :count], compliance[:, :count], features[:, :count])
-        fill_initial_shape(groom.blocks, rows, posed.body, self._material, self.config.initial_shape, shape)
+        fill_initial_shape(groom.blocks, rows, posed.body, self._loading, self.config.initial_shape, shape)
         return shape
 
     def network(self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape) -> Float[Tensor, "row outputs"]:
-        """Change of every edge's direction."""
+        """Rotation of the joint before every edge, see `DirectionNetwork`."""
         begun = time.perf_counter()
         changes = self.layout.changes(posed.encoded, groom.blocks.texels, shape.features[0])
         self.network_seconds += time.perf_counter() - begun
@@ -94,7 +95,7 @@ class CpuBackend:
     def integrate(
         self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape, changes: Float[Tensor, "row outputs"]
     ) -> Positions:
-        """Vertices [m, world] of edges that have changed their directions."""
+        """Vertices [m, world] of edges rotated by the sum of all joints before them."""
         hair, strand = torch.empty(1, *groom.margin.shape, 3), groom.blocks.strands.strand.reshape(-1)
         _integrate(
             _ShapeRows(shape.roots[0].numpy(), shape.edges[0].numpy(), shape.compliance[0].numpy(), strand),
@@ -112,17 +113,28 @@ class CpuBackend:
 
 
 class CpuTrainingBackend(TorchBackend):
-    """The initial shape from the compiled kernels, without gradient, the rest in torch; no projection."""
+    """Initial shape and projection by the compiled kernels, without gradient, the rest in torch."""
 
     def head_frame(self, bodies: BodyBatch) -> HeadFrameBody:
         config = self.config.initial_shape.body
-        return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, bodies.joints, config, collides=False)
+        return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, bodies.joints, config, self.projects)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
         shape = empty_shape(len(posed.body.head), len(groom.margin), FEATURE_SIZE, torch.float32)
         config, rows = self.config.initial_shape, groom.blocks.strands.strand
-        fill_initial_shape(groom.blocks, rows, posed.body, self._material, config, shape)
+        fill_initial_shape(groom.blocks, rows, posed.body, self._loading, config, shape)
         return shape
+
+    def project(self, groom: PreparedGroom, posed: TorchPosed, hair: Positions) -> Positions:
+        """Hair projected out of the skin [m, world], to which the gradient passes as if it had not been moved."""
+        if not self.projects:
+            return hair
+        skin, config = collision_skin(posed.bodies.body, self.config.projection.most), self.config.projection
+        projected = [
+            project(own, vertices, groom.rest_length, groom.clearance, skin, head, config)
+            for own, vertices, head in zip(hair.detach(), posed.body.skin, posed.body.head)
+        ]
+        return hair + (torch.stack(projected) - hair.detach())
 
 
 class _ShapeRows(NamedTuple):
@@ -139,7 +151,7 @@ def _integrate(
     shape: _ShapeRows, changes: np.ndarray, rest_length: np.ndarray, world_from_head: np.ndarray, head: np.ndarray,
     threads: int, hair: np.ndarray,
 ) -> None:  # fmt: skip
-    """Change edges by the network's outputs, put them one after another and transform them into the world.
+    """Rotate edges by the network's outputs, put them one after another and transform them into the world.
 
     Args:
         changes: the bits of float32, or of bfloat16.
@@ -155,14 +167,21 @@ def _integrate(
             for k in range(columns):
                 bits[k] = np.uint32(changes[row, k]) << shift
             own, x, y, z = shape.strand[row], shape.roots[row, 0], shape.roots[row, 1], shape.roots[row, 2]
+            p, q, r = np.float32(0.0), np.float32(0.0), np.float32(0.0)
             for vertex in range(count + 1):
                 hair[own, vertex, 0] = head[0] + a[0] * x + a[1] * y + a[2] * z
                 hair[own, vertex, 1] = head[1] + b[0] * x + b[1] * y + b[2] * z
                 hair[own, vertex, 2] = head[2] + c[0] * x + c[1] * y + c[2] * z
                 if vertex < count:
-                    compliant = compliance[row, vertex]
-                    ux = edges[row, vertex, 0] + compliant * change[3 * vertex]
-                    uy = edges[row, vertex, 1] + compliant * change[3 * vertex + 1]
-                    uz = edges[row, vertex, 2] + compliant * change[3 * vertex + 2]
+                    half = np.float32(0.5) * compliance[row, vertex]
+                    p += half * change[3 * vertex]
+                    q += half * change[3 * vertex + 1]
+                    r += half * change[3 * vertex + 2]
+                    ex, ey, ez = edges[row, vertex, 0], edges[row, vertex, 1], edges[row, vertex, 2]
+                    cx, cy, cz = q * ez - r * ey, r * ex - p * ez, p * ey - q * ex
+                    scale = np.float32(2.0) / (np.float32(1.0) + p * p + q * q + r * r)
+                    ux = ex + scale * (cx + q * cz - r * cy)
+                    uy = ey + scale * (cy + r * cx - p * cz)
+                    uz = ez + scale * (cz + p * cy - q * cx)
                     scale = rest_length[own, vertex] / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
                     x, y, z = x + scale * ux, y + scale * uy, z + scale * uz

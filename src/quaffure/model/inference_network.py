@@ -10,9 +10,15 @@ from typing import NamedTuple
 
 import torch
 from torch import nn
-from torch.nn.functional import interpolate, linear, silu
+from torch.nn.functional import interpolate
 
-from quaffure.model.activated_layers import ActivatedLayer, activated_convolution, activated_doubling, activated_linear
+from quaffure.model.activated_layers import (
+    ActivatedLayer,
+    activated_convolution,
+    activated_doubling,
+    activated_linear,
+    plain_linear,
+)
 from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.types import Float, Int, Tensor
 
@@ -36,7 +42,7 @@ class NetworkInputs:
     Attributes:
         groom_code: of the groom, from the frozen encoder.
         texels: flat index of every strand's texel.
-        pose_code: beta, theta [rad] without heading, and the pose features (`quaffure.body.head_frame`).
+        pose_code: see `quaffure.model.quaffure_network.pose_code`.
     """
 
     groom_code: Float[Tensor, "16"]
@@ -100,7 +106,7 @@ class InferenceNetwork:
         self.dtype, self.feature_size = dtype, from_strand.shape[1]
         dense = (layer for layer in decoder.dense if isinstance(layer, nn.Linear))
         self._dense = [activated_linear(*self._affine(layer)) for layer in dense]
-        self._inputs, self._first_size = self._dense[0].weight.shape[1], decoder.widths[0]
+        self._first_size = decoder.widths[0]
         self._stages: list[tuple[bool, ActivatedLayer, ActivatedLayer]] = []
         for index, stage in enumerate(decoder.stages):
             doubled, second = (layer for layer in stage.children() if isinstance(layer, nn.Conv2d))
@@ -114,7 +120,7 @@ class InferenceNetwork:
         assert to_texels.bias is not None
         outputs = to_texels.out_channels // 4
         # Channels of the four texels of a block one after another, as a pixel shuffle would not leave them.
-        self._to_texels = (
+        self._to_texels = plain_linear(
             self._stored(to_texels.weight[:, :, 0, 0].unflatten(0, (outputs, 4)).transpose(0, 1).flatten(0, 1)),
             self._stored(to_texels.bias.unflatten(0, (outputs, 4)).T.flatten()),
         )
@@ -122,27 +128,28 @@ class InferenceNetwork:
         self.columns = before.shape[1]
         self._strand = [(self._stored(before), self._stored(from_texel.bias))]
         self._strand += [self._affine(layer) for layer in strand if isinstance(layer, nn.Linear)]
+        self._strand_layers = [activated_linear(*layer) for layer in self._strand[:-1]]
+        self._outputs = plain_linear(*self._strand[-1])
 
     @torch.inference_mode()
     def encode(
         self, groom_codes: Float[Tensor, "b 16"], pose_code: Float[Tensor, "b code"]
     ) -> Float[Tensor, "b texels channels"]:
         """Output of `DeformationDecoder`, blocks of 2 x 2 texels one after another; see `texture_rows`."""
-        code = torch.cat([groom_codes, pose_code], dim=1)[:, : self._inputs]
-        values = code.to(self.dtype)
+        values = torch.cat([groom_codes, pose_code], dim=1).to(self.dtype)
         for layer in self._dense:
             values = layer.run(values)
-        texture = values.reshape(len(code), self._first_size, 4, 4).contiguous(memory_format=torch.channels_last)
+        texture = values.reshape(len(values), self._first_size, 4, 4).contiguous(memory_format=torch.channels_last)
         for folded, first, second in self._stages:
             texture = second.run(first.run(texture if folded else interpolate(texture, scale_factor=2)))
         blocks = texture.permute(0, 2, 3, 1).flatten(1, 2)
-        return linear(blocks, *self._to_texels).unflatten(2, (4, -1)).flatten(1, 2)
+        return self._to_texels.run(blocks).unflatten(2, (4, -1)).flatten(1, 2)
 
     @torch.inference_mode()
     def changes(
         self, encoded: Float[Tensor, "texels channels"], texels: StrandTexels, features: Float[Tensor, "s columns"]
     ) -> Float[Tensor, "s outputs"]:
-        """Change of every edge's direction.
+        """Rotation of the joint before every edge, see `DirectionNetwork`.
 
         Args:
             encoded: a row of `encode`.
@@ -151,9 +158,9 @@ class InferenceNetwork:
         """
         torch.index_select(encoded, 0, texels.rows, out=features[:, self.feature_size :])
         values = features
-        for weight, bias in self._strand[:-1]:
-            values = silu(linear(values, weight, bias), inplace=True)
-        return linear(values, *self._strand[-1])
+        for layer in self._strand_layers:
+            values = layer.run(values)
+        return self._outputs.run(values)
 
     def operations(self, strands: int) -> float:
         """Floating-point operations of one sample, activation functions left out."""
@@ -163,19 +170,19 @@ class InferenceNetwork:
         for side, (folded, first, second) in zip(self._sides(), self._stages):
             # Of the 16 taps of a transposed convolution of stride 2 each texel meets 4.
             products += side**2 * (first.weight.numel() // (4 if folded else 1) + second.weight.numel())
-        return 2.0 * (products + self._sides()[-1] ** 2 * self._to_texels[0].numel())
+        return 2.0 * (products + self._sides()[-1] ** 2 * self._to_texels.weight.numel())
 
     def activations(self, strands: int) -> int:
         """Numbers that the layers write for one sample."""
         written = sum(len(layer.bias) for layer in self._dense) + strands * sum(len(bias) for _, bias in self._strand)
         for side, (_, first, second) in zip(self._sides(), self._stages):
             written += side**2 * (len(first.bias) + len(second.bias))
-        return written + self._sides()[-1] ** 2 * len(self._to_texels[1]) + strands * self._strand[0][0].shape[1]
+        return written + self._sides()[-1] ** 2 * len(self._to_texels.bias) + strands * self._strand[0][0].shape[1]
 
     def weights(self) -> list[Tensor]:
         activated = [*self._dense, *(layer for _, first, second in self._stages for layer in (first, second))]
-        layers = [(layer.weight, layer.bias) for layer in activated]
-        return [values for layer in (*layers, self._to_texels, *self._strand) for values in layer]
+        layers = [(layer.weight, layer.bias) for layer in (*activated, self._to_texels)]
+        return [values for layer in (*layers, *self._strand) for values in layer]
 
     def _sides(self) -> list[int]:
         """Texels a side after each stage."""

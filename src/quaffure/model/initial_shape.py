@@ -1,8 +1,8 @@
-"""Initial shape of strands, before the network: posed, in equilibrium with gravity, and out of the point-sampled body.
+"""Initial shape of strands, before the network: posed, in equilibrium without contact, out of the point-sampled body.
 
-Resolving contact alone deflects every edge by itself: hair over a shoulder would stand out from it like a cape, where
-the skin's force deflects the edges above as well. So contact is resolved twice: first to estimate the skin's force on
-the representative of each cluster of strands, then under a share of this force.
+Of the forces of the body that support the design, each is kept as far as it still points up: the one on hair that lies
+on the crown is gone when the head is upside down, and upright the design is at rest. All of it is a smooth function of
+the pose, so that hair draped frame by frame moves as smoothly as the network does.
 """
 
 from typing import NamedTuple
@@ -12,19 +12,16 @@ import torch
 from numba import get_num_threads
 
 from quaffure.body.head_frame import HeadFrameBody
-from quaffure.config import EDGES_PER_STRAND, STANDARD_GRAVITY, HairMaterial
-from quaffure.energies.closed_form import equilibrium_vectors
-from quaffure.geometry.mls_surface import (
-    MIN_LENGTH,
-    MlsSurface,
-    resolve_contact_reference,
-)
+from quaffure.config import EDGES_PER_STRAND
+from quaffure.energies.loading import Loading
+from quaffure.geometry.mls_surface import resolve_contact_reference
 from quaffure.hair.posing import triangle_frames
 from quaffure.hair.strand_blocks import RestStrands
+from quaffure.model.free_rod import FreeRods, free_rod_directions
 from quaffure.model.initial_shape_kernels import BodyArrays, ShapeArrays, initial_shape_kernel
 from quaffure.model.network_config import InitialShapeConfig
 from quaffure.model.prepared_groom import KernelBlocks, PreparedGroom
-from quaffure.types import EdgeVectors, Float, Int, RestLengths, Tensor
+from quaffure.types import EdgeVectors, Float, Int, Tensor
 
 
 class InitialShape(NamedTuple):
@@ -33,8 +30,9 @@ class InitialShape(NamedTuple):
     Attributes:
         roots: first vertices [m].
         edges: unit vectors.
-        compliance: rotation of each edge [rad] when it is pushed as hard as the strand beyond it weighs, and a share
-            of the whole strand (`load_share`), plus the skin's deflection; one at most.
+        compliance: rotation of each joint under the loads of now (`DesignRods`) [rad], plus that by which the skin has
+            deflected the edge after it more than the one before; one at most, and none where a strand rests in its
+            design, which the network leaves as it is.
         features: of each strand in the first 8 e columns: positions of all vertices but the root [m], then the local
             features of each before contact (`quaffure.geometry.mls_surface`).
     """
@@ -46,23 +44,38 @@ class InitialShape(NamedTuple):
 
 
 def initial_shape_reference(
-    groom: PreparedGroom, body: HeadFrameBody, material: HairMaterial, config: InitialShapeConfig
+    groom: PreparedGroom, body: HeadFrameBody, loading: Loading, config: InitialShapeConfig
 ) -> InitialShape:
-    """Torch twin of `fill_initial_shape`: any device and type, differentiable in the bodies and in the material."""
+    """Torch twin of `fill_initial_shape`: any device and type, differentiable in the bodies.
+
+    Args:
+        loading: with one stiffness for all; one for each edge is in the groom (`PreparedGroom.stiffened`).
+    """
     rest_length, (roots, posed_edges) = groom.rest_length, strands_in_head_frame(groom.strands, body)
-    director = torch.nn.functional.normalize(posed_edges, dim=-1)
-    whole = rest_length.sum(1, keepdim=True)
-    beyond = whole - rest_length.cumsum(1) + 0.5 * rest_length
-    free = equilibrium_vectors(
-        director @ body.world_from_head[:, None].mT, rest_length, material.linear_density * beyond, material.k_cosserat
+    rods, frames = groom.rods, triangle_frames(body.scalp[:, groom.strands.corners])
+    if not isinstance(loading.stiffness, Tensor):
+        rods = rods.stiffened(loading.stiffness)
+    pull = roots.new_tensor(loading.in_gravities) @ body.world_from_head
+    size = pull.norm(dim=-1)[:, None, None]
+    support = rods.support @ frames.mT
+    up = -pull[:, None, None] / size[..., None].clamp(min=1e-12)
+    upness = 1 + (torch.nn.functional.normalize(support, dim=-1) * up).sum(-1)
+    kept = size * (upness / rods.upness).clamp(max=1)
+    free = free_rod_directions(
+        FreeRods(
+            torch.nn.functional.normalize(posed_edges, dim=-1),
+            rods.moment @ frames.mT,
+            rods.mass[..., None] * pull[:, None, None] + kept[..., None] * support,
+            *(values.expand(len(roots), -1, -1) for values in (rods.bending, rods.goal, rest_length)),
+        ),
+        config.passes,
     )
-    free = free @ body.world_from_head[:, None]
-    edges, local = resolve_contact_twice(
-        roots, free, rest_length, groom.margin, body.surface, groom.representative, config.propagated_share
-    )
-    deflection = (edges - torch.nn.functional.normalize(free, dim=-1)).norm(dim=-1)
-    load = STANDARD_GRAVITY * material.linear_density * (beyond + config.load_share * whole)
-    compliance = (rest_length * load / material.k_cosserat + deflection).clamp(max=1)
+    edges, local = resolve_contact_reference(roots, free, rest_length, groom.margin, body.surface)
+    deflection = torch.nn.functional.pad(edges - free, (0, 0, 1, 0)).diff(dim=2).norm(dim=-1)
+    posed = torch.nn.functional.normalize(posed_edges, dim=-1)
+    disturbance = (edges - posed).square().sum(-1).amax(dim=2, keepdim=True)
+    fading = disturbance / (disturbance + config.least_disturbance**2 + 1e-12)
+    compliance = fading * (rods.compliance * size + deflection).clamp(max=1)
     positions = roots[:, :, None] + (rest_length[..., None] * edges).cumsum(dim=2)
     return InitialShape(roots, edges, compliance, torch.cat([positions.flatten(2), local.flatten(2)], dim=2))
 
@@ -73,56 +86,6 @@ def strands_in_head_frame(strands: RestStrands, body: HeadFrameBody) -> tuple[Fl
     frames = triangle_frames(triangles)
     roots = (strands.barycentric[..., None] * triangles).sum(-2) + (frames @ strands.offset[..., None])[..., 0]
     return roots, strands.edges @ frames.mT
-
-
-def resolve_contact_twice(
-    root: Float[Tensor, "b s 3"],
-    vectors: EdgeVectors,
-    rest_length: RestLengths,
-    margin: Float[Tensor, "s n"],
-    surface: MlsSurface,
-    representative: Int[Tensor, " s"],
-    share: float,
-) -> tuple[EdgeVectors, Float[Tensor, "b s e 5"]]:
-    """`resolve_contact_reference`, once to estimate contact forces, then under a share of them.
-
-    Args:
-        representative: the strand whose force each strand takes.
-    """
-    chosen, of_strand = representative.unique(return_inverse=True)
-    edges, local = resolve_contact_reference(
-        root[:, chosen], vectors[:, chosen], rest_length[chosen], margin[chosen], surface
-    )
-    force = propagate_contact_force(vectors[:, chosen], edges, local[..., 1:4], rest_length[chosen])[:, of_strand]
-    return resolve_contact_reference(
-        root, vectors + share * rest_length[..., None] * force, rest_length, margin, surface
-    )
-
-
-def propagate_contact_force(
-    vectors: EdgeVectors, edges: EdgeVectors, normals: EdgeVectors, rest_length: RestLengths
-) -> EdgeVectors:
-    """Force of the skin on each edge, by itself and through those beyond, over k_Cosserat [1/m].
-
-    A force F on the end of an edge adds l F / k to its direction (`equilibrium_vectors`), and to that of every edge
-    above. The skin only pushes: where those beyond are pushed harder than an edge needs, it pushes no more.
-
-    Args:
-        vectors: edge directions without contact.
-        edges: unit, deflected by the skin.
-        normals: of the skin at their ends, of any length.
-    """
-    length = rest_length[..., None].clamp(min=MIN_LENGTH)
-    strength = vectors.norm(dim=-1, keepdim=True)
-    needed = (edges * strength - vectors) / length
-    normals = torch.nn.functional.normalize(normals, dim=-1)
-    total, totals = torch.zeros_like(vectors[:, :, 0]), []
-    for edge in reversed(range(vectors.shape[2])):
-        normal = normals[:, :, edge]
-        own, others = ((force * normal).sum(-1, keepdim=True) for force in (needed[:, :, edge], total))
-        total = total + (own - others.clamp(min=0)).clamp(min=0) * normal
-        totals.append(total)
-    return torch.stack(totals[::-1], dim=2)
 
 
 def empty_shape(batch: int, strands: int, features: int, dtype: torch.dtype) -> InitialShape:
@@ -139,7 +102,7 @@ def fill_initial_shape(
     blocks: KernelBlocks,
     row_of: Int[np.ndarray, "block lane"],
     body: HeadFrameBody,
-    material: HairMaterial,
+    loading: Loading,
     config: InitialShapeConfig,
     shape: InitialShape,
 ) -> None:
@@ -147,24 +110,24 @@ def fill_initial_shape(
 
     Args:
         row_of: the row of `shape` for the strand in each lane.
+        loading: with one stiffness for all; one for each edge is in the blocks (`PreparedGroom.stiffened`).
         shape: filled; its features may be in bfloat16, and may have more columns.
     """
     points, normals, radius = body.surface
-    weight = float(material.linear_density) * STANDARD_GRAVITY / float(material.k_cosserat)
+    pull = torch.tensor(loading.in_gravities) @ body.world_from_head
     arrays = BodyArrays(
         body.scalp.numpy(),
-        -body.world_from_head[:, 2].numpy(),
+        pull.numpy(),
         points.flatten(1, 2).contiguous().numpy(),
         normals.flatten(1, 2).contiguous().numpy(),
         np.float32(radius),
         np.float32(1 / radius),
-        np.float32(weight),
-        np.float32(config.propagated_share),
-        np.float32(config.load_share),
+        np.float32(1.0 if isinstance(loading.stiffness, Tensor) else loading.stiffness),
+        np.float32(config.least_disturbance**2 + 1e-12),
     )
     roots, edges, compliance, features = shape
     initial_shape_kernel(
-        blocks.strands, blocks.representatives, blocks.representative, row_of, arrays, get_num_threads(),
+        blocks.strands, blocks.rods, row_of, arrays, config.passes, get_num_threads(),
         ShapeArrays(roots.numpy(), edges.numpy(), compliance.numpy(), bits(features)),
     )  # fmt: skip
 

@@ -1,5 +1,7 @@
 """Steps of the kernels of `quaffure.model.initial_shape_kernels` on one block: a strand in each lane of the vectors."""
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
@@ -16,6 +18,7 @@ from quaffure.geometry.mls_surface import (
     list_points,
     normalize_features,
 )
+from quaffure.model import free_rod_lanes as rod
 
 # How much farther than needed a block's list of skin points reaches, and how far ahead its centre is [radii].
 _SLACK, _AHEAD = 0.1, 0.15
@@ -24,16 +27,12 @@ _SLACK, _AHEAD = 0.1, 0.15
 VERTEX = ROWS
 DIRECTION = VERTEX + 3 * LANES
 _LENGTH = DIRECTION + 3 * LANES
-_BEYOND = _LENGTH + LANES
-_WHOLE = _BEYOND + LANES
-_FREE = _WHOLE + LANES  # directions in gravity's equilibrium, without contact
-COMPLIANCE = _FREE + 3 * LANES
-_STRENGTH = COMPLIANCE + LANES
-_FRAME = _STRENGTH + LANES
-_ROUNDED = _FRAME + 9 * LANES  # as many as before `DIRECTION`, rounded to bfloat16
+COMPLIANCE = _LENGTH + LANES
+_FRAME = COMPLIANCE + LANES
+_DEFLECTION = _FRAME + 9 * LANES  # of the last edge by the skin
+_DISTURBANCE = _DEFLECTION + 3 * LANES  # largest rotation of an edge from the posed design, squared
+_ROUNDED = _DISTURBANCE + LANES  # as many as before `DIRECTION`, rounded to bfloat16
 ALL_ROWS = _ROUNDED + DIRECTION
-# Rows of an edge's contact: the skin's normal, and how hard the skin holds its end alone, over k_Cosserat [1/m].
-_OUT, _HELD, CONTACT_SIZE = 0, 3 * LANES, 4 * LANES
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -41,6 +40,8 @@ def compute_roots(
     corners: np.ndarray, barycentric: np.ndarray, offset: np.ndarray, scalp: np.ndarray, rows: np.ndarray
 ) -> None:
     """Frames of the scalp triangles (`triangle_frames`) and first vertices."""
+    for i in range(4 * LANES):
+        rows[_DEFLECTION + i] = np.float32(0.0)
     for i in range(LANES):
         a, b, c = scalp[corners[0, i]], scalp[corners[1, i]], scalp[corners[2, i]]
         ax, ay, az = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -61,48 +62,53 @@ def compute_roots(
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def compute_lengths(rest_edges: np.ndarray, rows: np.ndarray) -> None:
-    """Length of whole strands [m], which is also what is beyond their roots."""
+def load(
+    rest_edge: np.ndarray, loads: Any, joint: Any, pull: np.ndarray, stiffness: float, rows: np.ndarray,
+    inputs: np.ndarray,
+) -> None:  # fmt: skip
+    """Fill an edge's input of `quaffure.model.free_rod_lanes.relax`.
+
+    Args:
+        loads, joint: moment, support and upness, and mass, bending and goal (`RodBlocks`).
+        pull: acceleration [g].
+    """
+    one, none, tiny = np.float32(1.0), np.float32(0.0), np.float32(1e-24)
+    (moment, support, upness), (mass, bending, goal) = loads, joint
+    gx, gy, gz = pull[0], pull[1], pull[2]
+    size = np.sqrt(gx * gx + gy * gy + gz * gz)
+    per_size = one / max(size, np.float32(1e-12))
     for i in range(LANES):
-        rows[_BEYOND + i] = np.float32(0.0)
-    for edge in range(len(rest_edges)):
-        for i in range(LANES):
-            x, y, z = rest_edges[edge, 0, i], rest_edges[edge, 1, i], rest_edges[edge, 2, i]
-            rows[_BEYOND + i] += np.sqrt(x * x + y * y + z * z)
-    for i in range(LANES):
-        rows[_WHOLE + i] = rows[_BEYOND + i]
+        a, b, c = rows[_FRAME + i], rows[_FRAME + LANES + i], rows[_FRAME + 2 * LANES + i]
+        d, e, f = rows[_FRAME + 3 * LANES + i], rows[_FRAME + 4 * LANES + i], rows[_FRAME + 5 * LANES + i]
+        g, h, k = rows[_FRAME + 6 * LANES + i], rows[_FRAME + 7 * LANES + i], rows[_FRAME + 8 * LANES + i]
+        x, y, z = rest_edge[0, i], rest_edge[1, i], rest_edge[2, i]
+        length = np.sqrt(x * x + y * y + z * z)
+        scale = one / max(length, np.float32(MIN_LENGTH))
+        x, y, z = scale * x, scale * y, scale * z
+        x, y, z = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + k * z
+        inputs[rod.DIRECTION, i], inputs[rod.DIRECTION + 1, i], inputs[rod.DIRECTION + 2, i] = x, y, z
+        inputs[rod.POSED, i], inputs[rod.POSED + 1, i], inputs[rod.POSED + 2, i] = x, y, z
+        x, y, z = stiffness * moment[0, i], stiffness * moment[1, i], stiffness * moment[2, i]
+        inputs[rod.MOMENT, i] = a * x + b * y + c * z
+        inputs[rod.MOMENT + 1, i] = d * x + e * y + f * z
+        inputs[rod.MOMENT + 2, i] = g * x + h * y + k * z
+        x, y, z = support[0, i], support[1, i], support[2, i]
+        x, y, z = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + k * z
+        rising = -(gx * x + gy * y + gz * z) * per_size / np.sqrt(x * x + y * y + z * z + tiny)
+        kept, own = size * min(max(one + rising, none) / upness[i], one), mass[i]
+        inputs[rod.FORCE, i] = own * gx + kept * x
+        inputs[rod.FORCE + 1, i] = own * gy + kept * y
+        inputs[rod.FORCE + 2, i] = own * gz + kept * z
+        inputs[rod.BENDING, i], inputs[rod.GOAL, i], inputs[rod.LENGTH, i] = stiffness * bending[i], goal[i], length
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def aim(
-    rest_edges: np.ndarray, down: np.ndarray, weight: float, propagated: float, load: float, force: np.ndarray,
-    rows: np.ndarray,
-) -> None:  # fmt: skip
-    """Directions of the next edges, posed, in equilibrium (`equilibrium_vectors`) and pushed, and their lengths."""
-    half, one = np.float32(0.5), np.float32(1.0)
-    gx, gy, gz = down[0], down[1], down[2]
+def aim(inputs: np.ndarray, rows: np.ndarray) -> None:
+    """Directions of the next edges without contact, and their lengths."""
     for i in range(LANES):
-        ex, ey, ez = rest_edges[0, i], rest_edges[1, i], rest_edges[2, i]
-        length = np.sqrt(ex * ex + ey * ey + ez * ez)
-        inverse = one / max(length, np.float32(MIN_LENGTH))
-        ex, ey, ez = ex * inverse, ey * inverse, ez * inverse
-        beyond = rows[_BEYOND + i] - length
-        pull = weight * length * (beyond + half * length)
-        x = rows[_FRAME + i] * ex + rows[_FRAME + LANES + i] * ey + rows[_FRAME + 2 * LANES + i] * ez
-        y = rows[_FRAME + 3 * LANES + i] * ex + rows[_FRAME + 4 * LANES + i] * ey + rows[_FRAME + 5 * LANES + i] * ez
-        z = rows[_FRAME + 6 * LANES + i] * ex + rows[_FRAME + 7 * LANES + i] * ey + rows[_FRAME + 8 * LANES + i] * ez
-        x, y, z = x + pull * gx, y + pull * gy, z + pull * gz
-        scale = one / np.sqrt(x * x + y * y + z * z + np.float32(1e-24))
-        rows[_FREE + i], rows[_FREE + LANES + i], rows[_FREE + 2 * LANES + i] = x * scale, y * scale, z * scale
-        px, py, pz = force[i], force[LANES + i], force[2 * LANES + i]
-        share = propagated * length
-        x, y, z = x + share * px, y + share * py, z + share * pz
-        strength = np.sqrt(x * x + y * y + z * z)
-        scale = one / max(strength, np.float32(MIN_LENGTH))
-        rows[DIRECTION + i], rows[DIRECTION + LANES + i] = x * scale, y * scale
-        rows[DIRECTION + 2 * LANES + i], rows[_STRENGTH + i] = z * scale, strength
-        rows[COMPLIANCE + i] = pull + weight * length * load * rows[_WHOLE + i]
-        rows[_LENGTH + i], rows[_BEYOND + i] = length, beyond
+        rows[_LENGTH + i] = inputs[rod.LENGTH, i]
+        for axis in range(3):
+            rows[DIRECTION + axis * LANES + i] = inputs[rod.DIRECTION + axis, i]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -184,51 +190,37 @@ def deflect(margin: np.ndarray, radius: float, rows: np.ndarray) -> None:
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def record_contact(contact: np.ndarray, rows: np.ndarray) -> None:
-    """Write how hard the skin pushes edges that it has deflected, and its normals."""
-    one = np.float32(1.0)
+def comply(compliance: np.ndarray, inputs: np.ndarray, pull: np.ndarray, stiffness: float, rows: np.ndarray) -> None:
+    """Compliance of joints under the loads of now, and how far the skin has bent them; one at most.
+
+    Reads and writes the deflection of the last edge in the rows of `_DEFLECTION`, and the largest rotation of an edge
+    from the posed design so far, squared, in those of `_DISTURBANCE`.
+    """
+    size = np.sqrt(pull[0] * pull[0] + pull[1] * pull[1] + pull[2] * pull[2]) / stiffness
     for i in range(LANES):
-        x, y, z = rows[NORMAL + i], rows[NORMAL + LANES + i], rows[NORMAL + 2 * LANES + i]
-        scale = one / np.sqrt(x * x + y * y + z * z + np.float32(1e-24))
-        x, y, z = x * scale, y * scale, z * scale
-        dx, dy = rows[DIRECTION + i] - rows[_FREE + i], rows[DIRECTION + LANES + i] - rows[_FREE + LANES + i]
-        dz = rows[DIRECTION + 2 * LANES + i] - rows[_FREE + 2 * LANES + i]
-        strength = rows[_STRENGTH + i] / max(rows[_LENGTH + i], np.float32(MIN_LENGTH))
-        contact[_OUT + i], contact[_OUT + LANES + i], contact[_OUT + 2 * LANES + i] = x, y, z
-        contact[_HELD + i] = (dx * x + dy * y + dz * z) * strength
+        tx, ty, tz = rows[DIRECTION + i], rows[DIRECTION + LANES + i], rows[DIRECTION + 2 * LANES + i]
+        x, y, z = tx - inputs[rod.POSED, i], ty - inputs[rod.POSED + 1, i], tz - inputs[rod.POSED + 2, i]
+        rows[_DISTURBANCE + i] = max(rows[_DISTURBANCE + i], x * x + y * y + z * z)
+        a, b = tx - inputs[rod.DIRECTION, i], ty - inputs[rod.DIRECTION + 1, i]
+        c = tz - inputs[rod.DIRECTION + 2, i]
+        x, y = a - rows[_DEFLECTION + i], b - rows[_DEFLECTION + LANES + i]
+        z = c - rows[_DEFLECTION + 2 * LANES + i]
+        rows[_DEFLECTION + i], rows[_DEFLECTION + LANES + i], rows[_DEFLECTION + 2 * LANES + i] = a, b, c
+        rows[COMPLIANCE + i] = min(size * compliance[i] + np.sqrt(x * x + y * y + z * z), np.float32(1.0))
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def propagate(contact: np.ndarray, forces: np.ndarray) -> None:
-    """Contact forces from tip to root (`propagate_contact_force`)."""
-    none, last = np.float32(0.0), len(contact) - 1
-    forces[last] = none
-    for edge in range(last, -1, -1):
-        touched, own, beyond = contact[edge], forces[edge], forces[min(edge + 1, last)]
-        for i in range(LANES):
-            x, y, z = beyond[i], beyond[LANES + i], beyond[2 * LANES + i]
-            ox, oy, oz = touched[_OUT + i], touched[_OUT + LANES + i], touched[_OUT + 2 * LANES + i]
-            force = max(touched[_HELD + i] - max(x * ox + y * oy + z * oz, none), none)
-            own[i], own[LANES + i], own[2 * LANES + i] = x + force * ox, y + force * oy, z + force * oz
+def fade(row_of: np.ndarray, least: float, rows: np.ndarray, compliance: np.ndarray) -> None:
+    """Lower the compliance of strands that rest near their design.
 
-
-@njit(cache=True)
-def gather(forces: np.ndarray, representative: np.ndarray, own_forces: np.ndarray) -> None:
-    """Contact forces of the representatives of a block's strands."""
+    Args:
+        least: squared rotation at which it is halved.
+        compliance: of all rows.
+    """
     for i in range(LANES):
-        block, lane = representative[i] // LANES, representative[i] % LANES
-        for edge in range(len(own_forces)):
-            for axis in range(3):
-                own_forces[edge, axis * LANES + i] = forces[block, edge, axis * LANES + lane]
-
-
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def add_deflection(rows: np.ndarray) -> None:
-    """Add to the compliance of edges how far the skin has deflected them; one at most."""
-    for i in range(LANES):
-        x, y = rows[DIRECTION + i] - rows[_FREE + i], rows[DIRECTION + LANES + i] - rows[_FREE + LANES + i]
-        z = rows[DIRECTION + 2 * LANES + i] - rows[_FREE + 2 * LANES + i]
-        rows[COMPLIANCE + i] = min(rows[COMPLIANCE + i] + np.sqrt(x * x + y * y + z * z), np.float32(1.0))
+        square = rows[_DISTURBANCE + i]
+        if i == 0 or row_of[i] != row_of[i - 1]:  # the last strand may be repeated
+            compliance[row_of[i]] *= square / (square + least)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -7,10 +7,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Annotated, Any, Literal
 
+import torch
 import tyro
 
 from quaffure.body.mls_body import MlsBodyConfig
+from quaffure.file_values import known_fields
 from quaffure.model.weights_file import MAX_WIDTH
+from quaffure.types import Float, Tensor
 
 POSE_SIZE, SHAPE_SIZE, MAX_LAYERS = 81, 10, 64
 FILE_KEYS = {"views": "skin_features", "slides": "contact"}
@@ -22,30 +25,23 @@ class InitialShapeConfig:
     """Strands before the network (`quaffure.model.initial_shape`)."""
 
     body: MlsBodyConfig = field(default_factory=MlsBodyConfig)
-    layer_thickness: float = 0.03
-    """Distance above the lowest hair at which the uppermost starts [m]."""
-    layer_ramp: float = 0.1
-    """Length of strand over which a layer reaches all of its height [m]."""
+    passes: int = 2
+    """Gauss-Newton passes without contact (`quaffure.model.free_rod`)."""
+    least_disturbance: float = 0.05
+    """Rotation of an edge from the posed design at which the network moves its strand half as far as others [rad]."""
     depth_share: float = 0.25
-    """Depth below its clearance at rest at which hair may start, as a share of the depth at which Eq. 10 pushes an edge
-    of length l as hard as the edge resists, k_Cosserat / (3 k_bc l^2)."""
+    """Depth below its margin at which hair may start, as a share of the depth at which Eq. 10 pushes an edge of length
+    l as hard as its joint resists, B / (3 k_bc l^2)."""
     max_depth: float = 0.004
     """The same at most [m]."""
     min_weight_share: float = 0.05
     """Share of weight above which local features are a distance."""
-    cluster_size: int = 8
-    """Neighbouring strands that share the contact-force estimate of their representative."""
-    cluster_radius: float = 0.02
-    """Largest distance of their roots from the representative's; strands further away represent themselves [m]."""
-    propagated_share: float = 0.3
-    """Share of the contact force that rotates an edge and those above it before contact is resolved a second time. All
-    of it would swing the strand off the skin; docs/training.md has other shares."""
     load_share: float = 0.2
-    """Share of a strand's weight by which other hair or the skin may push an edge, besides the weight beyond it."""
+    """Share of a strand's weight by which other hair or the skin may push its tip."""
 
     def __post_init__(self) -> None:
-        if self.cluster_size < 1 or self.layer_ramp <= 0 or self.min_weight_share <= 0:
-            raise ValueError(f"expected a cluster size of 1 or more, a ramp and a weight share above 0, found {self}")
+        if not (isinstance(self.passes, int) and 0 <= self.passes <= 16) or self.min_weight_share <= 0:
+            raise ValueError(f"expected 0 to 16 passes and a weight share above 0, found {self}")
 
 
 @dataclass(frozen=True)
@@ -53,12 +49,29 @@ class ProjectionConfig:
     """Strands projected out of the skin after the network (`quaffure.model.projection`)."""
 
     clearance_share: float = 0.5
-    """Distance at which hair is left alone, as a share of its collision margin. At the whole margin Eq. 10 ends, but
-    hair collides with hair: what is pushed further out meets what lies there (docs/training.md has other shares)."""
+    """Distance at which hair is left alone, as a share of its collision margin."""
+    depth: float = 6e-4
+    """Largest depth below its collision margin at which hair is left alone [m]; at rest on skin it is 0.1 to 0.5 mm."""
+    most: float = 0.025
+    """Largest distance that hair is pushed out to [m]: farther faces take longer to search."""
     spacing: float = 0.0025
     """Distance along a strand between two contact queries [m]; shorter edges are skipped."""
     max_push: float = 3.0
     """Largest push of a vertex, in lengths of its edge: the edge then stands nearly along the push."""
+
+    def __post_init__(self) -> None:
+        if not (self.spacing > 0 and self.clearance_share >= 0 and self.max_push >= 0):
+            raise ValueError(f"expected a spacing above 0, and no share or push below it, found {self}")
+
+    def clearance(self, margin: Float[Tensor, "s n"], depth: Float[Tensor, "s 1"]) -> Float[Tensor, "s n"]:
+        """Distance at which hair with a collision margin is left alone [m].
+
+        Args:
+            depth: below the margin, to which it is left alone for its stiffness; outside of the skin all the same.
+        """
+        allowed = torch.minimum((1 - self.clearance_share) * margin.abs(), margin.new_tensor(self.depth))
+        least = margin.clamp(max=0)
+        return torch.maximum(margin - torch.maximum(allowed, depth), least).clamp(max=self.most)
 
 
 @dataclass(frozen=True)
@@ -124,15 +137,3 @@ def from_file_values(values: Mapping[str, Any]) -> NetworkConfig:
     if "projection" in named:
         named["projection"] = ProjectionConfig(**known_fields(named["projection"], ProjectionConfig))
     return NetworkConfig(**known_fields(named, NetworkConfig))
-
-
-def known_fields(values: dict[str, Any], kind: type) -> dict[str, Any]:
-    """`values`, all of them fields of a dataclass.
-
-    Raises:
-        ValueError: one is not.
-    """
-    unknown = set(values) - {field.name for field in fields(kind)}
-    if unknown:
-        raise ValueError(f"unknown {kind.__name__} fields {sorted(unknown)}")
-    return values

@@ -1,6 +1,7 @@
 """The network's drape: one pass, no iterations."""
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
@@ -10,7 +11,10 @@ from torch import nn
 from quaffure.backend import Backend, choose_backend
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
+from quaffure.energies.loading import STANDARD_LOADING, Loading
+from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
+from quaffure.hair.groom_cache import GroomCache
 from quaffure.model.cpu_backend import CpuBackend, CpuTrainingBackend
 from quaffure.model.prepared_groom import PreparedGroom, prepare_groom
 from quaffure.model.quaffure_network import DisplacementNetwork, QuaffureNetwork
@@ -62,22 +66,42 @@ class NeuralDraper:
         network: either configuration. Its weights and layers may change between drapes, but weights not in place
             without autograd's knowledge (`.data`), which nobody notices.
         material: the one that the network was trained for.
+        loading: stiffness, gravity and wind; may be changed from one drape to the next.
         bf16: run the network's layers in bfloat16; all geometry stays in float32.
     """
 
     name = "neural"
 
     def __init__(
-        self, network: QuaffureNetwork, material: HairMaterial, bf16: bool = False, backend: Backend | None = None
+        self,
+        network: QuaffureNetwork,
+        material: HairMaterial,
+        bf16: bool = False,
+        backend: Backend | None = None,
+        loading: Loading = STANDARD_LOADING,
     ) -> None:
         """
         Args:
             backend: `TORCH` for derivatives in pose, shape and material on the CPU; by default the one of the weights.
         """
-        self.network, self.material, self.bf16 = network, material, bf16
+        self.network, self.material, self.bf16, self.loading = network, material, bf16, loading
         self._kind = backend or choose_backend(next(network.parameters()))
-        self._prepared: WeakKeyDictionary[Groom, WeakKeyDictionary[BodyModel, PreparedGroom]] = WeakKeyDictionary()
+        self._prepared: GroomCache[WeakKeyDictionary[BodyModel, PreparedGroom]] = GroomCache()
+        self._stiffened: WeakKeyDictionary[PreparedGroom, tuple[Tensor, PreparedGroom]] = WeakKeyDictionary()
         self._made: tuple[object, DrapeBackend] | None = None
+
+    def under(self, loading: Loading) -> "NeuralDraper":
+        """The same network under another loading; grooms that were prepared stay so.
+
+        Raises:
+            InputError: what no hair has (`Loading.check`), or the paper's configuration, which knows one loading.
+        """
+        loading.check()
+        if isinstance(self.network, DisplacementNetwork) and loading != STANDARD_LOADING:
+            raise InputError("stiffness, gravity and wind", "a network of directions", "the paper's configuration")
+        other = copy(self)
+        other.loading, other._made = loading, None
+        return other
 
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of every sample [m, world], without gradient."""
@@ -92,28 +116,30 @@ class NeuralDraper:
         with torch.no_grad():
             return list(drape(self.backend(), prepared, bodies))
 
-    def deform(self, scene: Scene) -> Positions:
-        """Vertices [m, world] without projection, differentiable in the network's weights.
+    def deform(self, scene: Scene, projects: bool = False) -> Positions:
+        """Vertices [m, world], differentiable in the network's weights.
 
         By the backend `TORCH` differentiable in pose, shape and material too, not in the encoder's weights.
         """
         kind: type[TorchBackend] = CpuTrainingBackend if self._kind is Backend.CPU else TorchBackend
         prepared = [self.prepared(scene.groom, scene.bodies.body)] * len(scene.bodies.body_pose)
-        return torch.cat(list(drape(self._torch_backend(kind, projects=False), prepared, scene.bodies)))
+        return torch.cat(list(drape(self._torch_backend(kind, projects), prepared, scene.bodies)))
 
     def prepared(self, groom: Groom, body: BodyModel) -> PreparedGroom:
-        """A groom on a body; kept as long as both are.
+        """A groom on a body; kept as long as both are and no array of the groom is changed.
 
         Raises:
             InputError: the groom is not laid out for the network, or a root is not on the scalp.
         """
-        on_bodies = self._prepared.setdefault(groom, WeakKeyDictionary())
+        on_bodies = self._prepared.of(groom, WeakKeyDictionary)
         if body not in on_bodies:
-            prepared = prepare_groom(groom, body, self.network.encoder, self.network.config, self.material)
-            if prepared.margin.requires_grad or prepared.clearance.requires_grad:
-                return prepared  # of a material with gradient, which is spent by one backward pass
-            on_bodies[body] = prepared
-        return on_bodies[body]
+            on_bodies[body] = prepare_groom(groom, body, self.network.encoder, self.network.config, self.material)
+        prepared, stiffness = on_bodies[body], self.loading.stiffness
+        if not isinstance(stiffness, Tensor):
+            return prepared
+        if prepared not in self._stiffened or self._stiffened[prepared][0] is not stiffness:
+            self._stiffened[prepared] = stiffness, prepared.stiffened(stiffness)
+        return self._stiffened[prepared][1]
 
     def backend(self) -> DrapeBackend:
         """The five steps with the weights of now; made anew when anything that decides a drape has changed."""
@@ -127,10 +153,10 @@ class NeuralDraper:
             for weight in layer._parameters.values():
                 if weight is not None:
                     weights += (weight.data_ptr(), None if weight.is_inference() else weight._version)
-        state = (layers, weights, self.material, self.bf16)
+        state = (layers, weights, self.loading, self.bf16)
         if self._made is None or self._made[0] != state:
             if self._kind is Backend.CPU and not isinstance(self.network, DisplacementNetwork):
-                made: DrapeBackend = CpuBackend(self.network, self.material, self.bf16)
+                made: DrapeBackend = CpuBackend(self.network, self.loading, self.bf16)
             else:
                 made = self._torch_backend(TorchBackend, projects=True)
             self._made = state, made
@@ -138,5 +164,5 @@ class NeuralDraper:
 
     def _torch_backend(self, kind: type[TorchBackend], projects: bool) -> TorchBackend:
         if isinstance(self.network, DisplacementNetwork):
-            return DisplacementBackend(self.network, self.material, self.bf16)
-        return kind(self.network, self.material, self.bf16, projects)
+            return DisplacementBackend(self.network, self.loading, self.bf16)
+        return kind(self.network, self.loading, self.bf16, projects)

@@ -1,6 +1,6 @@
 """What a drape reads of a groom on a body, whatever the pose."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -9,11 +9,14 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.mls_body import mls_body
-from quaffure.config import TEXTURE_SIZE, HairMaterial
-from quaffure.energies.rest_state import RestState, rest_state
-from quaffure.geometry.mls_surface import local_features
+from quaffure.config import STANDARD_GRAVITY, TEXTURE_SIZE, VERTICES_PER_STRAND, HairMaterial
+from quaffure.energies.rest_state import rest_state
+from quaffure.energies.sag_free import SagFreeRest, design_of
+from quaffure.geometry.mls_surface import LANES, local_features
+from quaffure.geometry.sampling import neighbours_together
 from quaffure.hair.groom import Groom
-from quaffure.hair.strand_blocks import RestStrands, StrandBlocks, cluster_representatives, rest_strands, strand_blocks
+from quaffure.hair.posing import triangle_frames
+from quaffure.hair.strand_blocks import RestStrands, StrandBlocks, in_blocks, rest_strands, strand_blocks
 from quaffure.model.groom_code import groom_code
 from quaffure.model.groom_encoder import GroomEncoder
 from quaffure.model.inference_network import StrandTexels, texture_rows
@@ -22,30 +25,69 @@ from quaffure.types import Float, Int, RestLengths, Tensor
 
 NO_CONTACT = -10.0
 """A margin that is kept everywhere [m]."""
+_LEAST_UPNESS = 0.1
+
+
+class DesignRods(NamedTuple):
+    """Strands as rods that rest in their design, in the frames of their scalp triangles; in weights of a metre of hair.
+
+    Attributes:
+        moment: that each joint transmits in the design [m^2].
+        support: force of the body on the vertex at the end of each edge, in the design.
+        upness: 1 + cosine of the angle between that force and up.
+        mass: of these vertices [m].
+        bending: B of each joint [m^2].
+        goal: stiffness of what holds an edge to the posed design [m^2].
+        compliance: rotation of each joint by the weight beyond it and a share of the strand's at its tip [rad], the
+            smaller of sum(arm x load) / B, where the joint alone resists, and sqrt(l W / B), where tension does; zero
+            where a goal holds it. Taken as linear in the loading.
+    """
+
+    moment: Float[Tensor, "s e 3"]
+    support: Float[Tensor, "s e 3"]
+    upness: Float[Tensor, "s e"]
+    mass: Float[Tensor, "s e"]
+    bending: Float[Tensor, "s e"]
+    goal: Float[Tensor, "s e"]
+    compliance: Float[Tensor, "s e"]
+
+    def stiffened(self, factor: float | Float[Tensor, "s e"]) -> "DesignRods":
+        """The same strands, whose joints are stiffer by a factor; their rest shape stays."""
+        moment = (factor[..., None] if isinstance(factor, Tensor) else factor) * self.moment
+        compliance = self.compliance / factor
+        return self._replace(moment=moment, bending=factor * self.bending, compliance=compliance)
+
+
+class RodBlocks(NamedTuple):
+    """`DesignRods` in the blocks of `StrandBlocks`."""
+
+    moment: Float[np.ndarray, "block e 3 lane"]
+    support: Float[np.ndarray, "block e 3 lane"]
+    upness: Float[np.ndarray, "block e lane"]
+    mass: Float[np.ndarray, "block e lane"]
+    bending: Float[np.ndarray, "block e lane"]
+    goal: Float[np.ndarray, "block e lane"]
+    compliance: Float[np.ndarray, "block e lane"]
 
 
 class KernelBlocks(NamedTuple):
     """A groom as the compiled kernels read it; a row is a lane of a block.
 
     Attributes:
-        strands: all strands.
-        representatives: those of the clusters alone.
-        representative: lane in `representatives` of the one of each strand.
+        strands, rods: all strands.
         rows: of the kernels' results, for each strand.
         texels: of each row.
     """
 
     strands: StrandBlocks
-    representatives: StrandBlocks
-    representative: Int[np.ndarray, "block lane"]
+    rods: RodBlocks
     rows: Int[np.ndarray, "block lane"]
     texels: StrandTexels
 
     @property
     def nbytes(self) -> int:
         """Memory that the kernels read [bytes]."""
-        arrays = (*self.strands, *self.representatives, self.representative, self.texels.rows)
-        return sum(array.nbytes for array in arrays)
+        return sum(array.nbytes for array in (*self.strands, *self.rods, self.texels.rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,37 +97,34 @@ class PreparedGroom:
     Attributes:
         code: of the frozen encoder.
         texels: flat index of each strand's texel.
-        strands: in the frames of their scalp triangles.
+        strands, rods: in the frames of their scalp triangles.
         rest_length: of every edge [m].
-        margin: distance from the point-sampled body at which strands start, see `initial_clearance` [m].
+        margin: distance from the point-sampled body at which strands start [m].
         clearance: distance up to which hair is projected out of the skin [m], see `quaffure.model.projection`.
-        order: of the strands in the kernels' blocks, clusters one after another.
-        representative: the strand whose contact force each strand takes.
+        order: of the strands in the kernels' blocks, near ones next to each other.
     """
 
     code: Float[Tensor, "16"]
     texels: Int[Tensor, " s"]
     strands: RestStrands
+    rods: DesignRods
     rest_length: RestLengths
     margin: Float[Tensor, "s n"]
     clearance: Float[Tensor, "s n"]
     order: Int[Tensor, " s"]
-    representative: Int[Tensor, " s"]
 
     @cached_property
     def blocks(self) -> KernelBlocks:
         """Laid out for the compiled kernels; float32, on the CPU."""
         strands = strand_blocks(self.strands, self.margin, self.order)
-        chosen = self.order[self.representative[self.order] == self.order]
-        lane_of = torch.empty_like(self.order)
-        lane_of[chosen] = torch.arange(len(chosen))
         of_rows = torch.from_numpy(strands.strand).flatten().long()
         texels = StrandTexels(self.texels[of_rows], texture_rows(self.texels[of_rows], TEXTURE_SIZE))
-        representatives = strand_blocks(self.strands, self.margin, chosen)
-        # Lanes of the strands' own blocks, so that repeated strands at the end have a representative too.
-        lanes = lane_of[self.representative[of_rows]].int().view(-1, strands.strand.shape[1]).numpy()
         rows = np.arange(strands.strand.size, dtype=np.int32).reshape(strands.strand.shape)
-        return KernelBlocks(strands, representatives, np.ascontiguousarray(lanes), rows, texels)
+        return KernelBlocks(strands, RodBlocks(*(in_blocks(values[of_rows]) for values in self.rods)), rows, texels)
+
+    def stiffened(self, factor: Float[Tensor, "s e"]) -> "PreparedGroom":
+        """The same groom with each edge stiffer by a factor of its own."""
+        return replace(self, rods=self.rods.stiffened(factor))
 
 
 def prepare_groom(
@@ -94,42 +133,89 @@ def prepare_groom(
     """Prepare a groom that is registered to `body`.
 
     Raises:
-        InputError: it is not laid out for the network (`quaffure.model.groom_code`), or a root is not on the scalp.
+        InputError: it is not laid out for the network (`quaffure.model.groom_code`), a root is not on the scalp, or a
+            strand folds back.
     """
-    shape, rest = config.initial_shape, rest_state(groom.rest_strands.detach(), material)
-    margin = torch.full_like(rest.collision_margin, NO_CONTACT)
+    strands, design = rest_strands(groom, body), design_of(groom, body, material)
+    shape, design_margin = config.initial_shape, design.collision_margin.to(groom.rest_strands)
+    margin = clearance = torch.full_like(design_margin, NO_CONTACT)
     if config.contact:
-        margin = initial_clearance(groom, rest, material, body, shape)
+        held = torch.nn.functional.pad(design.rod.goal_weight > 0, (1, 0)).to(groom.rest_strands.device)
+        depth = balanced_depth(design, groom.rest_lengths, material, shape)
+        margin = torch.where(held, NO_CONTACT, initial_clearance(groom, design_margin, body, shape) - depth)
+        clearance = torch.where(held, NO_CONTACT, config.projection.clearance(design_margin, depth))
+    # Roots count most, for there the skin is.
+    roots, middles, tips = groom.rest_strands[:, [0, VERTICES_PER_STRAND // 2, -1]].unbind(1)
+    positions = torch.cat([roots, 0.5 * middles, 0.5 * tips], dim=1)
     return PreparedGroom(
         groom_code(groom, body, encoder),
         groom.texels(),
-        rest_strands(groom, body),
-        rest.rest_length,
+        strands,
+        design_rods(groom, body, design, material, shape.load_share),
+        groom.rest_lengths,
         margin,
-        config.projection.clearance_share * rest.collision_margin,
-        *cluster_representatives(groom, shape.cluster_size, shape.cluster_radius),
+        clearance,
+        neighbours_together(positions, LANES),
     )
 
 
+def design_rods(
+    groom: Groom, body: BodyModel, design: SagFreeRest, material: HairMaterial, load_share: float
+) -> DesignRods:
+    """Strands as rods at rest in their design.
+
+    Args:
+        design: sag-free rest shape of the groom on the body.
+        load_share: share of a strand's weight that may push its tip, for the compliance.
+    """
+    state = rest_state(groom.rest_strands.double(), material)
+    weight = float(material.linear_density) * STANDARD_GRAVITY
+    mass, length = state.mass / float(material.linear_density), state.rest_length
+    support = design.support.to(mass)[..., None] * design.normal.to(mass) / weight
+    up = mass.new_tensor([0.0, 0.0, 1.0])
+    beyond = (support - mass[..., None] * up)[:, 1:].flip(1).cumsum(1).flip(1)
+    edges = groom.rest_strands.double().diff(dim=1)
+    moment = torch.linalg.cross(edges, beyond, dim=-1).flip(1).cumsum(1).flip(1)
+    frames = triangle_frames(body.rest_vertices.double()[body.faces[groom.root_faces]])
+    upness = (1 + design.normal.to(mass)[:, 1:] @ up).clamp(min=_LEAST_UPNESS)
+    bending, goal = design.rod.bending_stiffness.to(mass) / weight, design.rod.goal_weight.to(mass) / weight
+    load = mass[:, 1:].clone()
+    load[:, -1] += load_share * mass.sum(1)
+    # From the vertex before each edge to all that are beyond it.
+    arms = (groom.rest_strands.double()[:, None, 1:] - groom.rest_strands.double()[:, :-1, None]).norm(dim=-1).triu()
+    bent = (arms @ load[..., None])[..., 0] / bending
+    tense = (length * load.flip(1).cumsum(1).flip(1) / bending).sqrt()
+    compliance = torch.where(goal > 0, 0.0, torch.minimum(bent, tense))
+    parts = (moment @ frames, support[:, 1:] @ frames, upness, mass[:, 1:], bending, goal, compliance)
+    return DesignRods(*(part.to(groom.rest_strands) for part in parts))
+
+
+def balanced_depth(
+    design: SagFreeRest, rest_length: RestLengths, material: HairMaterial, config: InitialShapeConfig
+) -> Float[Tensor, "s 1"]:
+    """Depth below its margin to which hair is left alone because it is stiff [m].
+
+    Where the nape wrinkles, the point-sampled skin is untrue by tenths of a millimetre, which would bend very short
+    edges by a radian: a share of the depth at which Eq. 10 pushes an edge as hard as the joint before it resists.
+    """
+    stiffness = (
+        (design.rod.bending_stiffness.to(rest_length) / rest_length.clamp(min=1e-4).square()).median(dim=1).values
+    )
+    balanced = stiffness / (3 * material.k_body_collision)
+    return (config.depth_share * balanced).clamp(max=config.max_depth)[:, None]
+
+
 def initial_clearance(
-    groom: Groom, rest: RestState, material: HairMaterial, body: BodyModel, config: InitialShapeConfig
+    groom: Groom, margin: Float[Tensor, "s n"], body: BodyModel, config: InitialShapeConfig
 ) -> Float[Tensor, "s n"]:
     """Distance from the point-sampled body at which strands start [m].
 
-    Hair with higher roots lies on top: without it all hair would start in one layer, pressed to many times its density.
-    No vertex starts further out than at rest, where hair may lie closer to the head than the point-sampled body is
-    exact, and stiff hair not even there: where the nape wrinkles, very short hair, whose edges resist more than contact
-    would push them, is not bent for some tenths of a millimetre.
+    The collision margin of the design, but no vertex starts further out than at rest, where hair may lie closer to the
+    head than the point-sampled body is exact.
     """
-    height = groom.rest_strands[:, 0, 2].argsort().argsort() / len(groom)
-    arc = torch.nn.functional.pad(rest.rest_length.cumsum(dim=1), (1, 0))
-    ramp = (arc / config.layer_ramp).clamp(max=1)
-    layered = rest.collision_margin + config.layer_thickness * height[:, None] * ramp
-    at_rest = body.pose(arc.new_zeros(1, POSE_SIZE), arc.new_zeros(1, SHAPE_SIZE))
+    at_rest = body.pose(margin.new_zeros(1, POSE_SIZE), margin.new_zeros(1, SHAPE_SIZE))
     surface = mls_body(body, at_rest, config.body)
-    features = local_features(groom.rest_strands.flatten(0, 1)[None], surface).unflatten(1, layered.shape)[0]
+    features = local_features(groom.rest_strands.flatten(0, 1)[None], surface).unflatten(1, margin.shape)[0]
     share = features[..., 4]
     height = surface.radius * features[..., 0] / share.clamp(min=config.min_weight_share)
-    clearance = torch.where(share > config.min_weight_share, height, torch.inf)
-    balanced = material.k_cosserat / (3 * material.k_body_collision * rest.rest_length.mean(1, keepdim=True).square())
-    return torch.minimum(layered, clearance - (config.depth_share * balanced).clamp(max=config.max_depth))
+    return torch.minimum(margin, torch.where(share > config.min_weight_share, height, torch.inf))

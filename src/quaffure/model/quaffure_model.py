@@ -9,8 +9,10 @@ import torch
 
 from quaffure.backend import Backend, choose_backend
 from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.pose_limits import Rows, check_body_pose, check_body_shape, rows_of
+from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom
+from quaffure.hair.groom import Groom, check_groom
 from quaffure.model.checkpoint import load_network
 from quaffure.model.cpu_backend import BATCH
 from quaffure.model.inference_network import fast_bfloat16
@@ -34,30 +36,40 @@ class Quaffure:
     def __init__(self, body: BodyModel, draper: NeuralDraper, notes: dict[str, str]) -> None:
         self.body, self.draper, self.notes = body, draper, notes
 
-    def drape(self, groom: Groom, body_pose: Tensor, body_shape: Tensor) -> Positions:
+    def under(self, loading: Loading) -> "Quaffure":
+        """The same network for hair of another stiffness, or under another gravity and wind; it shares weights and
+        prepared grooms with this one.
+
+        Raises:
+            InputError: see `NeuralDraper.under`.
+        """
+        return Quaffure(self.body, self.draper.under(loading), self.notes)
+
+    def drape(self, groom: Groom, body_pose: Rows, body_shape: Rows) -> Positions:
         """Hair at rest under gravity and contact.
 
         Args:
             groom: registered to the body, at most one strand a texel (`quaffure.load_groom`).
-            body_pose: [batch, 81], axis-angle of every joint (theta) [rad].
-            body_shape: [batch, 10], shape coefficients (beta) [standard deviations].
+            body_pose: [batch, 81], axis-angle of every joint (theta), at most 4 pi long [rad]; a tensor, an array or
+                lists.
+            body_shape: [batch, 10], shape coefficients (beta) within +-10 [standard deviations].
 
         Returns:
             Draped vertices [m, world].
 
         Raises:
-            InputError: an array of another shape, or a groom that is not laid out for the network.
+            InputError: an array of another shape, numbers that are not finite or beyond these limits, or a groom
+                without strands, with NaN, or not laid out for the network.
         """
-        body_pose = self._rows("body_pose", body_pose, POSE_SIZE)
-        body_shape = self._rows("body_shape", body_shape, SHAPE_SIZE)
-        if len(body_shape) != len(body_pose):
-            raise InputError("body_shape", f"[{len(body_pose)}, {SHAPE_SIZE}]", f"{list(body_shape.shape)}")
-        return self.draper.drape(Scene(self._checked(groom), BodyBatch(self.body, body_pose, body_shape)))
+        poses, shapes = self._rows(body_pose, body_shape)
+        if not 0 < len(shapes) == len(poses):
+            raise InputError("body_shape", f"[{max(len(poses), 1)}, {SHAPE_SIZE}]", f"{list(shapes.shape)}")
+        return self.draper.drape(Scene(self._checked(groom), BodyBatch(self.body, poses, shapes)))
 
-    def drape_many(self, grooms: Iterable[Groom], body_pose: Tensor, body_shape: Tensor) -> Iterator[Tensor]:
+    def drape_many(self, grooms: Iterable[Groom], body_pose: Rows, body_shape: Rows) -> Iterator[Tensor]:
         """Many hairstyles, one after another, each as soon as its batch is done.
 
-        Memory does not grow with them where `grooms` makes them one by one: what is prepared for a groom, some 650
+        Memory does not grow with them where `grooms` makes them one by one: what is prepared for a groom, some 1000
         bytes a strand, is kept as long as somebody holds the groom.
 
         Args:
@@ -68,11 +80,10 @@ class Quaffure:
             Iterator of the draped vertices of each groom in turn, [strand, vertex, 3] [m, world].
 
         Raises:
-            InputError: an array of another shape; while iterating, other numbers of rows than of grooms, or a groom
-                that is not laid out for the network.
+            InputError: as for `drape`, what concerns the grooms while iterating, where also other numbers of rows than
+                of grooms are refused.
         """
-        poses, shapes = self._rows("body_pose", body_pose, POSE_SIZE), self._rows("body_shape", body_shape, SHAPE_SIZE)
-        return self._drape_many(grooms, poses, shapes)
+        return self._drape_many(grooms, *self._rows(body_pose, body_shape))
 
     def _drape_many(self, grooms: Iterable[Groom], poses: Tensor, shapes: Tensor) -> Iterator[Tensor]:
         first, waiting = 0, iter(grooms)
@@ -86,12 +97,16 @@ class Quaffure:
             if len(values) not in (1, first):
                 raise InputError(name, f"a row for each groom, {first}, or a single one", f"{len(values)}")
 
-    def _rows(self, name: str, values: Tensor, size: int) -> Tensor:
-        if values.ndim != 2 or values.shape[1] != size:
-            raise InputError(name, f"[batch, {size}]", f"{list(values.shape)}")
-        if not values.isfinite().all():
-            raise InputError(name, "finite numbers", "NaN or infinity")
-        return values.to(self.body.rest_vertices.device)
+    def _rows(self, body_pose: Rows, body_shape: Rows) -> tuple[Tensor, Tensor]:
+        """Poses and shapes as tensors on the body's device."""
+        like = self.body.rest_vertices
+        poses, shapes = (
+            rows_of(body_pose, POSE_SIZE, like, "body_pose"),
+            rows_of(body_shape, SHAPE_SIZE, like, "body_shape"),
+        )
+        check_body_pose(poses, "body_pose")
+        check_body_shape(shapes, "body_shape")
+        return poses, shapes
 
     def _checked(self, groom: Groom) -> Groom:
         """The groom on the body's device."""
@@ -100,6 +115,7 @@ class Quaffure:
         expected, found = self.body.rest_vertices, groom.rest_strands
         if found.dtype is not expected.dtype:
             raise InputError(groom.name, f"vertices in {expected.dtype}", f"{found.dtype}")
+        check_groom(groom)
         return groom if found.device == expected.device else groom.to(expected.device)
 
 

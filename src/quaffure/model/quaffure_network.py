@@ -2,7 +2,7 @@
 
 Two configurations share one interface. `DisplacementNetwork` is the paper's: the decoder's 72 channels are the
 displacements of 24 vertices. `DirectionNetwork` is ours: a small network common to all strands reads the decoder's
-texel and the strand's own initial shape, and predicts a change of direction for each edge.
+texel and the strand's own initial shape, and predicts a rotation for each joint between edges.
 """
 
 import torch
@@ -14,6 +14,7 @@ from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.model.groom_encoder import CODE_SIZE, GroomEncoder
 from quaffure.model.groom_texture import TEXTURE_CHANNELS
 from quaffure.model.inference_network import ForwardNetwork, InferenceNetwork, NetworkInputs
+from quaffure.model.loading_features import LOADING_FEATURES
 from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE, NetworkConfig
 from quaffure.types import Float, Tensor
 
@@ -34,13 +35,13 @@ class DisplacementNetwork(nn.Module):
         _start_at_zero(self.decoder.to_texels[0])
 
     def forward(self, inputs: NetworkInputs) -> Float[Tensor, "b s n 3"]:
-        texture = self.decoder(_code(self.config, inputs))
+        texture = self.decoder(_code(inputs))
         strands = texture.index_select(2, inputs.texels).mT.to(inputs.pose_code)
         return self._METRES * strands.unflatten(-1, (VERTICES_PER_STRAND, 3))
 
 
 class DirectionNetwork(nn.Module):
-    """Ours: a change of every edge's direction, in the head's frame, dimensionless.
+    """Ours: the rotation of every joint, in the head's frame and in units of its compliance (`InitialShape`).
 
     Another `forward` of a subclass, and other layers in place of these, are run as they are by every backend.
     """
@@ -61,13 +62,13 @@ class DirectionNetwork(nn.Module):
         _start_at_zero(self.strand[-1])
 
     def forward(self, inputs: NetworkInputs, features: Float[Tensor, "b s columns"]) -> Float[Tensor, "b s e 3"]:
-        """Change of every edge.
+        """Rotation of the joint before every edge; the edge and all beyond it turn with it.
 
         Args:
             features: of every strand before the network: positions of all vertices but the root relative to the head
                 and in its frame [m], then their local features (`quaffure.geometry.mls_surface`).
         """
-        texture = self.decoder(_code(self.config, inputs))
+        texture = self.decoder(_code(inputs))
         texels = texture.index_select(2, inputs.texels).mT
         weight = self.strand_weight()
         own = torch.nn.functional.linear(features[..., : weight.shape[1]], weight)
@@ -106,15 +107,27 @@ def build_network(config: NetworkConfig) -> QuaffureNetwork:
     return DirectionNetwork(config) if config.output == "directions" else DisplacementNetwork(config)
 
 
+def pose_code(
+    config: NetworkConfig, features: Float[Tensor, "b features"], loading: Float[Tensor, "b 5"]
+) -> Float[Tensor, "b code"]:
+    """What the decoder reads of a drape besides the groom.
+
+    Args:
+        features: beta, theta and the pose features (`quaffure.body.head_frame`).
+        loading: see `quaffure.model.loading_features`; the paper's configuration leaves it out.
+    """
+    used = features[:, : SHAPE_SIZE + POSE_SIZE + config.pose_features]
+    return torch.cat([used, loading], dim=1) if config.output == "directions" else used
+
+
 def _code_size(config: NetworkConfig) -> int:
-    """Length of the paper's R^107 and the pose features."""
-    return CODE_SIZE + SHAPE_SIZE + POSE_SIZE + config.pose_features
+    """Length of the groom code and `pose_code`."""
+    loading = LOADING_FEATURES if config.output == "directions" else 0
+    return CODE_SIZE + SHAPE_SIZE + POSE_SIZE + config.pose_features + loading
 
 
-def _code(config: NetworkConfig, inputs: NetworkInputs) -> Float[Tensor, "b inputs"]:
-    """The paper's R^107, groom code, beta and theta, followed by the pose features where they are used."""
-    pose_code = inputs.pose_code[:, : _code_size(config) - CODE_SIZE]
-    return torch.cat([inputs.groom_code.expand(len(pose_code), -1), pose_code], dim=1)
+def _code(inputs: NetworkInputs) -> Float[Tensor, "b inputs"]:
+    return torch.cat([inputs.groom_code.expand(len(inputs.pose_code), -1), inputs.pose_code], dim=1)
 
 
 def _layers(module: nn.Module) -> list[tuple[str, type, str, bool]]:

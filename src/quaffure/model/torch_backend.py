@@ -1,4 +1,6 @@
-"""The five steps of a drape in torch: any device, any floating type, differentiable in all but the projection."""
+"""The five steps of a drape in torch: any device, any floating type, differentiable; the gradient passes the projection
+as if it had moved nothing.
+"""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -9,13 +11,15 @@ from torch import nn
 
 from quaffure.body.collision_skin import collision_skin
 from quaffure.body.head_frame import HeadFrameBody, head_frame_body_reference
-from quaffure.config import HairMaterial
+from quaffure.energies.loading import Loading
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.model.inference_network import NetworkInputs
 from quaffure.model.initial_shape import InitialShape, initial_shape_reference, strands_in_head_frame
+from quaffure.model.loading_features import loading_features
 from quaffure.model.network_config import NetworkConfig
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project_reference
+from quaffure.model.quaffure_network import pose_code
 from quaffure.scene import BodyBatch
 from quaffure.types import Float, Positions, Tensor
 
@@ -35,12 +39,11 @@ class TorchBackend:
         network_seconds: wall time of the network alone, of all drapes so far; of what was queued on another device.
     """
 
-    def __init__(self, network: nn.Module, material: HairMaterial, bf16: bool, projects: bool) -> None:
-        self._network, self._material, self._bf16 = network, material, bf16
+    def __init__(self, network: nn.Module, loading: Loading, bf16: bool, projects: bool) -> None:
+        self._network, self._loading, self._bf16 = network, loading, bf16
         self.network_seconds = 0.0
         self.config: NetworkConfig = network.config  # type: ignore[assignment]
         self.projects = projects and self.config.contact
-        self._clearance = self.config.projection.clearance_share * float(material.collision_margin)
 
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, TorchPosed]]:
         """Each groom with the bodies of its rows."""
@@ -57,25 +60,32 @@ class TorchBackend:
         return head_frame_body_reference(bodies.body, pose, shape, bodies.posed, config)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
-        return initial_shape_reference(groom, posed.body, self._material, self.config.initial_shape)
+        return initial_shape_reference(groom, posed.body, self._loading, self.config.initial_shape)
 
     def network(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape) -> Tensor:
-        """Change of every edge's direction."""
-        return self.forward(groom, posed.body.pose_code, shape.features)
+        """Rotation of the joint before every edge, see `DirectionNetwork`."""
+        return self.forward(groom, posed.body, shape.features)
 
-    def forward(self, groom: PreparedGroom, pose_code: Tensor, *features: Tensor) -> Tensor:
-        device, begun = pose_code.device, time.perf_counter()
-        with torch.autocast(device.type, torch.bfloat16, enabled=self._bf16):
-            changes: Tensor = self._network(NetworkInputs(groom.code, groom.texels, pose_code), *features)
+    def forward(self, groom: PreparedGroom, body: HeadFrameBody, *features: Tensor) -> Tensor:
+        begun = time.perf_counter()
+        code = pose_code(self.config, body.pose_code, loading_features(self._loading, body.world_from_head))
+        with torch.autocast(code.device.type, torch.bfloat16, enabled=self._bf16):
+            changes: Tensor = self._network(NetworkInputs(groom.code, groom.texels, code), *features)
         self.network_seconds += time.perf_counter() - begun
         return changes
 
     def integrate(
         self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape, changes: Float[Tensor, "b s e 3"]
     ) -> Positions:
-        """Vertices [m, world] of edges that have changed their directions."""
+        """Vertices [m, world] of edges rotated by the sum of all joints before them."""
         world_from_head = posed.body.world_from_head[:, None].mT
-        edges = (shape.edges + shape.compliance[..., None] * changes) @ world_from_head
+        turn = (0.5 * shape.compliance[..., None] * changes).cumsum(dim=2)
+        across = torch.linalg.cross(turn, shape.edges, dim=-1)
+        # The rotation of the quaternion 1 + turn, but for its length.
+        edges = shape.edges + 2 * (across + torch.linalg.cross(turn, across, dim=-1)) / (
+            1 + turn.square().sum(-1, keepdim=True)
+        )
+        edges = edges @ world_from_head
         roots = (shape.roots[:, :, None] @ world_from_head)[:, :, 0] + posed.body.head[:, None]
         return integrate_directions(roots, edges, groom.rest_length)
 
@@ -83,19 +93,20 @@ class TorchBackend:
         """Hair projected out of the skin [m, world]."""
         if not self.projects:
             return hair
-        skin = collision_skin(posed.bodies.body, self._clearance)
-        samples = [
-            project_reference(own, vertices, groom.rest_length, groom.clearance, skin, self.config.projection)
-            for own, vertices in zip(hair, posed.body.skin)
-        ]
-        return torch.stack(samples)
+        skin = collision_skin(posed.bodies.body, self.config.projection.most)
+        with torch.no_grad():
+            projected = [
+                project_reference(own, vertices, groom.rest_length, groom.clearance, skin, self.config.projection)
+                for own, vertices in zip(hair, posed.body.skin)
+            ]
+        return hair + (torch.stack(projected) - hair.detach())
 
 
 class DisplacementBackend(TorchBackend):
     """The paper's configuration: displacements of the posed groom, without contact before or after the network."""
 
-    def __init__(self, network: nn.Module, material: HairMaterial, bf16: bool) -> None:
-        super().__init__(network, material, bf16, projects=False)
+    def __init__(self, network: nn.Module, loading: Loading, bf16: bool) -> None:
+        super().__init__(network, loading, bf16, projects=False)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
         """The posed groom; its features are positions alone."""
@@ -105,7 +116,7 @@ class DisplacementBackend(TorchBackend):
 
     def network(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape) -> Tensor:
         """Displacement of every vertex [m]; roots do not move."""
-        moved = self.forward(groom, posed.body.pose_code)
+        moved = self.forward(groom, posed.body)
         return torch.cat([torch.zeros_like(moved[:, :, :1]), moved[:, :, 1:]], dim=2)
 
     def integrate(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape, changes: Positions) -> Positions:

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import nn
 
 from quaffure.errors import InputError, refused
+from quaffure.input_file import check_input_file
 from quaffure.types import Tensor
 
 MAX_WIDTH = 4096
@@ -15,9 +16,13 @@ MAX_WIDTH = 4096
 
 
 def save_weights(path: Path, network: nn.Module, notes: dict[str, str]) -> None:
-    """Write all weights, rounded to half precision, and texts by name."""
+    """Write all weights, rounded to half precision, and texts by name.
+
+    Raises:
+        OSError: the disk is full, for instance.
+    """
     half = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
-    save_file(half, path, notes)
+    path.write_bytes(save(half, notes))
 
 
 def read_weights(path: Path, expected: str) -> tuple[dict[str, Tensor], dict[str, str]]:
@@ -29,6 +34,7 @@ def read_weights(path: Path, expected: str) -> tuple[dict[str, Tensor], dict[str
     Raises:
         InputError: no such file, a broken one, or weights that are not finite.
     """
+    check_input_file(path, expected)
     with refused(path, expected, OSError, SafetensorError), safe_open(path, framework="pt") as file:
         weights = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
         notes = dict(file.metadata() or {})

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import torch
 from torch.nn.functional import normalize
 
@@ -26,7 +27,9 @@ def clump_centres(roots: Float[Tensor, "s 3"], spacing: float) -> Int[Tensor, " 
         centres.append(int(distance.argmax()))
         distance = torch.minimum(distance, (roots - roots[centres[-1]]).norm(dim=-1))
     chosen = torch.tensor(centres)
-    return chosen[torch.cdist(roots, roots[chosen]).argmin(1)]
+    # Not by a matrix product, whose last bits depend on the number of threads.
+    distances = torch.cdist(roots, roots[chosen], compute_mode="donot_use_mm_for_euclid_dist")
+    return chosen[distances.argmin(1)]
 
 
 def clumped(controls: HairStyle, axes: Float[Tensor, "s n 3"], tied: Float[Tensor, " s"]) -> Float[Tensor, "s n 3"]:
@@ -34,7 +37,7 @@ def clumped(controls: HairStyle, axes: Float[Tensor, "s n 3"], tied: Float[Tenso
     centre = clump_centres(axes[:, 0], controls.clump_spacing)
     length = arc_lengths(axes)
     free = (length[:, -1:] - tied[:, None]).clamp(min=1e-6)
-    share = ((length - tied[:, None]) / free).clamp(0, 1) ** controls.clump_profile
+    share = _power(((length - tied[:, None]) / free).clamp(0, 1), controls.clump_profile)
     # A centre on the other side of a parting or an ear diverges: only one that stays near attracts.
     gap = axes[centre] - axes
     # Hair shorter than the width of a clump cannot reach its centre.
@@ -65,6 +68,11 @@ def curled(
     result = axes + (controls.curl_radius * varied[:, :1] * opening)[..., None] * radial
     frizz = controls.frizz * (length[:, -1:] / FRIZZ_LENGTH).clamp(max=1) * length / length[:, -1:].clamp(min=1e-6)
     return result + frizz[..., None] * _random_waves(strands, count, generator)
+
+
+def _power(base: Float[Tensor, "s n"], exponent: float) -> Float[Tensor, "s n"]:
+    """A power, by numpy: the last bits of torch's depend on where each thread begins."""
+    return torch.from_numpy(np.power(base.numpy(), np.float32(exponent)))
 
 
 def parallel_frames(

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from quaffure.solvers.coherent_clip import CoherentDraper
     from quaffure.solvers.descent import Descent, DescentDraper
     from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
-    from quaffure.solvers.refined import RefinedDraper
     from quaffure.solvers.stopping import energy_and_gradient
     from quaffure.solvers.strand_newton import StrandNewtonDraper
     from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting

@@ -10,7 +10,7 @@ import torch
 
 from quaffure.config import HairMaterial
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.hair.groom import Groom
+from quaffure.hair.groom_cache import GroomCopy
 from quaffure.scene import PosedScene, Scene
 from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.strand_newton import StrandNewtonDraper
@@ -63,8 +63,8 @@ class CoherentSetting:
 class CoherentDraper:
     """Drapes the frames of a clip in the order in which they come, by Newton's method on single strands.
 
-    The first frame, one of another groom and one after a cut are settled as `StrandNewtonDraper` does. The same frames
-    in the same order give the same bits with any number of threads.
+    The first frame, one of another or a changed groom, and one after a cut are settled as `StrandNewtonDraper` does.
+    The same frames in the same order give the same bits with any number of threads.
 
     Attributes:
         draper: of frames that start anew.
@@ -97,8 +97,9 @@ class CoherentDraper:
 
     def _step(self, energy: HairEnergy, scene: PosedScene) -> Positions:
         last = self._last
-        frame = _Frame(scene.groom, scene.posed[0, :, 0], scene.root_rotation[0], scene.director[0])
-        if last is None or last.groom is not scene.groom or self._is_cut(last, frame):
+        root, rotation = scene.posed[0, :, 0], scene.root_rotation[0]
+        frame = _Frame(GroomCopy(scene.groom), root, rotation, scene.director[0])
+        if last is None or not last.groom.is_of(scene.groom) or self._is_cut(last, frame):
             descent, self.is_moving = self.draper.descend(energy, scene), False
         else:
             descent = self._followed(energy, scene, last.rotated_to(frame))
@@ -133,12 +134,13 @@ class _Frame:
     """Where roots were, and hair.
 
     Attributes:
+        groom: which one it was, and its arrays, which may change in place.
         root: positions [m].
         rotation: of the scalp triangles from rest.
         direction: unit direction of every edge.
     """
 
-    groom: Groom
+    groom: GroomCopy
     root: Float[Tensor, "s 3"]
     rotation: Float[Tensor, "s 3 3"]
     direction: Float[Tensor, "s e 3"]

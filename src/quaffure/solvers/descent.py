@@ -100,7 +100,8 @@ class Descent:
             leaf.grad = None
         positions = self.variables.positions()
         if self.clips:
-            positions = clip_gradients(positions, self.energy.rest, self.energy.per_vertex_unit)
+            positions = positions.view_as(positions)
+            clip_gradients(positions, self.energy.rest, self.energy.per_vertex_unit)
         energy = self.energy.total(positions, self.scene, self.term_variables)
         loss = energy.sum() / self.energy.per_vertex_unit
         loss.backward()

@@ -18,6 +18,9 @@ HISTORY_SIZE = 20
 class LbfgsDraper(DescentDraper):
     """Minimizes `HairEnergy` over directions, from the closed-form gravity equilibrium; lengths are kept exactly.
 
+    Unlike those of the other drapers, its last bits depend on the number of threads: torch's optimizer takes inner
+    products by MKL.
+
     Attributes:
         evaluations: of the gradient, at most, but for the end of the last line search.
         terms: of the energy.

@@ -13,13 +13,13 @@ from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper, StoppingReport
 from quaffure.energies.energy_term import Terms
-from quaffure.energies.gravity import GRAVITY, Acceleration
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.hair_terms import ROD, hair_terms
+from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import directors
-from quaffure.hair.groom import Groom
+from quaffure.hair.groom_cache import GroomCopy
 from quaffure.scene import HairScene, Scene
 from quaffure.solvers.stopping import stopping_report
 from quaffure.solvers.strand_descent import StepControl, StrandDescent
@@ -54,25 +54,12 @@ class StrandNewtonSetting:
             raise ValueError(f"passes: expected at least {least}, free and contact passes, found {self.passes}")
 
 
-@dataclass(frozen=True)
-class RodLoads:
-    """What acts on hair beside the body.
-
-    Attributes:
-        stiffness: multiple of the rod's bending and twisting stiffness; 0.3 to 3 is that of human hair.
-        acceleration: gravity and wind along the world's axes, z up [m/s^2].
-    """
-
-    stiffness: float = 1.0
-    acceleration: Acceleration = GRAVITY
-
-
 class StrandNewtonDraper:
     """Minimizes the energy of the rod with Eqs. 9, 10 and 11 over directions; lengths are kept exactly.
 
     Attributes:
         setting: numbers of passes.
-        loads: of the sag-free rod, where the draper has no terms; may be changed from one drape to the next.
+        loading: of the sag-free rod, where the draper has no terms; may be changed from one drape to the next.
     """
 
     name = "strand_newton"
@@ -93,29 +80,30 @@ class StrandNewtonDraper:
         refuse_other_terms(self.name, terms, ROD)
         self.material = material or HairMaterial()
         self.setting = setting or StrandNewtonSetting()
-        self.loads = RodLoads()
+        self.loading = STANDARD_LOADING
         self._terms = terms
-        self._energy: tuple[tuple[Groom, BodyModel | None, RodLoads], HairEnergy] | None = None
+        self._energy: tuple[GroomCopy, tuple[BodyModel | None, Loading], HairEnergy] | None = None
 
     def drape(self, scene: HairScene) -> Positions:
         """Draped vertices of every sample [m, world]."""
         return self.solve(scene)[0]
 
     def energy_of(self, scene: HairScene) -> HairEnergy:
-        """The energy that is minimized; that of the last groom, body and loads is kept.
+        """The energy that is minimized; the last one is kept while groom, its arrays, body and loading stay the same.
 
         Raises:
             InputError: the draper has no terms, and the scene no body on which hair was designed.
         """
         body = None if self._terms is not None else self._body_of(scene)
-        key = scene.groom, body, self.loads
-        if self._energy is None or self._energy[0] != key:
+        of, kept = (body, self.loading), self._energy
+        if kept is None or not kept[0].is_of(scene.groom) or kept[1] != of:
             terms = self._terms
             if body is not None:
                 design = design_of(scene.groom, body, self.material)
-                terms = hair_terms(ROD, design, self.loads.stiffness, self.loads.acceleration)
-            self._energy = key, HairEnergy(scene.groom, self.material, terms)
-        return self._energy[1]
+                terms = hair_terms(ROD, design, self.loading.stiffness, self.loading.acceleration)
+            kept = GroomCopy(scene.groom), of, HairEnergy(scene.groom, self.material, terms)
+            self._energy = kept
+        return kept[2]
 
     def _body_of(self, scene: HairScene) -> BodyModel:
         if not isinstance(scene, Scene):

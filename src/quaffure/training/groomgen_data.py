@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -24,9 +23,12 @@ from quaffure.config import HairMaterial
 from quaffure.digest import array_digest
 from quaffure.draper import Draper
 from quaffure.errors import InputError, refused
+from quaffure.file_values import known_fields, material_from
 from quaffure.hair.groom import Groom
-from quaffure.io.atomic import made_folder, replacing, write_json
+from quaffure.input_file import read_text
+from quaffure.io.atomic import replacing, write_json
 from quaffure.io.groom_file import read_groom, write_groom
+from quaffure.io.output_path import made_folder
 from quaffure.npz import Spec, read_arrays
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training.run_folder import body_digest, code_version
@@ -34,6 +36,7 @@ from quaffure.types import BodyPose, Float, Tensor
 
 LARGEST_TURN = math.radians(30)
 """Limit of the rotation of the head about each axis (Sec. 4.2) [rad]."""
+DRAPES = "a folder for drapes"
 SAME_GROOM = 1e-4
 """Every process makes the groom again; its vertices may differ by this much [m]."""
 
@@ -162,7 +165,7 @@ def started_folder(path: Path, groom: Groom, body: BodyModel, solver: str, drape
     Raises:
         InputError: it holds other drapes, or cannot be made.
     """
-    made_folder(path, "a folder for drapes")
+    made_folder(path, DRAPES)
     wanted = Manifest(groom.name, groom_digest(groom), body_digest(body), solver, draper.material, seed, code_version())
     if not (path / "manifest.json").is_file():
         write_groom(path / "groom.npz", groom)
@@ -195,6 +198,8 @@ def _same_groom(one: Groom, other: Groom) -> bool:
 
 
 def _read_manifest(path: Path) -> Manifest:
-    with refused(path, "the manifest of quaffure groomgen-data", OSError, ValueError, TypeError, KeyError):
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return Manifest(**content | {"material": HairMaterial(**content["material"])})
+    what = "the manifest of quaffure groomgen-data"
+    text = read_text(path, what)
+    with refused(path, what, ValueError, TypeError, KeyError, RecursionError):
+        content = known_fields(json.loads(text), Manifest)
+        return Manifest(**content | {"material": material_from(content["material"])})

@@ -20,11 +20,13 @@ class PoseSampler:
         prior: fitted to the training clips.
         clips: motions at 30 fps; may be empty.
         clip_share: how many of the runs come from the clips when there are any.
+        calm_share: how many of the runs are brought closer to the rest pose, by a share drawn anew.
     """
 
     prior: PosePrior
     clips: tuple[Motion, ...] = ()
     clip_share: float = 0.5
+    calm_share: float = 0.3
 
     def sample(self, runs: int, frames: int, generator: torch.Generator) -> tuple[BodyPose, BodyShape]:
         """Poses [runs * frames, 81], run after run, and shapes, the same along a run."""
@@ -32,6 +34,8 @@ class PoseSampler:
         for run in range(runs):
             if self.clips and torch.rand((), generator=generator) < self.clip_share:
                 poses[run] = self._from_clip(frames, generator)
+            if torch.rand((), generator=generator) < self.calm_share:
+                poses[run] *= torch.rand((), generator=generator)
         shapes = torch.randn(runs, 1, 10, generator=generator).clamp(-LARGEST_COEFFICIENT, LARGEST_COEFFICIENT)
         return poses.flatten(0, 1), shapes.expand(-1, frames, -1).flatten(0, 1)
 

@@ -2,9 +2,10 @@
 
 import csv
 import subprocess
-from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from importlib.metadata import version
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -14,10 +15,12 @@ import quaffure
 from quaffure.body.body_model import BodyModel
 from quaffure.digest import array_digest
 from quaffure.errors import InputError, refused
-from quaffure.io.atomic import made_folder, replacing, write_json
+from quaffure.input_file import check_input_file
+from quaffure.io.atomic import replacing, write_json
+from quaffure.io.output_path import made_folder
 
-CHECKPOINT = "checkpoint.pt"
-RUN = "a folder for the run"
+CHECKPOINT, LOCK = "checkpoint.pt", ".lock"
+RUN, CHECKPOINT_FILE = "a folder for the run", "a checkpoint of this training"
 Table = Literal["training", "validation"]
 
 
@@ -40,6 +43,24 @@ class RunFolder:
         self.path = made_folder(path, RUN)
         self.version = code_version()
 
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep the folder for this process; the lock ends with the process, however it ends. None on Windows.
+
+        Raises:
+            InputError: another process has it.
+        """
+        with (self.path / LOCK).open("a") as file:
+            try:
+                import fcntl  # not on Windows
+
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except ImportError:
+                pass
+            except OSError as error:
+                raise InputError(self.path, "a folder that no other training uses", "one that is in use") from error
+            yield
+
     def describe(self, description: Mapping[str, object]) -> None:
         """Write `config.json`: the version of the code, and the settings of the run."""
         write_json(self.path / "config.json", {"version": self.version, **description})
@@ -49,8 +70,11 @@ class RunFolder:
 
         Nothing is unpickled but these when it is read back.
         """
+        # Through memory: torch's own writing raises no OSError on a full disk.
+        written = BytesIO()
+        torch.save(dict(state), written)
         with replacing(self.path / CHECKPOINT) as path:
-            torch.save(dict(state), path)
+            path.write_bytes(written.getbuffer())
 
     def load(self, identity: Mapping[str, str]) -> dict[str, Any] | None:
         """The state that `save` kept, on the CPU; None where there is none.
@@ -62,11 +86,9 @@ class RunFolder:
             InputError: it is of another run, or damaged.
         """
         path = self.path / CHECKPOINT
-        # What a process that was killed while it saved had written so far.
-        for unfinished in self.path.glob(f".{path.stem}-*{path.suffix}"):
-            unfinished.unlink(missing_ok=True)
-        if not path.is_file():
+        if not path.exists():
             return None
+        check_input_file(path, CHECKPOINT_FILE)
         with self.reading():
             state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
             _ = state["identity"]
@@ -83,17 +105,24 @@ class RunFolder:
             InputError: it is damaged, or made by another version of the code.
         """
         # On damaged bytes torch's unpickler raises many unrelated types.
-        return refused(self.path / CHECKPOINT, "a checkpoint of this training", Exception)
+        return refused(self.path / CHECKPOINT, CHECKPOINT_FILE, Exception)
 
     def log(self, name: Table, row: Mapping[str, object]) -> None:
-        """Append a row to a table, `<name>.csv`; columns that it does not have yet are added to it, empty so far."""
+        """Append a row to a table, `<name>.csv`; columns that it does not have yet are added to it, empty so far.
+
+        Raises:
+            InputError: it cannot be written.
+        """
         path = self.path / f"{name}.csv"
         columns, rows = _read_table(path)
         new = [column for column in row if column not in columns]
         if new:
             columns += new
             _write_table(path, columns, rows)
-        with path.open("a", newline="", encoding="utf-8") as file:
+        with (
+            refused(path, "a file that can be written", OSError),
+            path.open("a", newline="", encoding="utf-8") as file,
+        ):
             csv.DictWriter(file, columns, restval="").writerow(row)
 
     def rewind_logs(self, step: int) -> None:
@@ -119,7 +148,8 @@ def code_version() -> str:
     if not (root / ".git").exists():
         return released
     try:
-        command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--tags"]
+        # Without locks: a git that is killed while it has one leaves the checkout locked.
+        command = ["git", "--no-optional-locks", "-C", str(root), "describe", "--always", "--dirty", "--tags"]
         described = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return released

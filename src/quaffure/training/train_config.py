@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 from quaffure.body.pose_features import FEATURE_COUNT
@@ -36,12 +36,9 @@ class TrainConfig:
     """Steps over which the learning rate rises from zero."""
     self_collision_every: int = 1
     """Evaluate Eq. 11 on every k-th step, k times as strong."""
-    body_contact_weight: float = 1.0
-    """Weight of Eq. 10 in the loss, over its part in the energy; forces that are saturated stay so. Above 1, less hair
-    ends up inside bodies of unfamiliar poses, for a little more of the other terms elsewhere."""
-    elastic: Literal["modified_cosserat", "cosserat", "mass_spring"] = "modified_cosserat"
-    """The energy that keeps a strand's shape: the paper's, edge by edge (Eqs. 6-8), the full rod (Eqs. 2-5), whose
-    frames follow their edges here, or springs."""
+    elastic: Literal["rod", "modified_cosserat", "cosserat", "mass_spring"] = "rod"
+    """The energy that keeps a strand's shape: the rod that rests in its design, under loadings that are drawn anew; the
+    paper's, edge by edge (Eqs. 6-8); the full rod (Eqs. 2-5), whose frames follow their edges here; or springs."""
     bf16: bool = False
     """Run the network's layers in bfloat16."""
     seed: int = 0
@@ -56,17 +53,10 @@ class TrainConfig:
         hair_terms(self.elastic)
         counts = ("steps", "runs", "frames", "grooms_per_step", "self_collision_every", "log_every", "validate_every")
         refuse_impossible({name: getattr(self, name) for name in counts}, self.learning_rate, self.seed)
-        if not 0 < self.body_contact_weight < math.inf:
-            raise InputError("--body-contact-weight", "a number above 0", f"{self.body_contact_weight}")
         if not 0 < self.material.collision_margin <= LARGEST_COLLISION_MARGIN:
             raise InputError(
                 "--collision-margin", f"up to {LARGEST_COLLISION_MARGIN} m", f"{self.material.collision_margin}"
             )
-
-    @property
-    def loss_material(self) -> HairMaterial:
-        """The material with contact as strong as the loss has it."""
-        return replace(self.material, k_body_collision=self.body_contact_weight * self.material.k_body_collision)
 
 
 def refuse_impossible(counts: Mapping[str, int], learning_rate: float, seed: int) -> None:

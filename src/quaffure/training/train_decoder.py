@@ -11,8 +11,10 @@ from quaffure.body.pose_features import world_from_head
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.force_limit import clip_gradients
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.energies.hair_terms import MODIFIED_COSSERAT, hair_terms
+from quaffure.energies.hair_terms import ROD, hair_terms
+from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.energies.pose_regularization import energy_pose_regularization
+from quaffure.energies.sag_free import design_of
 from quaffure.energies.self_collision import SelfCollision
 from quaffure.hair.groom import Groom
 from quaffure.model.checkpoint import save_network
@@ -21,6 +23,7 @@ from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_network import QuaffureNetwork, build_network
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training.distributed import SINGLE_PROCESS, Worker
+from quaffure.training.loading_sampler import draw_loading
 from quaffure.training.loop import Recipe
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.run_folder import body_digest
@@ -30,6 +33,8 @@ from quaffure.types import Tensor
 
 EMA_DECAY = 0.998
 """Decay of the weights' exponential average: over the last thousand steps or so."""
+ENERGY_OFFSET, LEAST_ENERGY = 2.0, 0.1
+"""The energy of a sample, in its unit, counts by its logarithm above this much less: no drape has so little."""
 VALIDATED_GROOMS = 16
 """A validation measures about as many of the grooms, evenly spread over their list."""
 
@@ -41,8 +46,6 @@ class DecoderRecipe(Recipe):
 
     Attributes:
         energies: of each groom, in the material that hair has.
-        strand_energies: the same with contact as strong as the loss has it, without Eq. 11.
-        density_energies: Eq. 11 alone.
     """
 
     ema_decay = EMA_DECAY
@@ -72,16 +75,31 @@ class DecoderRecipe(Recipe):
         self.network = (network or build_network(config.network)).to(worker.device)
         self.network.encoder.load_state_dict(load_groom_encoder().state_dict())
         self.draper = NeuralDraper(self.network, config.material, config.bf16)
-        terms = terms or hair_terms(config.elastic)
-        self.energies = [HairEnergy(groom, config.material, terms) for groom in self.grooms]
+        self.own_terms = terms
+        self.energies = [self._energy(groom) for groom in self.grooms]
         self.log_every, self.validate_every = config.log_every, config.validate_every
         drapes = config.runs * config.frames * min(config.grooms_per_step, len(grooms))
         self.samples_per_step = drapes * worker.world_size
-        loss_energies = self.energies
-        if config.body_contact_weight != 1:
-            loss_energies = [HairEnergy(groom, config.loss_material, terms) for groom in self.grooms]
-        self.strand_energies = [energy.without(SelfCollision.name) for energy in loss_energies]
-        self.density_energies = [energy.only(SelfCollision.name) for energy in loss_energies]
+
+    def _energy(self, groom: Groom) -> HairEnergy:
+        terms, material = self.own_terms or hair_terms(self.config.elastic), self.config.material
+        if self.own_terms is None and self.config.elastic == ROD:
+            terms = hair_terms(ROD, design_of(groom, self.body, material))
+        return HairEnergy(groom, material, terms)
+
+    def _loaded(self, index: int, loading: Loading) -> HairEnergy:
+        """The energy of a groom under a loading."""
+        if loading is STANDARD_LOADING:
+            return self.energies[index]
+        design = design_of(self.grooms[index], self.body, self.config.material)
+        return self.energies[index].of_terms(hair_terms(ROD, design, loading.stiffness, loading.acceleration))
+
+    @property
+    def draws_loadings(self) -> bool:
+        """Whether stiffness, gravity and wind change from step to step: the energy of the rod alone has them, and the
+        paper's configuration does not read them."""
+        reads = self.network.config.output == "directions"
+        return reads and self.own_terms is None and self.config.elastic == ROD
 
     def backward(self, step: int) -> dict[str, float]:
         """The loss [`loss_unit`]; every `log_every` steps also every term of it."""
@@ -93,9 +111,10 @@ class DecoderRecipe(Recipe):
         metrics: dict[str, float] = {}
         for index in drawn:
             scene = Scene(self.grooms[index], bodies)
-            loss, terms = self._loss(scene, index, len(drawn), step)
-            (loss / len(drawn)).backward()
-            for name, value in ({"loss": float(loss.detach())} | terms).items():
+            loading = draw_loading(generator) if self.draws_loadings else STANDARD_LOADING
+            objective, of_groom = self._objective(scene, self._loaded(index, loading), loading, len(drawn), step)
+            (objective / len(drawn)).backward()
+            for name, value in of_groom.items():
                 metrics[name] = metrics.get(name, 0.0) + value / len(drawn)
         return metrics
 
@@ -106,35 +125,47 @@ class DecoderRecipe(Recipe):
         drawn: list[int] = order[: self.config.grooms_per_step].tolist()
         return drawn
 
-    def _loss(self, scene: Scene, index: int, grooms: int, step: int) -> tuple[Tensor, dict[str, float]]:
-        """Eq. 1 over the batch of one of several grooms, in `loss_unit`, and the energy's terms where this step logs
-        them."""
-        config, unit = self.config, loss_unit(self.energies[index])
-        draped = self.draper.deform(scene)
-        # The gradient that arrives is that of the mean over samples and grooms.
-        positions = clip_gradients(draped, self.energies[index].rest, len(draped) * grooms * unit)
-        total = self.strand_energies[index].total(positions, scene)
-        if step % config.self_collision_every == 0:
-            total = total + config.self_collision_every * self.density_energies[index].total(positions, scene)
+    def _objective(
+        self, scene: Scene, energy: HairEnergy, loading: Loading, grooms: int, step: int
+    ) -> tuple[Tensor, dict[str, float]]:
+        """What is descended for one of several grooms, and the loss, Eq. 1 over the batch in `loss_unit`, with the
+        energy's terms where this step logs them.
+
+        The gradient is that of the logarithm of each sample's energy above `-ENERGY_OFFSET`: hair pressed into hair
+        costs thousands of units before a network is trained, and one groom must not decide a step for all.
+        """
+        config, unit = self.config, loss_unit(energy)
+        draped = self.draper.under(loading).deform(scene, projects=True)
+        positions = draped.view_as(draped)
+        every = config.self_collision_every
+        if every == 1:
+            total = energy.total(positions, scene)
+        else:
+            total = energy.without(SelfCollision.name).total(positions, scene)
+            if step % every == 0:
+                total = total + every * energy.only(SelfCollision.name).total(positions, scene)
         head = world_from_head(self.body, scene.bodies.posed.joint_rotations)[:, None]
         deformation = ((positions - scene.posed) @ head).unflatten(0, (config.runs, config.frames))
         smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg).mean() / config.frames
-        terms: dict[str, float] = {}
+        metrics = {"loss": float((total.mean() + smoothness).detach()) / unit}
         if self.worker.is_first and (step + 1) % config.log_every == 0:
-            named = self.energies[index].by_term(draped.detach(), scene)
-            terms = {name: float(term.mean()) / unit for name, term in named.items()}
-            terms["pose_regularization"] = float(smoothness.detach()) / unit
-        return (total.mean() + smoothness) / unit, terms
+            named = energy.by_term(draped.detach(), scene)
+            metrics |= {name: float(term.mean()) / unit for name, term in named.items()}
+            metrics["pose_regularization"] = float(smoothness.detach()) / unit
+        weight = 1 / (total.detach() / unit + ENERGY_OFFSET).clamp(min=LEAST_ENERGY)
+        # The gradient that arrives is that of the mean over samples and grooms.
+        clip_gradients(positions, energy.rest, len(draped) * grooms * unit / weight)
+        return ((weight * total).mean() + smoothness) / unit, metrics
 
     def validate(self, averaged: QuaffureNetwork) -> dict[str, float]:
-        """See `validation_metrics`; `loss` is the energy with contact as strong as in training."""
+        """See `validation_metrics`; `loss` is the energy under `STANDARD_LOADING`."""
         draper = NeuralDraper(averaged, self.config.material, self.config.bf16)
         device = self.worker.device
         bodies = BodyBatch(self.body, self.validation.body_pose.to(device), self.validation.body_shape.to(device))
         every = -(-len(self.grooms) // VALIDATED_GROOMS)
         scenes = (Scene(groom, bodies) for groom in self.grooms[::every])
         metrics = validation_metrics(draper, zip(scenes, self.energies[::every]))
-        metrics["loss"] = metrics["energy"] + (self.config.body_contact_weight - 1) * metrics["body_collision"]
+        metrics["loss"] = metrics["energy"]
         return metrics
 
     def save_best(
@@ -158,12 +189,9 @@ class DecoderRecipe(Recipe):
         or registered again by every process, so that their last bits depend on the machine.
         """
         config, names = self.config, [groom.name for groom in self.grooms]
-        weight = f"body contact {config.body_contact_weight:g} times, " if config.body_contact_weight != 1 else ""
-        elastic = f"{config.elastic}, " if config.elastic != MODIFIED_COSSERAT else ""
-        terms = self.energies[0].terms
-        added = f"terms {[term.name for term in terms]}, " if terms != hair_terms(config.elastic) else ""
+        added = "" if self.own_terms is None else f"terms {[term.name for term in self.own_terms]}, "
         return {
-            "identity": f"{names}, {config.network}, {config.material}, {elastic}{added}{weight}seed {config.seed}",
+            "identity": f"{names}, {config.network}, {config.material}, {config.elastic}, {added}seed {config.seed}",
             "geometry": f"body {body_digest(self.body)}, strands {[len(groom) for groom in self.grooms]}",
         }
 

@@ -17,6 +17,9 @@ from quaffure.training.loop import Recipe, Training
 from quaffure.training.train_config import refuse_impossible
 from quaffure.types import Float, Tensor
 
+ENCODER, AUTOENCODER = "groom_code.safetensors", "groom_autoencoder.safetensors"
+"""Files of a finished run."""
+
 
 @dataclass(frozen=True)
 class GroomCodeConfig:
@@ -182,9 +185,9 @@ def finish(training: Training[GroomCodeRecipe]) -> GroomAutoencoder:
         network.standardise(torch.cat(codes))
     styles = ", ".join(recipe.styles)
     notes = {"step": str(training.step), "grooms": f"{styles}; {len(recipe.family)} of the family"}
-    with replacing(folder / "groom_autoencoder.safetensors") as path:
+    with replacing(folder / AUTOENCODER) as path:
         save_autoencoder(path, network, notes)
-    with replacing(folder / "groom_code.safetensors") as path:
+    with replacing(folder / ENCODER) as path:
         save_encoder(path, network, notes)
     return network
 

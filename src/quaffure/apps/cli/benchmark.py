@@ -18,8 +18,9 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
-from quaffure.io.atomic import check_output, write_json
+from quaffure.io.atomic import write_json
 from quaffure.io.load_groom import load_groom
+from quaffure.io.output_path import check_output
 from quaffure.model.quaffure_model import Quaffure, load_model
 from quaffure.scene import BodyBatch, Scene
 
@@ -57,7 +58,7 @@ class SolversCommand:
     def run(self) -> None:
         console.quiet = self.json
         chosen = self._budgets()
-        _check_files(self.out)
+        _check_files(self.out, (*self.groom, *self.motion, self.head))
         if self.strands is not None and self.strands < 1:
             raise InputError("--strands", "1 or more", f"{self.strands}")
         body = load_body()
@@ -117,7 +118,7 @@ class InferenceCommand:
 
     def run(self) -> None:
         console.quiet = self.json
-        _check_files(self.out)
+        _check_files(self.out, (*self.groom, self.weights))
         model = load_model(self.weights)
         inference.inference_layout(model)  # refused before the work
         grooms = [load_groom(name, model.body) for name in self.groom or ("long_straight",)]
@@ -154,13 +155,13 @@ class BenchmarkCommand:
         self.what.run()
 
 
-def _check_files(out: Path) -> None:
+def _check_files(out: Path, inputs: Sequence[str | Path | None]) -> None:
     """Refuse the .json file or the plot next to it, before the work.
 
     Raises:
-        InputError: another suffix, no folder to write into, or a folder of one of these names.
+        InputError: another suffix, no folder to write into, a folder of one of these names, or an input.
     """
-    check_output(out, ".json")
+    check_output(out, ".json", inputs=inputs)
     check_output(out.with_suffix(".png"), ".png")
 
 

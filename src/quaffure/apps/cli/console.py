@@ -4,7 +4,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from datetime import timedelta
 from functools import partial
 from typing import Any
@@ -71,7 +71,18 @@ def run_training(
     Args:
         bar_text, validation_text: the text of the bar and of the line from the values of a step; empty for no line.
         start: the network whose weights a new run starts from.
+
+    Raises:
+        InputError: another process trains in the same folder.
     """
+    # Of the processes that share a run, the first one writes.
+    with training.folder.locked() if training.recipe.worker.is_first else nullcontext():
+        _run_training(training, bar_text, validation_text, to, start)
+
+
+def _run_training(
+    training: Training[Any], bar_text: Text, validation_text: Text, to: Console, start: nn.Module | None
+) -> None:
     is_first, total = training.recipe.worker.is_first, training.recipe.config.steps
     if training.resume():
         if is_first:

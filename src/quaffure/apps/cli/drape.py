@@ -21,6 +21,7 @@ from quaffure.draper import Draper
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.gravity import GRAVITY, Acceleration
 from quaffure.energies.hair_terms import ELASTIC_MODELS, MODIFIED_COSSERAT, ROD, hair_terms
+from quaffure.energies.loading import Loading
 from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
 from quaffure.geometry.cell_list import sort_into_cells
@@ -69,8 +70,8 @@ class DrapeCommand:
     settle: int = 0
     """Passes of strand_newton from the output of another draper; 0 is that draper alone."""
     elastic: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = None
-    """The elastic model: rod with strand_newton, otherwise modified_cosserat, the paper's; adam and lbfgs in all their
-    forms accept any. Metrics are those of the same model."""
+    """The elastic model: rod with strand_newton and the network, else modified_cosserat, the paper's; adam and lbfgs in
+    all their forms accept any. Metrics are those of the same model."""
     rest: Literal["design", "stress-free"] | None = None
     """With --elastic rod: the rest shape that keeps hair as designed on the mean body (design, the default), or the
     groom itself, from which gravity bends it."""
@@ -94,7 +95,7 @@ class DrapeCommand:
 
     def run(self) -> None:
         console.quiet = self.json
-        check_outputs(self.out)
+        check_outputs(self.out, (self.groom, self.motion, self.shape, self.head, self.weights, self.reference))
         times = Stopwatch()
         body = load_body()
         motion = motion_of(self.motion, body, self.in_place).frames(self.frames)
@@ -154,7 +155,8 @@ class DrapeCommand:
 
     @property
     def _elastic(self) -> str:
-        return self.elastic or (ROD if self._name == StrandNewtonDraper.name or self.settle else MODIFIED_COSSERAT)
+        has_rod = self._name in (StrandNewtonDraper.name, NEURAL) or self.settle
+        return self.elastic or (ROD if has_rod else MODIFIED_COSSERAT)
 
     @property
     def _rest(self) -> str:
@@ -171,13 +173,16 @@ class DrapeCommand:
             raise InputError("--settle", expected, f"'{self._name}' and '{self._elastic}'")
         if self.rest is not None and self._elastic != ROD:
             raise InputError("--rest", f"--elastic {ROD}", f"'{self._elastic}'")
-        if self._name in (NEURAL, GROOMGEN) and not self.settle and self.elastic not in (None, MODIFIED_COSSERAT):
-            raise InputError("--elastic", f"{MODIFIED_COSSERAT} with a network", f"'{self.elastic}'")
+        trained = {NEURAL: ROD, GROOMGEN: MODIFIED_COSSERAT}.get(self._name)
+        if trained is not None and not self.settle and self.elastic not in (None, trained):
+            raise InputError("--elastic", f"{trained} with {self._name}", f"'{self.elastic}'")
+        if self._name == NEURAL and self._rest != "design":
+            raise InputError("--rest", f"design with {NEURAL}", f"'{self.rest}'")
         for option, factor in (("--stiffness", self.stiffness), ("--weight", self.weight)):
             if not 0 < factor <= MOST_SCALE:
                 raise InputError(option, f"a factor above 0, at most {MOST_SCALE:g}", f"{factor:g}")
-        if self._name in (NEURAL, GROOMGEN) and not self.settle and not self._has_default_loads:
-            expected = f"a solver, or --settle after the draper {self._name}, which knows one hair and one gravity"
+        if self._name == GROOMGEN and not self.settle and not self._has_default_loads:
+            expected = f"another draper, or --settle after {self._name}, which knows one hair and one gravity"
             raise InputError("--stiffness, --weight, --gravity, --wind", expected, f"'{self._name}'")
         if self._name == GROOMGEN and self.weights is None:
             raise InputError("--weights", f"weights of quaffure train-groomgen with the draper {GROOMGEN}", "none")
@@ -196,7 +201,7 @@ class DrapeCommand:
         if self._name == GROOMGEN and self.weights is not None:
             draper: Draper = load_groomgen(self.weights)[0]
         else:
-            draper = load_model(self.weights).draper
+            draper = load_model(self.weights).under(Loading(self.stiffness, self._acceleration)).draper
         material = draper.material
         if self._elastic == MODIFIED_COSSERAT:
             material = replace(material, k_cosserat=self.stiffness * material.k_cosserat)

@@ -26,8 +26,9 @@ from quaffure.body.motion import Motion
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.io.atomic import check_output, made_folder, write_json
+from quaffure.io.atomic import write_json
 from quaffure.io.load_groom import load_groom
+from quaffure.io.output_path import check_output, check_output_folder, made_folder
 
 OWN_FRAMES = 3
 """Number of frames of a user's motion without --frames."""
@@ -146,7 +147,13 @@ class EvaluateCommand:
         if self.out is None and self.write_cases is None:
             raise InputError("--out", "a .json file to write", "none")
         if self.out is not None:
-            check_output(self.out, ".json")
+            weights = self.shared.weights_by_row().values()
+            inputs: list[str | Path | None] = [*self.groom, *self.motion, self.shape, *weights]
+            check_output(self.out, ".json", inputs=inputs)
+        folders = {"the report": self.report, "the cases": self.write_cases}
+        for what, folder in folders.items():
+            if folder is not None:
+                check_output_folder(folder, f"a folder for {what}")
         own = {"--groom": self.groom, "--motion": self.motion}
         given = next((name for name, value in own.items() if value), None)
         if given and (self.quick or self.write_cases is not None):

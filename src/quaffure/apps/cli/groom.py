@@ -22,9 +22,9 @@ from quaffure.hair.resample import concatenate_strands, resample_by_arc_length, 
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.hair.strands import Strands
 from quaffure.hair.tie_detection import FoundTie, find_ties
-from quaffure.io.atomic import check_output
 from quaffure.io.groom_file import LONGEST_STRAND, write_groom
 from quaffure.io.load_groom import read_head
+from quaffure.io.output_path import check_output
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural.generator import LICENCE, make_groom
 from quaffure.procedural.hair_style import HELD_OUT, STYLES, style_sizes
@@ -107,9 +107,10 @@ class ImportGroom:
     always kept."""
 
     def run(self) -> None:
-        check_output(self.out, ".npz")
+        inputs = (*self.files, self.head)
+        check_output(self.out, ".npz", inputs=inputs)
         if self.picture is not None:
-            check_output(self.picture, ".png")
+            check_output(self.picture, ".png", inputs=inputs)
         if not self.files:
             raise InputError("FILE", "at least one file of strands", "none")
         body = load_body()

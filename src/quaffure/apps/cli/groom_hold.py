@@ -12,9 +12,9 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.energies.held_parts import held_up_to, released, tied_at
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
-from quaffure.io.atomic import check_output
 from quaffure.io.groom_file import LONGEST_STRAND, write_groom
 from quaffure.io.load_groom import load_groom
+from quaffure.io.output_path import check_output
 from quaffure.types import Bool, Tensor
 
 REGIONS = {
@@ -49,7 +49,7 @@ class HoldGroom:
     """Free the hair from its ties and from all that holds it."""
 
     def run(self) -> None:
-        check_output(self.out, ".npz")
+        check_output(self.out, ".npz", inputs=(self.groom,))
         actions = {"--length": self.length, "--tie": self.tie}
         asked = [name for name, value in actions.items() if value is not None] + ["--release"] * self.release
         if len(asked) != 1:

@@ -13,10 +13,12 @@ from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.body.body_model import load_body
 from quaffure.errors import InputError
 from quaffure.io.load_groom import load_groom
+from quaffure.io.output_path import check_output_folder
 from quaffure.model.quaffure_model import load_model
 from quaffure.solvers.by_name import SOLVERS, solver
-from quaffure.training.groomgen_data import DrapeFolder, started_folder
+from quaffure.training.groomgen_data import DRAPES, DrapeFolder, started_folder
 from quaffure.training.loop import Training
+from quaffure.training.run_folder import RUN
 from quaffure.training.train_groomgen import GroomGenConfig, GroomGenRecipe
 
 SECONDS_BETWEEN_LINES = 60.0
@@ -45,6 +47,7 @@ class GroomgenDataCommand:
 
     def run(self) -> None:
         poses = self._poses()
+        check_output_folder(self.out, DRAPES)
         refuse_evaluation_data([self.groom])
         body = load_body()
         draper = solver(self.draper, load_model().draper.material)
@@ -89,6 +92,7 @@ class TrainGroomgenCommand:
     config: GroomGenConfig = field(default_factory=GroomGenConfig)
 
     def run(self) -> None:
+        check_output_folder(self.out, RUN)
         folder = DrapeFolder(self.data, load_body())
         with progress_bar(f"reading drapes of {folder.manifest.groom}", None) as update:
             drapes = folder.read(lambda poses: update(completed=poses))

@@ -9,8 +9,10 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.body.clips import CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion, resample
+from quaffure.body.pose_limits import check_body_shape
 from quaffure.energies.gravity import Acceleration
-from quaffure.errors import InputError, refused
+from quaffure.errors import InputError
+from quaffure.input_file import read_text
 from quaffure.io.read_motion import read_motion
 from quaffure.npz import read_numbers
 from quaffure.training.pose_sampler import FPS
@@ -18,7 +20,6 @@ from quaffure.types import Float, Tensor
 
 SHAPE_SUFFIXES = (".csv", ".npz", ".txt")
 MAX_ACCELERATION = 100.0  # m/s^2; ten times gravity
-MAX_COEFFICIENT = 10.0  # standard deviations; beyond it nothing human is left
 
 
 def motion_of(text: str, body: BodyModel, in_place: bool = False) -> Motion:
@@ -52,9 +53,9 @@ def body_shape_of(text: str) -> Float[Tensor, "10"]:
     values = _file_numbers(Path(text)) if names_file else _numbers(text, source)
     if values.shape != (10,):
         raise InputError(source, "10 coefficients", f"{values.size}")
-    if not (np.abs(values) <= MAX_COEFFICIENT).all():
-        raise InputError(source, f"coefficients within +-{MAX_COEFFICIENT:g}", f"{values.tolist()}")
-    return torch.tensor(values, dtype=torch.float32)
+    shape = torch.tensor(values, dtype=torch.float32)
+    check_body_shape(shape, source)
+    return shape
 
 
 def acceleration_of(text: str, option: str) -> Acceleration:
@@ -73,9 +74,7 @@ def acceleration_of(text: str, option: str) -> Acceleration:
 def _file_numbers(path: Path) -> Float[np.ndarray, " n"]:
     if path.suffix.lower() == ".npz":
         return read_numbers(path, ("body_shape",)).get("body_shape", np.empty(0)).flatten()
-    with refused(path, "a text file of ten shape coefficients", OSError, UnicodeDecodeError):
-        text = path.read_text(encoding="utf-8")
-    return _numbers(text, path)
+    return _numbers(read_text(path, "a text file of ten shape coefficients"), path)
 
 
 def _numbers(text: str, source: str | Path) -> Float[np.ndarray, " n"]:

@@ -1,12 +1,12 @@
 """Output files of a drape; the suffix selects the format."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation, with_strands
-from quaffure.io.atomic import check_output
+from quaffure.io.output_path import check_distinct, check_output
 
 PICTURES = (".png", ".mp4")
 SUFFIXES = (".npz", ".usd", ".usda", ".usdc", *PICTURES)
@@ -14,16 +14,21 @@ MOST_BYTES = 4e9
 """Limit of the strands in memory that a file is written from."""
 
 
-def check_outputs(paths: Sequence[Path]) -> None:
+def check_outputs(paths: Sequence[Path], inputs: Iterable[str | Path | None]) -> None:
     """Refuse files that could not be written, before the work for them.
 
+    Args:
+        inputs: what the command reads: files, and names that may be files.
+
     Raises:
-        InputError: no file, a suffix that no format has, or a folder that does not exist.
+        InputError: no file, a suffix that no format has, a folder that does not exist or is read-only, the same file
+            twice, or an input.
     """
     if not paths:
         raise InputError("--out", "at least one file to write", "none")
     for path in paths:
-        check_output(path, *SUFFIXES)
+        check_output(path, *SUFFIXES, inputs=inputs)
+    check_distinct(paths)
 
 
 def write_output(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:

@@ -27,7 +27,7 @@ class RenderCommand:
     strands are drawn."""
 
     def run(self) -> None:
-        check_outputs(self.out)
+        check_outputs(self.out, (self.drape,))
         for path in self.out:
             if path.suffix.lower() == ".npz":
                 raise InputError(path, "a picture, a video or USD", "a drape file")

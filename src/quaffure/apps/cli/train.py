@@ -11,17 +11,21 @@ from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
+from quaffure.energies.rod import previous_frames
 from quaffure.errors import InputError
+from quaffure.geometry.polyline import directors
 from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
 from quaffure.io.load_groom import load_groom
+from quaffure.io.output_path import check_output_folder
 from quaffure.model.checkpoint import load_network
 from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.model.quaffure_network import QuaffureNetwork
 from quaffure.training.distributed import Device, joined_workers
 from quaffure.training.groom_samples import family_grooms
-from quaffure.training.loop import Training
+from quaffure.training.loop import BEST, Training
 from quaffure.training.pose_sampler import PoseSampler
+from quaffure.training.run_folder import RUN
 from quaffure.training.train_config import TrainConfig
 from quaffure.training.train_decoder import DecoderRecipe
 from quaffure.training.validation import prior_validation
@@ -66,6 +70,7 @@ class TrainCommand:
 
     def _check(self) -> None:
         """Refuse options that are wrong whatever the files hold."""
+        check_output_folder(self.out, RUN, (BEST,), (self.weights,))
         pose_features = self.config.network.pose_features
         if pose_features not in (0, FEATURE_COUNT):
             raise InputError("--pose-features", f"0 or {FEATURE_COUNT}", f"{pose_features}")
@@ -87,7 +92,8 @@ class TrainCommand:
         # The name of a groom is in its file, whatever the name of the file.
         refuse_evaluation_data(groom.name for groom in own)
         surface = rest_surface(body)
-        return (*own, *(drawn.groom(body, surface) for drawn in family_grooms(range(self.family))))
+        drawn = (drawn.groom(body, surface) for drawn in family_grooms(range(self.family)))
+        return (*own, *(groom for groom in drawn if _is_rod(groom)))
 
     def _sampler(self, body: BodyModel) -> PoseSampler:
         clips = tuple(motion_of(str(path), body) for path in self.motion)
@@ -103,6 +109,15 @@ class TrainCommand:
         if self.config.network not in (TrainConfig().network, network.config):
             raise InputError("--weights", f"the options of their network, {network.config}", f"{self.config.network}")
         return network
+
+
+def _is_rod(groom: Groom) -> bool:
+    """Whether no strand folds back: of a continuous family, some draws have strands that do."""
+    try:
+        previous_frames(directors(groom.rest_strands))
+    except InputError:
+        return False
+    return True
 
 
 def _bar_text(values: dict[str, float]) -> str:

@@ -22,8 +22,9 @@ from quaffure.benchmark.groom_code_metrics import (
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
-from quaffure.io.atomic import made_folder, write_json
+from quaffure.io.atomic import write_json
 from quaffure.io.load_groom import load_groom
+from quaffure.io.output_path import check_output_folder, made_folder
 from quaffure.model.groom_autoencoder import GroomAutoencoder
 from quaffure.model.groom_code import load_groom_autoencoder
 from quaffure.model.groom_texture import GroomSample, sample_of
@@ -31,7 +32,7 @@ from quaffure.procedural.hair_style import HELD_OUT, STYLES
 from quaffure.training.groom_samples import ProceduralGroom, cached_samples, family_grooms, library_grooms
 from quaffure.training.loop import Training
 from quaffure.training.run_folder import RUN
-from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeRecipe, finish
+from quaffure.training.train_groom_code import AUTOENCODER, ENCODER, GroomCodeConfig, GroomCodeRecipe, finish
 
 # The standard output is for the results, which other programs may read.
 messages = Console(stderr=True)
@@ -70,6 +71,7 @@ class TrainCodeCommand:
     config: GroomCodeConfig = field(default_factory=GroomCodeConfig)
 
     def run(self) -> None:
+        check_output_folder(self.out, RUN, (ENCODER, AUTOENCODER), (self.keep_encoder,))
         refuse_evaluation_data(self.groom)
         started = load_groom_autoencoder(self.keep_encoder) if self.keep_encoder is not None else None
         body = load_body()

@@ -13,7 +13,7 @@ from quaffure.apps.render.scene import StrandRenderer
 from quaffure.body.body_model import BodyModel
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import interpolation_of
-from quaffure.io.atomic import check_output
+from quaffure.io.output_path import check_output
 
 VIEWS = ("3/4", "side", "back")
 COLUMNS = 4

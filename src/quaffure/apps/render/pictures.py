@@ -13,7 +13,8 @@ from quaffure.apps.render.framing import MARGIN, facing_deg, frame_hair, hair_bo
 from quaffure.apps.render.scene import CHESTNUT, StrandRenderer
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
-from quaffure.io.atomic import check_output, replacing
+from quaffure.io.atomic import replacing
+from quaffure.io.output_path import check_output
 
 VIEWS_BEFORE_AFTER = ("front", "side", "back")
 TILE = 512

@@ -15,7 +15,8 @@ from quaffure.apps.render.scene import StrandRenderer
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
-from quaffure.io.atomic import check_output, replacing
+from quaffure.io.atomic import replacing
+from quaffure.io.output_path import check_output
 
 Picture = UInt8[np.ndarray, "h w 3"]
 VIEWS = ("front", "side")

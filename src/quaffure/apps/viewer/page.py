@@ -18,8 +18,8 @@ from quaffure.apps.viewer.scene_nodes import SceneNodes
 from quaffure.apps.viewer.session import PictureWriter, Session
 from quaffure.apps.viewer.view_state import MEAN_SHAPE, ViewState
 from quaffure.energies.gravity import GRAVITY, NO_ACCELERATION
+from quaffure.energies.loading import Loading
 from quaffure.errors import InputError, refused
-from quaffure.solvers.strand_newton import RodLoads
 
 NOTICE_SECONDS = 8.0
 RED, GREEN = (224, 49, 49), (47, 158, 68)
@@ -189,7 +189,7 @@ class Page:
         """Stiffness, gravity and wind from their sliders."""
         panel = self.panel
         x, y, z = (float(gravity.value + wind.value) for gravity, wind in zip(panel.gravity, panel.wind))
-        loads = RodLoads(float(panel.stiffness.value), (x, y, z))
+        loads = Loading(float(panel.stiffness.value), (x, y, z))
         self.session.ask_edit("loads", lambda state: replace(state, loads=loads))
 
     def _reset_loads(self) -> None:
@@ -197,7 +197,7 @@ class Page:
         for sliders, start in ((self.panel.gravity, GRAVITY), (self.panel.wind, NO_ACCELERATION)):
             for slider, value in zip(sliders, start):
                 put(slider, value)
-        self.session.ask_edit("reset of the hair", lambda state: replace(state, loads=RodLoads()))
+        self.session.ask_edit("reset of the hair", lambda state: replace(state, loads=Loading()))
 
     def _settle(self) -> None:
         self._play(False)

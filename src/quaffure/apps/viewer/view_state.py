@@ -13,6 +13,7 @@ from quaffure.body.body_model import SHAPE_COUNT, BodyModel
 from quaffure.body.motion import Motion, joint_matrices, pose_from_matrices
 from quaffure.drape_motion import bodies_of, drape_motion
 from quaffure.draper import Draper
+from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
 from quaffure.geometry.signed_distance import signed_distance
@@ -20,7 +21,6 @@ from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.model.neural import NeuralDraper
 from quaffure.solvers.coherent_clip import CoherentDraper
-from quaffure.solvers.strand_newton import RodLoads
 from quaffure.types import BodyPose, Bool, Float
 
 Degrees = tuple[float, float, float]
@@ -37,7 +37,7 @@ class ViewState:
         frame: index in the clip.
         joint_rotations: rotation vectors about the axes of the rest pose, by joint, applied after the clip [degrees].
         body_shape: beta [standard deviations].
-        loads: stiffness of the hair, gravity and wind; only `strand_newton` reads them.
+        loads: stiffness of the hair, gravity and wind; `strand_newton` and the network read them.
 
     Raises:
         InputError: a frame outside of the clip, a joint that the body does not have, or not ten shape coefficients.
@@ -50,7 +50,7 @@ class ViewState:
     frame: int = 0
     joint_rotations: Mapping[str, Degrees] = field(default_factory=dict)
     body_shape: tuple[float, ...] = MEAN_SHAPE
-    loads: RodLoads = field(default_factory=RodLoads)
+    loads: Loading = field(default_factory=Loading)
 
     def __post_init__(self) -> None:
         if not 0 <= self.frame < len(self.motion):
@@ -96,12 +96,14 @@ class ViewState:
         frame = self.motion.select(slice(self.frame, self.frame + 1))
         pose = replace(frame, body_pose=self.body_pose())
         if isinstance(self.draper, CoherentDraper):
-            self.draper.draper.loads = self.loads
+            self.draper.draper.loading = self.loads
+        if isinstance(self.draper, NeuralDraper):
+            self.draper.loading = self.loads
         with network_clock(self.draper) as network_times:
             shape = torch.tensor(self.body_shape)
             sequence = drape_motion(self.draper, self.groom, self.body, pose, shape, follows=True)
         sequence.meta["frame"] = self.frame
-        if isinstance(self.draper, CoherentDraper):
+        if isinstance(self.draper, CoherentDraper | NeuralDraper):
             sequence.meta.update(asdict(self.loads))
         return Drape(self, sequence, sum(network_times) if network_times else None)
 

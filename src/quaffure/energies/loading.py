@@ -1,0 +1,62 @@
+"""What the shape of hair depends on besides groom, pose and body: its stiffness, gravity and wind."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from quaffure.config import STANDARD_GRAVITY
+from quaffure.energies.gravity import GRAVITY, Acceleration
+from quaffure.errors import InputError
+from quaffure.types import Float, Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Loading:
+    """Stiffness and acceleration, the same for all strands but where a stiffness for each edge is given.
+
+    Attributes:
+        stiffness: multiple of the rod's bending and twisting stiffness, of all edges or of each [s e]; 0.3 to 3 is that
+            of human hair.
+        acceleration: of gravity, multiplied by the hair's weight, and wind, along the world's axes, z up [m/s^2].
+    """
+
+    stiffness: float | Float[Tensor, "s e"] = 1.0
+    acceleration: Acceleration = GRAVITY
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Loading) or self.acceleration != other.acceleration:
+            return False
+        return torch.equal(torch.as_tensor(self.stiffness), torch.as_tensor(other.stiffness))
+
+    def __hash__(self) -> int:
+        return hash(self.acceleration)
+
+    def check(self) -> None:
+        """Refuse what no hair has.
+
+        Raises:
+            InputError: a stiffness that is not above 0, or an acceleration that is not finite.
+        """
+        stiffness = torch.as_tensor(self.stiffness)
+        if not bool((stiffness.isfinite() & (stiffness > 0)).all()):
+            raise InputError("stiffness", "factors above 0", f"{float(stiffness.min()):g}")
+        if len(self.acceleration) != 3 or not all(map(math.isfinite, self.acceleration)):
+            raise InputError("acceleration", "three finite numbers", f"{self.acceleration}")
+
+    @property
+    def mean_stiffness(self) -> float:
+        """Geometric mean over the edges."""
+        if isinstance(self.stiffness, Tensor):
+            return float(self.stiffness.log().mean().exp())
+        return self.stiffness
+
+    @property
+    def in_gravities(self) -> tuple[float, float, float]:
+        """The acceleration in g."""
+        x, y, z = self.acceleration
+        return x / STANDARD_GRAVITY, y / STANDARD_GRAVITY, z / STANDARD_GRAVITY
+
+
+STANDARD_LOADING = Loading()
+"""Human hair under gravity."""

@@ -1,0 +1,36 @@
+"""What every reader checks before it opens a file."""
+
+import stat
+from pathlib import Path
+
+from quaffure.errors import InputError, refused
+
+
+def check_input_file(path: Path, expected: str) -> None:
+    """Refuse what is not a regular file: opening a FIFO waits for a writer, and a device has no end.
+
+    Args:
+        expected: what the file should be, for the error.
+
+    Raises:
+        InputError: no such file, or a folder, FIFO, socket or device.
+    """
+    with refused(path, expected, OSError, ValueError):  # ValueError: a NUL in the name
+        mode = path.stat().st_mode
+    if not stat.S_ISREG(mode):
+        raise InputError(path, expected, "a folder" if stat.S_ISDIR(mode) else "a pipe, socket or device")
+
+
+def read_text(path: Path, expected: str, encoding: str = "utf-8", errors: str = "strict") -> str:
+    """The text of a file.
+
+    Args:
+        expected: what the file should be, for the error.
+        encoding, errors: as for `open`.
+
+    Raises:
+        InputError: it cannot be read, is not a regular file, or its bytes are not text.
+    """
+    check_input_file(path, expected)
+    with refused(path, expected, OSError, UnicodeDecodeError):
+        return path.read_text(encoding=encoding, errors=errors)

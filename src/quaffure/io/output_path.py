@@ -1,0 +1,132 @@
+"""What is checked of output files and folders before the work for them."""
+
+import os
+import stat
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from quaffure.errors import InputError, refused
+from quaffure.io.temporary_file import sweep_temporary_files
+
+WRITABLE = "a writable folder"
+
+
+def link_target(path: Path) -> Path:
+    """The file that writing to `path` changes: where a symbolic link leads, though that may not exist."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
+
+
+def check_place(path: Path) -> Path:
+    """Refuse a path that cannot be that of a new file.
+
+    Returns:
+        The file to write: the target of a symbolic link.
+
+    Raises:
+        InputError: the folder does not exist, or `path` is a folder, FIFO, socket or device.
+    """
+    with refused(path, "a path in an existing folder", OSError, ValueError):  # of a name too long, or with a NUL
+        target = link_target(path)
+        if not target.parent.is_dir():
+            raise InputError(path, "a path in an existing folder", f"no folder {target.parent}")
+        if target.exists() and not stat.S_ISREG(target.stat().st_mode):
+            raise InputError(path, "a file to write", "a folder" if target.is_dir() else "a pipe, socket or device")
+    return target
+
+
+def check_output(path: Path, *suffixes: str, inputs: Iterable[str | Path | None] = ()) -> None:
+    """Refuse an output file that could not be written, or that would replace what is read, before the work for it.
+
+    Args:
+        suffixes: in small letters, of which the file has to have one.
+        inputs: files that the command reads, and names that may be files.
+
+    Raises:
+        InputError: another suffix, no folder to write into, a folder or a pipe of that name, or an input.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise InputError(path, f"an output of suffix {', '.join(suffixes)}", f"suffix '{path.suffix}'")
+    check_writable(check_place(path).parent, path)
+    check_not_input(path, inputs)
+
+
+def check_not_input(path: Path, inputs: Iterable[str | Path | None]) -> None:
+    """Refuse an output that would replace an input.
+
+    Raises:
+        InputError: it is one of them, by whatever name.
+    """
+    for source in inputs:
+        if source is not None and _is_same_file(path, Path(source)):
+            raise InputError(path, "an output that is none of the inputs", f"the input {source}")
+
+
+def check_distinct(paths: Iterable[Path]) -> None:
+    """Refuse outputs of which a later one would replace an earlier one.
+
+    Raises:
+        InputError: two are the same file.
+    """
+    before: list[Path] = []
+    for path in paths:
+        if any(_is_same_file(path, other) for other in before):
+            raise InputError(path, "outputs that differ", "the same file twice")
+        before.append(path)
+
+
+def check_writable(folder: Path, source: Path) -> None:
+    """Refuse a folder into which no file can be written, by writing one; files that killed runs left there are removed.
+
+    Args:
+        source: what the error names.
+
+    Raises:
+        InputError: it is read-only, or its disk is full.
+    """
+    sweep_temporary_files(folder)
+    with refused(source, WRITABLE, OSError):
+        tempfile.TemporaryFile(dir=folder).close()
+
+
+def made_folder(path: Path, what: str) -> Path:
+    """The folder, made with its parents where it does not exist.
+
+    Args:
+        what: what it is, for the error: `a folder for drapes`.
+
+    Raises:
+        InputError: it cannot be made or written into.
+    """
+    with refused(path, what, OSError):
+        path.mkdir(parents=True, exist_ok=True)
+    check_writable(path, path)
+    return path
+
+
+def check_output_folder(path: Path, what: str, replaced: Iterable[str] = (), inputs: Iterable[Any] = ()) -> None:
+    """Refuse a folder that could not be made or written into, before the work for it. Makes nothing.
+
+    Args:
+        what: as for `made_folder`.
+        replaced: names of files in it that will be written.
+        inputs: as for `check_output`.
+
+    Raises:
+        InputError: a file in its place, a folder that is read-only, or an input among the files.
+    """
+    with refused(path, what, OSError, ValueError):  # of a name too long, or with a NUL
+        existing = next(folder for folder in (path.absolute(), *path.absolute().parents) if os.path.lexists(folder))
+        if not existing.is_dir():
+            raise InputError(path, what, f"a file {existing}")
+    check_writable(existing, path)
+    for name in replaced:
+        check_not_input(path / name, inputs)
+
+
+def _is_same_file(one: Path, other: Path) -> bool:
+    try:
+        return os.path.samefile(one, other)
+    except (OSError, ValueError):  # one of them does not exist, or cannot
+        return os.path.realpath(one) == os.path.realpath(other)

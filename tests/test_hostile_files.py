@@ -1,0 +1,237 @@
+"""Files that are made to do harm, or are damaged: each is refused in one line, in little time and memory."""
+
+import contextlib
+import json
+import os
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from zipfile import ZIP_LZMA, ZipFile
+
+import numpy as np
+import pytest
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from quaffure.apps.cli.inputs import body_shape_of
+from quaffure.body import BodyModel, load_body
+from quaffure.config import HairMaterial
+from quaffure.drape_motion import material_of
+from quaffure.errors import InputError
+from quaffure.io import read_bvh, read_drape, read_head, read_usd_strands
+from quaffure.io.groom_file import read_groom
+from quaffure.io.load_groom import load_groom
+from quaffure.io.read_motion import read_motion
+from quaffure.io.read_strands import STRAND_READERS, read_strands
+from quaffure.model.checkpoint import load_network
+from quaffure.model.quaffure_model import WEIGHTS
+from quaffure.npz import read_numbers
+from tests.synthetic_drape import drape, patch_of_strands
+
+HOSTILE = Path(__file__).parents[2] / "shared" / "data" / "cases" / "hostile"
+FAR_TOO_LONG = "a" * 5000
+
+
+def peak_of(refused: Callable[[], object]) -> int:
+    """Most memory that numpy and Python take until a file is refused [bytes]."""
+    tracemalloc.start()
+    with pytest.raises(InputError, match="in a file of its size"):
+        refused()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return peak
+
+
+def readers(body: BodyModel) -> dict[str, Callable[[Path], object]]:
+    """By suffix, all that reads files of a user."""
+    strands = {suffix: lambda path: load_groom(path, body) for suffix in STRAND_READERS}
+    return {
+        **strands,
+        ".npz": lambda path: [load_groom(path, body)],
+        ".obj": read_head,
+        ".bvh": lambda path: read_motion(path, body),
+        ".safetensors": load_network,
+        ".csv": lambda path: body_shape_of(str(path)),
+    }
+
+
+@pytest.mark.skipif(not HOSTILE.is_dir(), reason=f"no {HOSTILE}: made for this project, not part of it")
+@pytest.mark.parametrize("path", sorted(HOSTILE.glob("*")), ids=lambda path: path.name)
+def test_files_that_once_raised_something_else_are_read_or_refused(path: Path, body: BodyModel) -> None:
+    if path.suffix == ".npz":
+        kinds: list[Callable[[Path], object]] = [
+            read_drape,
+            read_strands,
+            lambda path: read_motion(path, body),
+            lambda path: load_groom(path, body),
+        ]
+    else:
+        kinds = [readers(body)[path.suffix]]
+    for read in kinds:
+        with contextlib.suppress(InputError):
+            read(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs on this system")
+@pytest.mark.parametrize("suffix", [*STRAND_READERS, ".obj", ".bvh", ".safetensors", ".csv"])
+def test_a_pipe_is_refused_and_not_waited_for(suffix: str, tmp_path: Path, body: BodyModel) -> None:
+    os.mkfifo(tmp_path / f"pipe{suffix}")
+    with pytest.raises(InputError, match="found a pipe, socket or device"):
+        readers(body)[suffix](tmp_path / f"pipe{suffix}")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs on this system")
+def test_other_readers_of_arrays_refuse_a_pipe(tmp_path: Path, body: BodyModel) -> None:
+    os.mkfifo(tmp_path / "pipe.npz")
+    for read in (read_drape, load_body, lambda path: read_groom(path, body), lambda path: read_motion(path, body)):
+        with pytest.raises(InputError, match="found a pipe, socket or device"):
+            read(tmp_path / "pipe.npz")
+
+
+def test_a_name_longer_than_the_system_allows_is_refused(body: BodyModel) -> None:
+    for name in (FAR_TOO_LONG, f"{FAR_TOO_LONG}.npz", f"{FAR_TOO_LONG}.hair", "nul\0.npz"):
+        with pytest.raises(InputError):
+            load_groom(name, body)
+
+
+def test_zeros_that_deflate_well_are_refused_before_memory_is_taken(tmp_path: Path, body: BodyModel) -> None:
+    np.savez_compressed(tmp_path / "strands.npz", strands=np.zeros((200_000, 16, 3), np.float32))
+    np.savez_compressed(tmp_path / "clip.npz", poses=np.zeros((40_000, 66)), mocap_framerate=120.0)
+    assert (tmp_path / "strands.npz").stat().st_size < 100_000
+    assert peak_of(lambda: read_strands(tmp_path / "strands.npz")) < 1_000_000
+    assert peak_of(lambda: read_motion(tmp_path / "clip.npz", body)) < 1_000_000
+
+
+def test_a_motion_of_too_many_frames_is_refused(tmp_path: Path, body: BodyModel) -> None:
+    np.savez_compressed(tmp_path / "clip.npz", poses=np.zeros((100_001, 66), np.float16), mocap_framerate=120.0)
+    with pytest.raises(InputError, match="1 to 100000 frames"):
+        read_motion(tmp_path / "clip.npz", body)
+
+
+def test_members_that_numpy_does_not_write_are_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "plain.npz", strands=np.zeros((1, 2, 3)))
+    with ZipFile(tmp_path / "plain.npz") as plain, ZipFile(tmp_path / "lzma.npz", "w", ZIP_LZMA) as packed:
+        packed.writestr("strands.npy", plain.read("strands.npy"))
+    content = bytearray((tmp_path / "plain.npz").read_bytes())
+    content[content.index(b"PK\1\2") + 8] |= 1  # the flag of encryption
+    (tmp_path / "encrypted.npz").write_bytes(content)
+    for name in ("lzma.npz", "encrypted.npz"):
+        with pytest.raises(InputError, match=r"as numpy\.savez writes them"):
+            read_strands(tmp_path / name)
+    # The directory of a zip of another version raises what is no BadZipFile.
+    content[content.index(b"PK\1\2") + 6] = 255
+    (tmp_path / "version.npz").write_bytes(content)
+    with pytest.raises(InputError):
+        load_groom(tmp_path / "version.npz")
+
+
+def test_types_that_torch_lacks_are_refused_and_foreign_byte_order_is_read(tmp_path: Path, body: BodyModel) -> None:
+    for name, kind in (("wide", np.longdouble), ("times", "m8[s]"), ("complex", np.complex64)):
+        np.savez(tmp_path / f"{name}.npz", poses=np.zeros((2, 66), kind), mocap_framerate=30.0)
+        with pytest.raises(InputError, match="plain numbers"):
+            read_motion(tmp_path / f"{name}.npz", body)
+    np.savez(tmp_path / "big.npz", body_pose=np.full((2, 81), 0.25, ">f4"), fps=np.array(30, ">i8"))
+    assert read_motion(tmp_path / "big.npz", body).body_pose.eq(0.25).all()
+    assert read_numbers(tmp_path / "big.npz", ("body_pose",))["body_pose"].dtype.isnative
+
+
+def test_numbers_that_float32_cannot_hold_are_refused(tmp_path: Path) -> None:
+    arrays = {**vars(drape(patch_of_strands((0.0, 1.0, 0.0)))), "meta": np.array("{}")}
+    held = ("stiffness_scale", "goal_weight", "tie_vertex", "body_translation")
+    arrays = {name: values for name, values in arrays.items() if name not in held}
+    np.savez(tmp_path / "drape.npz", **arrays | {"posed": np.full(arrays["posed"].shape, 1e300)})
+    with pytest.raises(InputError, match="finite posed"):
+        read_drape(tmp_path / "drape.npz")
+
+
+def nested(opening: str, closing: str, depth: int, before: str = "", after: str = "") -> str:
+    return f"#usda 1.0\n{before}" + opening * depth + closing * depth + after
+
+
+DOUBLING = "#usda 1.0\n" + "".join(
+    f'def "L{i}" {{\n' + "".join(f'def "{side}" (references=</L{i - 1}>) {{\n}}\n' for side in "ab") + "}\n"
+    if i
+    else 'def "L0" {\n}\n'
+    for i in range(40)
+)
+USD_TRAPS = {
+    "dictionaries": nested("dictionary a = {\n", "}\n", 50_000, "(\ncustomLayerData = {\n", "}\n)\n"),
+    "prims": nested('def "a" {\n', "}\n", 100_000),
+    "a path": f'#usda 1.0\ndef "a" (references = </{"a/" * 100_000}b>) {{\n}}\n',
+    "doubling references": DOUBLING,
+}
+
+
+@pytest.mark.parametrize("text", USD_TRAPS.values(), ids=USD_TRAPS.keys())
+def test_usd_that_ends_or_fills_the_process_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "trap.usda").write_text(text)
+    with pytest.raises(InputError, match=r"one (on which the USD library ends|that takes more)") as caught:
+        read_usd_strands(tmp_path / "trap.usda")
+    assert "\n" not in str(caught.value)
+
+
+def test_usd_of_another_file_that_ends_the_process_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "deep.usda").write_text(USD_TRAPS["prims"])
+    (tmp_path / "small.usda").write_text("#usda 1.0\n(\nsubLayers = [@./deep.usda@]\n)\n")
+    with pytest.raises(InputError, match="the USD library ends"):
+        read_usd_strands(tmp_path / "small.usda")
+
+
+def test_numbers_of_more_digits_than_python_converts(tmp_path: Path) -> None:
+    digits = "9" * 5000
+    head = "HIERARCHY\nROOT hip\n{\nOFFSET 0 0 0\n"
+    for name, rest in (
+        ("frames", f"CHANNELS 1 Xrotation\n}}\nMOTION\nFrames: {digits}\n"),
+        ("channels", f"CHANNELS {digits} Xrotation\n"),
+    ):
+        (tmp_path / f"{name}.bvh").write_text(head + rest)
+        with pytest.raises(InputError, match="line"):
+            read_bvh(tmp_path / f"{name}.bvh")
+
+
+def test_whole_numbers_of_an_obj_that_no_array_holds(tmp_path: Path) -> None:
+    (tmp_path / "head.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 {2**64}\n")
+    with pytest.raises(InputError, match="numbers in the v and f lines"):
+        read_head(tmp_path / "head.obj")
+
+
+def weights_with(path: Path, **changes: object) -> Path:
+    """The shipped weights with another note."""
+    with safe_open(WEIGHTS, framework="pt") as file:
+        tensors, notes = {name: file.get_tensor(name) for name in file.keys()}, dict(file.metadata())  # noqa: SIM118
+    save_file(tensors, path, notes | {name: json.dumps(value) for name, value in changes.items()})
+    return path
+
+
+MATERIAL = asdict(HairMaterial())
+
+
+@pytest.mark.parametrize(
+    ("note", "value", "found"),
+    [
+        ("material", MATERIAL | {"k_stretch": float("nan")}, "k_stretch"),
+        ("material", MATERIAL | {"k_stretch": -1.0}, "k_stretch from 0 to 1e[+]12, found -1.0"),
+        ("material", MATERIAL | {"k_stretch": "1"}, "k_stretch to be float, found '1'"),
+        ("material", MATERIAL | {"k_stretch": 1e30}, "found 1e[+]30"),
+        ("material", MATERIAL | {"linear_density": 0.0}, "linear_density"),
+        ("material", MATERIAL | {"smoothing_length": True}, "smoothing_length to be float, found True"),
+        ("material", [1], "no JSON object"),
+        ("network", [1], "checkpoint"),
+        ("network", {"initial_shape": {"layer_ramp": "wide"}}, "layer_ramp"),
+        ("network", {"initial_shape": {"layer_thickness": float("inf")}}, "layer_thickness"),
+        ("network", {"projection": {"spacing": 0.0}}, "a spacing above 0"),
+    ],
+)
+def test_settings_of_weights_are_checked(note: str, value: object, found: str, tmp_path: Path) -> None:
+    path = weights_with(tmp_path / "weights.safetensors", **{note: value})
+    with pytest.raises(InputError, match=found) as caught:
+        load_network(path)
+    assert str(path) in str(caught.value)
+
+
+def test_material_of_a_drape_is_checked() -> None:
+    seq = drape(patch_of_strands((0.0, 1.0, 0.0)))
+    seq.meta["material"] = {"k_stretch": "much"}
+    with pytest.raises(InputError, match="k_stretch"):
+        material_of(seq)

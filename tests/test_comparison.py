@@ -35,6 +35,7 @@ from quaffure.body import CLIP_NAMES, BodyModel, Motion, bundled_clip
 from quaffure.config import HairMaterial
 from quaffure.drape_motion import drape_motion
 from quaffure.energies import Gravity, HairEnergy, SelfCollision
+from quaffure.energies.design_terms import terms_of_design
 from quaffure.errors import InputError
 from quaffure.hair import Groom
 from quaffure.model import NetworkConfig, NeuralDraper, build_network
@@ -42,7 +43,6 @@ from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.procedural import HELD_OUT, STYLES, make_groom
 from quaffure.scene import Scene
 from quaffure.solvers import AdamDraper, XpbdDraper, XpbdSetting
-from quaffure.solvers.design_solver import design_terms
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
 from quaffure.types import Positions
 
@@ -316,7 +316,7 @@ def test_the_reference_is_the_lowest_solver_of_each_frame(case: EvaluationCase, 
     best = "first" if np.mean(figures["first"]["energy"]) < np.mean(figures["second"]["energy"]) else "second"
     assert figures[best]["jitter"] == [1]
     assert figures["first"]["jitter"][0] / figures["second"]["jitter"][0] == pytest.approx(8e-3 / 4e-4, rel=1e-3)
-    energy = HairEnergy(still.groom, material, design_terms(still.groom, body, material))
+    energy = HairEnergy(still.groom, material, terms_of_design(still.groom, body, material))
     scene = Scene(still.groom, still.bodies(body, 0))
     expected = metrics(rows["network"](still, 0).strands[None], scene, energy)
     assert {key: figures["network"][key][0] for key in expected} == pytest.approx(

@@ -11,9 +11,9 @@ from quaffure.benchmark.evaluation_set import EvaluationCase
 from quaffure.benchmark.metrics import accelerations, metrics, vertices_from_head
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
+from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.scene import Scene
-from quaffure.solvers.design_solver import design_terms
 from quaffure.types import Positions
 
 Metrics = dict[str, list[float]]
@@ -83,7 +83,7 @@ def measure_case(
 
     Each frame's body is posed once.
     """
-    energy = HairEnergy(case.groom, material, design_terms(case.groom, body, material))
+    energy = HairEnergy(case.groom, material, terms_of_design(case.groom, body, material))
     of_rows: dict[str, Metrics] = {name: {} for name in drapes}
     from_head: dict[str, list[Positions]] = {name: [] for name in drapes}
     reference = []

@@ -55,6 +55,7 @@ def initial_shape_reference(
     rods, frames = groom.rods, triangle_frames(body.scalp[:, groom.strands.corners])
     if not isinstance(loading.stiffness, Tensor):
         rods = rods.stiffened(loading.stiffness)
+    posed = torch.nn.functional.normalize(posed_edges, dim=-1)
     pull = roots.new_tensor(loading.in_gravities) @ body.world_from_head
     size = pull.norm(dim=-1)[:, None, None]
     support = rods.support @ frames.mT
@@ -63,7 +64,7 @@ def initial_shape_reference(
     kept = size * (upness / rods.upness).clamp(max=1)
     free = free_rod_directions(
         FreeRods(
-            torch.nn.functional.normalize(posed_edges, dim=-1),
+            posed,
             rods.moment @ frames.mT,
             rods.mass[..., None] * pull[:, None, None] + kept[..., None] * support,
             *(values.expand(len(roots), -1, -1) for values in (rods.bending, rods.goal, rest_length)),
@@ -72,7 +73,6 @@ def initial_shape_reference(
     )
     edges, local = resolve_contact_reference(roots, free, rest_length, groom.margin, body.surface)
     deflection = torch.nn.functional.pad(edges - free, (0, 0, 1, 0)).diff(dim=2).norm(dim=-1)
-    posed = torch.nn.functional.normalize(posed_edges, dim=-1)
     disturbance = (edges - posed).square().sum(-1).amax(dim=2, keepdim=True)
     fading = disturbance / (disturbance + config.least_disturbance**2 + 1e-12)
     compliance = fading * (rods.compliance * size + deflection).clamp(max=1)

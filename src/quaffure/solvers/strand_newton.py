@@ -12,11 +12,11 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper, StoppingReport
+from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.energies.hair_terms import ROD, hair_terms
+from quaffure.energies.hair_terms import ROD
 from quaffure.energies.loading import STANDARD_LOADING, Loading
-from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import directors
 from quaffure.hair.groom_cache import GroomCopy
@@ -99,8 +99,7 @@ class StrandNewtonDraper:
         if kept is None or not kept[0].is_of(scene.groom) or kept[1] != of:
             terms = self._terms
             if body is not None:
-                design = design_of(scene.groom, body, self.material)
-                terms = hair_terms(ROD, design, self.loading.stiffness, self.loading.acceleration)
+                terms = terms_of_design(scene.groom, body, self.material, self.loading)
             kept = GroomCopy(scene.groom), of, HairEnergy(scene.groom, self.material, terms)
             self._energy = kept
         return kept[2]

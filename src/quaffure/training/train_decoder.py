@@ -8,13 +8,13 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import world_from_head
+from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.force_limit import clip_gradients
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.hair_terms import ROD, hair_terms
 from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.energies.pose_regularization import energy_pose_regularization
-from quaffure.energies.sag_free import design_of
 from quaffure.energies.self_collision import SelfCollision
 from quaffure.hair.groom import Groom
 from quaffure.model.checkpoint import save_network
@@ -84,15 +84,15 @@ class DecoderRecipe(Recipe):
     def _energy(self, groom: Groom) -> HairEnergy:
         terms, material = self.own_terms or hair_terms(self.config.elastic), self.config.material
         if self.own_terms is None and self.config.elastic == ROD:
-            terms = hair_terms(ROD, design_of(groom, self.body, material))
+            terms = terms_of_design(groom, self.body, material)
         return HairEnergy(groom, material, terms)
 
     def _loaded(self, index: int, loading: Loading) -> HairEnergy:
         """The energy of a groom under a loading."""
         if loading is STANDARD_LOADING:
             return self.energies[index]
-        design = design_of(self.grooms[index], self.body, self.config.material)
-        return self.energies[index].of_terms(hair_terms(ROD, design, loading.stiffness, loading.acceleration))
+        terms = terms_of_design(self.grooms[index], self.body, self.config.material, loading)
+        return self.energies[index].of_terms(terms)
 
     @property
     def draws_loadings(self) -> bool:

@@ -143,7 +143,9 @@ def rod_workspace(edges: int, like: np.ndarray) -> RodWorkspace:
     )
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+# Inlined by LLVM: as a function of its own, it is compiled twice, alone and into `_rods`, with other roundings, and a
+# process that compiles the kernels does not run the copy that one which loads them from the cache does.
+@njit(cache=True, fastmath=True, error_model="numpy", forceinline=True)
 def rod_of_strand(
     x: np.ndarray, rotation: np.ndarray, rest: RodArrays, strand: int, work: RodWorkspace, gradient: np.ndarray
 ) -> np.floating:

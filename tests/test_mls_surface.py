@@ -70,6 +70,23 @@ def test_strands_leave_the_surface_and_change_nowhere_else() -> None:
     torch.testing.assert_close(ends[free & never], merely[free & never], atol=1e-5, rtol=0)
 
 
+def test_a_contact_bends_a_strand_over_a_length() -> None:
+    """Not to and fro at every vertex on the skin; and it returns to its own direction beyond."""
+    root, lengths, margin = torch.tensor([[[0.05, 0.0, 1.12]]]), torch.full((1, 40), 0.02), torch.zeros(1, 41)
+    down = torch.tensor([0.3, 0.0, -1.0]).expand(1, 1, 40, 3)
+    bent = {}
+    for carry_length in (0.0, 0.1):
+        edges, _ = resolve_contact_reference(root, down, lengths, margin, ball(), carry_length)
+        assert (root[:, :, None] + (lengths[..., None] * edges).cumsum(2)).norm(dim=-1).min() > 0.99
+        bent[carry_length] = torch.acos((edges[:, :, 1:] * edges[:, :, :-1]).sum(-1).clamp(max=1)).square().sum()
+    assert bent[0.1] < 0.3 * bent[0.0]
+
+    past, down = torch.tensor([[[0.98, 0.0, 0.4]]]), torch.tensor([0.0, 0.0, -1.0])
+    edges, _ = resolve_contact_reference(past, down.expand(1, 1, 40, 3), lengths, margin, ball(), 0.1)
+    assert (edges[0, 0] - down).norm(dim=-1).max() > 0.1
+    assert (edges[0, 0, -1] - down).norm() < 0.05
+
+
 def test_the_point_sampled_body_is_the_body_to_a_centimetre(body: BodyModel) -> None:
     generator = torch.Generator().manual_seed(2)
     posed = body.pose(0.15 * torch.randn(1, 81, generator=generator), torch.randn(1, 10, generator=generator))

@@ -31,7 +31,7 @@ from quaffure.model import (
     save_network,
 )
 from quaffure.model.initial_shape import initial_shape_reference
-from quaffure.model.prepared_groom import balanced_depth
+from quaffure.model.prepared_groom import balanced_depth, rising
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from tests.training_runs import perturbed
@@ -90,6 +90,13 @@ def test_hair_starts_no_further_out_than_it_is_at_rest(groom: Groom, body: BodyM
     lengths = groom.rest_lengths
     edges, _ = resolve_contact_reference(posed.posed[:, :, 0], posed.director, lengths, margin, surface)
     torch.testing.assert_close(edges, posed.director, atol=1e-3, rtol=0)
+
+
+def test_margins_rise_along_a_strand_by_a_share_of_the_way() -> None:
+    margin = torch.tensor([[-9.0, -9.0, 0.02, 0.0, 0.02, 0.02]])
+    lengths = torch.full((1, 5), 0.01)
+    expected = torch.tensor([[-9.0, -9.0, 0.005, 0.0, 0.005, 0.01]])
+    torch.testing.assert_close(rising(margin, lengths, 0.5), expected)
 
 
 @pytest.mark.parametrize("name", ["crew_cut", "long_straight"])

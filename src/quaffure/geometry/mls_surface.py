@@ -13,6 +13,7 @@ import torch
 from numba import njit, prange
 
 from quaffure.backend import Backend, choose_backend
+from quaffure.geometry.rotation import gibbs_vector, rotate_by_gibbs
 from quaffure.types import EdgeVectors, Float, RestLengths, Tensor
 
 LEAF = 8
@@ -87,27 +88,33 @@ def resolve_contact_reference(
     rest_length: RestLengths,
     margin: Float[Tensor, "s n"],
     surface: MlsSurface,
+    carry_length: float = 0.0,
 ) -> tuple[EdgeVectors, Float[Tensor, "b s e 5"]]:
     """Strands integrated edge by edge along `vectors`, each edge rotated out of the surface that its end would be in.
 
-    Integrated from the root, a strand is never deep inside, so it always leaves on the side on which it came.
+    Integrated from the root, a strand is never deep inside, so it always leaves on the side on which it came. The edges
+    beyond follow a rotation, less and less: a rod bends over a length, it does not break at a vertex.
 
     Args:
         root: first vertices [m].
         vectors: edge directions without contact, of any length but zero.
         rest_length: of the edges [m].
         margin: distance that each vertex is to keep [m].
+        carry_length: along a strand, over which edges return to their own directions after a contact [m].
 
     Returns:
         Unit edges, and the local features at the end of each before contact.
     """
     position, edges, features = root, [], []
+    carried = torch.zeros_like(root)
     for edge in range(vectors.shape[2]):
         length = rest_length[:, edge, None].clamp(min=MIN_LENGTH)
-        direction = torch.nn.functional.normalize(vectors[:, :, edge], dim=-1)
+        direction = rotate_by_gibbs(carried, torch.nn.functional.normalize(vectors[:, :, edge], dim=-1))
         feature = local_features_reference(position + length * direction, surface)
         depth = (margin[:, edge + 1, None] * feature[..., 4:] - surface.radius * feature[..., :1]).clamp(min=0)
-        direction = torch.nn.functional.normalize(direction + depth / length * feature[..., 1:4], dim=-1)
+        rotated = torch.nn.functional.normalize(direction + depth / length * feature[..., 1:4], dim=-1)
+        carried = carry_length / (carry_length + length) * (carried + gibbs_vector(direction, rotated))
+        direction = rotated
         position = position + length * direction
         edges.append(direction)
         features.append(feature)

@@ -16,6 +16,9 @@ SMALL_ANGLE_SQUARED = 1e-4
 # Below this length of a + b, the mid-direction of two unit vectors is mere rounding.
 ANTIPARALLEL_LENGTH = 1e-4
 
+# Least 1 + cosine in a Gibbs vector, which has no end for opposite vectors.
+LEAST_ALIGNMENT = 0.1
+
 
 def cross_product_matrix(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """The matrix K with K @ x = vector x x (cross product)."""
@@ -114,6 +117,21 @@ def shortest_arc(a: Float[Tensor, "*#batch 3"], b: Float[Tensor, "*#batch 3"]) -
     opposite = middle.norm(dim=-1, keepdim=True) < ANTIPARALLEL_LENGTH
     middle = torch.nn.functional.normalize(torch.where(opposite, _perpendicular(a), middle), dim=-1)
     return _half_turn(middle) @ _half_turn(torch.nn.functional.normalize(a, dim=-1))
+
+
+def gibbs_vector(a: Float[Tensor, "*batch 3"], b: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """The smallest rotation from unit vector `a` to `b`: its axis times the tangent of half its angle.
+
+    Too short beyond 154 degrees.
+    """
+    alignment = 1 + (a * b).sum(-1, keepdim=True)
+    return torch.linalg.cross(a, b) / alignment.clamp(min=LEAST_ALIGNMENT)
+
+
+def rotate_by_gibbs(gibbs: Float[Tensor, "*batch 3"], vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """A vector rotated by a Gibbs vector (Rodrigues 1840)."""
+    cross = torch.linalg.cross(gibbs, vector)
+    return vector + 2 / (1 + gibbs.square().sum(-1, keepdim=True)) * (cross + torch.linalg.cross(gibbs, cross))
 
 
 def interpolate_rotations(

@@ -18,6 +18,7 @@ from quaffure.geometry.mls_surface import (
     list_points,
     normalize_features,
 )
+from quaffure.geometry.rotation import LEAST_ALIGNMENT
 from quaffure.model import free_rod_lanes as rod
 
 # How much farther than needed a block's list of skin points reaches, and how far ahead its centre is [radii].
@@ -31,7 +32,8 @@ COMPLIANCE = _LENGTH + LANES
 _FRAME = COMPLIANCE + LANES
 _DEFLECTION = _FRAME + 9 * LANES  # of the last edge by the skin
 _DISTURBANCE = _DEFLECTION + 3 * LANES  # largest rotation of an edge from the posed design, squared
-_ROUNDED = _DISTURBANCE + LANES  # as many as before `DIRECTION`, rounded to bfloat16
+_CARRIED = _DISTURBANCE + LANES  # rotation by the skin that the next edge takes over, tan(angle / 2) along the axis
+_ROUNDED = _CARRIED + 3 * LANES  # as many as before `DIRECTION`, rounded to bfloat16
 ALL_ROWS = _ROUNDED + DIRECTION
 
 
@@ -40,7 +42,7 @@ def compute_roots(
     corners: np.ndarray, barycentric: np.ndarray, offset: np.ndarray, scalp: np.ndarray, rows: np.ndarray
 ) -> None:
     """Frames of the scalp triangles (`triangle_frames`) and first vertices."""
-    for i in range(4 * LANES):
+    for i in range(7 * LANES):
         rows[_DEFLECTION + i] = np.float32(0.0)
     for i in range(LANES):
         a, b, c = scalp[corners[0, i]], scalp[corners[1, i]], scalp[corners[2, i]]
@@ -104,11 +106,17 @@ def load(
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def aim(inputs: np.ndarray, rows: np.ndarray) -> None:
-    """Directions of the next edges without contact, and their lengths."""
+    """Directions of the next edges, rotated like the edges before by the skin, and their lengths."""
+    one, two = np.float32(1.0), np.float32(2.0)
     for i in range(LANES):
         rows[_LENGTH + i] = inputs[rod.LENGTH, i]
-        for axis in range(3):
-            rows[DIRECTION + axis * LANES + i] = inputs[rod.DIRECTION + axis, i]
+        x, y, z = inputs[rod.DIRECTION, i], inputs[rod.DIRECTION + 1, i], inputs[rod.DIRECTION + 2, i]
+        a, b, c = rows[_CARRIED + i], rows[_CARRIED + LANES + i], rows[_CARRIED + 2 * LANES + i]
+        scale = two / (one + a * a + b * b + c * c)
+        u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
+        rows[DIRECTION + i] = x + scale * (u + b * w - c * v)
+        rows[DIRECTION + LANES + i] = y + scale * (v + c * u - a * w)
+        rows[DIRECTION + 2 * LANES + i] = z + scale * (w + a * v - b * u)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -175,7 +183,7 @@ def _move_centre(centre: np.ndarray, rows: np.ndarray) -> None:
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def deflect(margin: np.ndarray, radius: float, rows: np.ndarray) -> None:
+def deflect(margin: np.ndarray, radius: float, carry_length: float, rows: np.ndarray) -> None:
     """Rotate edges out of the skin."""
     one, none = np.float32(1.0), np.float32(0.0)
     for i in range(LANES):
@@ -183,10 +191,15 @@ def deflect(margin: np.ndarray, radius: float, rows: np.ndarray) -> None:
         ux, uy, uz = rows[DIRECTION + i], rows[DIRECTION + LANES + i], rows[DIRECTION + 2 * LANES + i]
         depth = max(margin[i] * rows[WEIGHT + i] - radius * rows[HEIGHT + i], none)
         angle = depth / max(rows[_LENGTH + i], np.float32(MIN_LENGTH))
-        ux, uy, uz = ux + angle * mx, uy + angle * my, uz + angle * mz
-        norm = one / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
-        rows[DIRECTION + i], rows[DIRECTION + LANES + i] = ux * norm, uy * norm
-        rows[DIRECTION + 2 * LANES + i] = uz * norm
+        vx, vy, vz = ux + angle * mx, uy + angle * my, uz + angle * mz
+        norm = one / np.sqrt(vx * vx + vy * vy + vz * vz + np.float32(1e-24))
+        vx, vy, vz = vx * norm, vy * norm, vz * norm
+        rows[DIRECTION + i], rows[DIRECTION + LANES + i], rows[DIRECTION + 2 * LANES + i] = vx, vy, vz
+        share = carry_length / (carry_length + rows[_LENGTH + i])
+        half = one / max(one + ux * vx + uy * vy + uz * vz, np.float32(LEAST_ALIGNMENT))
+        rows[_CARRIED + i] = share * (rows[_CARRIED + i] + half * (uy * vz - uz * vy))
+        rows[_CARRIED + LANES + i] = share * (rows[_CARRIED + LANES + i] + half * (uz * vx - ux * vz))
+        rows[_CARRIED + 2 * LANES + i] = share * (rows[_CARRIED + 2 * LANES + i] + half * (ux * vy - uy * vx))
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -29,6 +29,10 @@ class InitialShapeConfig:
     """Gauss-Newton passes without contact (`quaffure.model.free_rod`)."""
     least_disturbance: float = 0.05
     """Rotation of an edge from the posed design at which the network moves its strand half as far as others [rad]."""
+    carry_length: float = 0.05
+    """Length along a strand over which edges return to their own directions after a contact [m]."""
+    margin_slope: float = 0.6
+    """Largest growth of the distance from the skin at which hair starts, for each length along a strand."""
     depth_share: float = 0.25
     """Depth below its margin at which hair may start, as a share of the depth at which Eq. 10 pushes an edge of length
     l as hard as its joint resists, B / (3 k_bc l^2)."""

@@ -142,7 +142,8 @@ def prepare_groom(
     if config.contact:
         held = torch.nn.functional.pad(design.rod.goal_weight > 0, (1, 0)).to(groom.rest_strands.device)
         depth = balanced_depth(design, groom.rest_lengths, material, shape)
-        margin = torch.where(held, NO_CONTACT, initial_clearance(groom, design_margin, body, shape) - depth)
+        margin = initial_clearance(groom, design_margin, body, shape) - depth
+        margin = rising(torch.where(held, NO_CONTACT, margin), groom.rest_lengths, shape.margin_slope)
         clearance = torch.where(held, NO_CONTACT, config.projection.clearance(design_margin, depth))
     # Roots count most, for there the skin is.
     roots, middles, tips = groom.rest_strands[:, [0, VERTICES_PER_STRAND // 2, -1]].unbind(1)
@@ -219,3 +220,12 @@ def initial_clearance(
     share = features[..., 4]
     height = surface.radius * features[..., 0] / share.clamp(min=config.min_weight_share)
     return torch.minimum(margin, torch.where(share > config.min_weight_share, height, torch.inf))
+
+
+def rising(margin: Float[Tensor, "s n"], rest_length: RestLengths, slope: float) -> Float[Tensor, "s n"]:
+    """Margins that grow along a strand by no more than a share of the way [m]: from one vertex in contact to the next
+    with a wider margin, an edge would stand off the skin."""
+    kept = [margin[:, 0]]
+    for vertex in range(1, margin.shape[1]):
+        kept.append(torch.minimum(margin[:, vertex], kept[-1].clamp(min=0) + slope * rest_length[:, vertex - 1]))
+    return torch.stack(kept, dim=1)

@@ -1,12 +1,15 @@
 # make demo: drapes a bundled groom on a bundled motion, into out/.   make test: all checks, as in CI.
-# Both make .venv first: some minutes and 2 GB the first time, nothing after that.
+# make fuzz: damaged files against every reader; MUTANTS of each format, SEED.
+# All make .venv first: some minutes and 2 GB the first time, nothing after that.
 
 PYTHON ?= python3
 SHELL := bash
 BIN := .venv/bin
+MUTANTS ?= 1000
+SEED ?= 0
 SETUP := .venv/setup-done
 
-.PHONY: demo test setup clean
+.PHONY: demo test fuzz setup clean
 .DEFAULT_GOAL := demo
 
 demo: $(SETUP)
@@ -22,6 +25,9 @@ test: $(SETUP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest
+
+fuzz: $(SETUP)
+	$(BIN)/python -m tests.fuzzing.fuzz --mutants $(MUTANTS) --seed $(SEED) --keep out/faults
 
 setup: $(SETUP)
 

@@ -132,7 +132,9 @@ def test_drape_writes_every_format_and_prints_figures(
 ) -> None:
     outputs = [tmp_path / f"hair{suffix}" for suffix in (".npz", ".usd", ".png", ".mp4")]
     asked = [word for path in outputs for word in ("--out", str(path))]
-    main([*posed(inputs / "tiny.npz", "--frames", "0:3", "--shape=-1,0,0,0,0,0,0,0,0,2", "--json"), *asked])
+    main(
+        [*posed(inputs / "tiny.npz", "--frames", "0:3", "--shape=-1,0,0,0,0,0,0,0,0,2", "--metrics", "--json"), *asked]
+    )
     printed = json.loads(capfd.readouterr().out)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in outputs)
 
@@ -149,7 +151,7 @@ def test_drape_writes_every_format_and_prints_figures(
     assert printed["meta"]["groom"] == groom.name
     assert printed["milliseconds"] > 0
     assert printed["with_preparation"] is True
-    assert list(printed["seconds"]) == ["loading", "draping", "metrics", "files", "pictures"]
+    assert list(printed["seconds"]) == ["loading", "draping", "checks", "metrics", "files", "pictures"]
     assert all(seconds > 0 for seconds in printed["seconds"].values())
     metrics = printed["per_frame"]["posed"]
     assert all(len(per_frame) == 3 for per_frame in metrics.values())
@@ -162,7 +164,7 @@ def test_adam_settles_one_frame_and_serves_as_reference(
     tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     groom, reference = str(inputs / "tiny.npz"), tmp_path / "adam.npz"
-    main(["drape", groom, "--draper", "adam", "--frames", "40:41", "--out", str(reference)])
+    main(["drape", groom, "--draper", "adam", "--frames", "40:41", "--metrics", "--out", str(reference)])
     table = capfd.readouterr().out
     assert "body_intersection_percent │ %" in table
     assert "energy                    │ m g L per vertex" in table
@@ -216,7 +218,7 @@ def test_settling_lowers_the_energy(tmp_path: Path, inputs: Path, capfd: pytest.
     energies = []
     for passes, row in (("1", "neural_settled"), ("6", "neural_settled")):
         out = str(tmp_path / f"{passes}.npz")
-        arguments = ["--draper", "neural", "--settle", passes, "--frames", "40:41", "--json"]
+        arguments = ["--draper", "neural", "--settle", passes, "--frames", "40:41", "--metrics", "--json"]
         main(["drape", str(inputs / "tiny.npz"), *arguments, "--out", out])
         report = json.loads(capfd.readouterr().out)
         energies += report["per_frame"][row]["energy"]

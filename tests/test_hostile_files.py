@@ -6,11 +6,13 @@ import os
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import asdict
+from importlib.resources import files
 from pathlib import Path
 from zipfile import ZIP_LZMA, ZipFile
 
 import numpy as np
 import pytest
+import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
@@ -19,7 +21,7 @@ from quaffure.body import BodyModel, load_body
 from quaffure.config import HairMaterial
 from quaffure.drape_motion import material_of
 from quaffure.errors import InputError
-from quaffure.io import read_bvh, read_drape, read_head, read_usd_strands
+from quaffure.io import read_bvh, read_drape, read_head, read_usd_strands, write_groom
 from quaffure.io.groom_file import read_groom
 from quaffure.io.load_groom import load_groom
 from quaffure.io.read_motion import read_motion
@@ -27,6 +29,7 @@ from quaffure.io.read_strands import STRAND_READERS, read_strands
 from quaffure.model.checkpoint import load_network
 from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.npz import read_numbers
+from quaffure.procedural import make_groom
 from tests.synthetic_drape import drape, patch_of_strands
 
 HOSTILE = Path(__file__).parents[2] / "shared" / "data" / "cases" / "hostile"
@@ -107,6 +110,22 @@ def test_a_motion_of_too_many_frames_is_refused(tmp_path: Path, body: BodyModel)
     np.savez_compressed(tmp_path / "clip.npz", poses=np.zeros((100_001, 66), np.float16), mocap_framerate=120.0)
     with pytest.raises(InputError, match="1 to 100000 frames"):
         read_motion(tmp_path / "clip.npz", body)
+
+
+def test_products_beyond_single_precision_are_refused_without_a_warning(tmp_path: Path, body: BodyModel) -> None:
+    write_groom(tmp_path / "far.npz", make_groom("crew_cut", body).select(torch.arange(0, 900, 90)))
+    with np.load(tmp_path / "far.npz") as written:
+        arrays = dict(written)
+    arrays["rest_strands"][2, 5] = 1e25  # its square overflows
+    np.savez(tmp_path / "far.npz", **arrays)
+    with pytest.raises(InputError, match="m and inf m"):
+        read_groom(tmp_path / "far.npz", body)
+    with np.load(str(files("quaffure") / "assets" / "body.npz"), allow_pickle=False) as shipped:
+        arrays = dict(shipped)
+    arrays["shape_direction_scales"] = np.full_like(arrays["shape_direction_scales"], 1e38)
+    np.savez(tmp_path / "body.npz", **arrays)
+    with pytest.raises(InputError, match="shape directions within single precision"):
+        load_body(tmp_path / "body.npz")
 
 
 def test_members_that_numpy_does_not_write_are_refused(tmp_path: Path) -> None:

@@ -263,3 +263,12 @@ def test_a_reversed_file_registers_like_the_one_it_was_made_of(
         registered[name], report = register_groom(strands, body, name, surface=surface)
         assert report.turned == (name == "reversed")
     assert torch.allclose(registered["reversed"].rest_strands, registered["base_cm_yup"].rest_strands, atol=1e-4)
+
+
+def test_a_tip_beyond_all_measure_raises_no_warning(groom: Groom, body: BodyModel) -> None:
+    """Next to it the edges of the strand have no length; a damaged file had one."""
+    few = groom.rest_strands[::60].numpy().astype(float)
+    few[3, -1] = 1e30
+    strands = Strands(few.reshape(-1, 3), np.full(len(few), few.shape[1]), "damaged")
+    with pytest.raises(InputError):
+        register_groom(strands, body, "damaged")

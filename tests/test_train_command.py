@@ -1,15 +1,19 @@
+import re
 import signal
 import subprocess
 import time
 from dataclasses import replace
 from importlib.resources import files
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from rich.console import Console
 
 from quaffure.apps.cli import train as train_cli
+from quaffure.apps.cli.console import progress_bar
 from quaffure.apps.cli.main import main
 from quaffure.benchmark import load_evaluation_set
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
@@ -19,8 +23,18 @@ from quaffure.hair import Groom
 from quaffure.io import write_groom
 from quaffure.model import load_model, load_network
 from quaffure.procedural import HELD_OUT
-from quaffure.training import DecoderRecipe
-from tests.training_runs import LONGEST_WAIT, QUAFFURE, TINY_OPTIONS, checkpoint, rows_of, tiny_groom, train_command
+from quaffure.training import DecoderRecipe, loop, train
+from tests.training_runs import (
+    LONGEST_WAIT,
+    QUAFFURE,
+    TINY,
+    TINY_OPTIONS,
+    checkpoint,
+    rows_of,
+    tiny_groom,
+    train_command,
+    training,
+)
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +65,63 @@ def test_a_killed_run_ends_like_an_unbroken_one_bit_for_bit(tiny_groom_file: Pat
             assert torch.equal(resumed[part][name], value), name
     assert torch.equal(resumed["counters"][:2], whole["counters"][:2])
     assert [row["loss"] for row in rows_of(log)] == [row["loss"] for row in rows_of(tmp_path / "whole/training.csv")]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_run_that_is_asked_to_stop_ends_its_step_and_leaves_weights(
+    number: signal.Signals, tiny_groom_file: Path, tmp_path: Path
+) -> None:
+    """Long before its first validation and its first checkpoint by the clock."""
+    folder, steps = tmp_path / "run", 100_000
+    command = [QUAFFURE, *train_command(folder, tiny_groom_file, steps), "--save-every-seconds", "1e6"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    log, end = folder / "training.csv", time.monotonic() + LONGEST_WAIT
+    try:
+        while not (log.is_file() and len(rows_of(log)) >= 2):
+            assert process.poll() is None
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        assert not (folder / "last.safetensors").exists()
+        process.send_signal(number)
+        printed, errors = process.communicate(timeout=LONGEST_WAIT)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 128 + number
+    assert errors == "stopping after this step; once more stops at once\n"
+    reached = int(checkpoint(folder)["counters"][0])
+    network, _, notes = load_network(folder / "last.safetensors")
+    assert int(notes["step"]) == reached >= 2
+    average = checkpoint(folder)["average"]
+    for name, value in network.state_dict().items():
+        if name in average:
+            assert torch.equal(average[name], value), name
+    assert f"stopped at step {reached} of {steps}; the same command continues" in printed
+    # Plain lines: this is no terminal.
+    assert not {"\r", "\x1b", "━"} & set(printed)
+    assert f"1 of {steps}, " in printed
+
+
+def test_lines_in_place_of_a_bar_are_few() -> None:
+    written = StringIO()
+    to = Console(file=written, width=40)
+    with progress_bar("draping", 900, 100, to=to, transient=True) as update:
+        for _ in range(800):
+            update(advance=1)
+    assert re.fullmatch(r"101 of 900, \d+:\d\d:\d\d left: draping\n", written.getvalue())
+
+
+def test_weights_come_within_the_first_minute(
+    body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run whose checkpoints are far apart has its first one after `FIRST_SAVE_SECONDS`, and its first row at once."""
+    monkeypatch.setattr(loop, "FIRST_SAVE_SECONDS", 0.0)
+    saved: list[int] = []
+    run = training(body, groom, tmp_path, replace(TINY, steps=4, log_every=50, validate_every=50))
+    monkeypatch.setattr(run, "save", lambda: saved.append(run.step))
+    train(run, lambda step, metrics: None)
+    assert set(saved) == {1, 4}
+    assert [row["step"] for row in rows_of(tmp_path / "training.csv")] == ["1"]
 
 
 def test_a_run_from_the_shipped_weights_takes_their_network(

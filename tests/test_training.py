@@ -81,7 +81,7 @@ def test_a_run_leaves_configuration_logs_and_the_best_weights(body: BodyModel, g
     assert material == TINY.material
     assert notes["grooms"] == "bob"
     assert {path.name for path in tmp_path.iterdir()} == {
-        "best.safetensors", "checkpoint.pt", "config.json", "training.csv", "validation.csv"
+        "best.safetensors", "checkpoint.pt", "config.json", "last.safetensors", "training.csv", "validation.csv"
     }  # fmt: skip
     rows = rows_of(tmp_path / "validation.csv")
     assert [row["step"] for row in rows] == ["2", "4"]
@@ -95,10 +95,11 @@ def test_a_run_leaves_configuration_logs_and_the_best_weights(body: BodyModel, g
 
 def test_the_log_holds_every_term_of_the_loss(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
     train(training(body, groom, tmp_path, replace(TINY, log_every=2)), silent)
-    rows = rows_of(tmp_path / "training.csv")
+    first, *rows = rows_of(tmp_path / "training.csv")
     assert [row["step"] for row in rows] == ["2", "4"]
+    assert first["step"] == "1"
     terms = ("elastic", "stretch", "gravity", "body_collision", "self_collision", "pose_regularization")
-    for row in rows:
+    for row in (first, *rows):
         values = [float(row[name]) for name in terms]
         # Strands that slide along the body from the start may touch nothing.
         assert all(value != 0 for name, value in zip(terms, values) if name != "body_collision")

@@ -1,12 +1,12 @@
 """The page of an evaluation, in Markdown: nothing on it that `results.json` does not hold."""
 
-import importlib.util
 from pathlib import Path
 from typing import Any
 
 from quaffure.benchmark.comparison import TIME
 from quaffure.benchmark.paper_table import ratio_rows
 from quaffure.benchmark.results import Results
+from quaffure.extras import is_installed
 from quaffure.io.atomic import replacing
 from quaffure.io.output_path import made_folder
 
@@ -34,7 +34,7 @@ def write_report(folder: Path, results: Results) -> list[Path]:
     picture = folder / PICTURE
     made_folder(picture.parent, "a folder for the report")
     drawn = []
-    if importlib.util.find_spec("matplotlib") is not None:
+    if is_installed("matplotlib"):
         from quaffure.benchmark.plots import plot_results
 
         plot_results(picture, results)

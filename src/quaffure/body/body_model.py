@@ -187,10 +187,13 @@ def load_body(path: Path | None = None) -> BodyModel:
         path = Path(str(files("quaffure") / "assets" / "body.npz"))
     arrays, sizes = read_arrays(path, FILE_ARRAYS, "a body file (.npz)")
     _check_indices(arrays, sizes, path)
-    scales = arrays["shape_direction_scales"][:, None, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        directions = arrays["shape_directions"].astype(np.float32) * arrays["shape_direction_scales"][:, None, None]
+    if not np.isfinite(directions).all():
+        raise InputError(path, "shape directions within single precision", "larger ones")
     return BodyModel(
         rest_vertices=torch.from_numpy(arrays["rest_vertices"]),
-        shape_directions=torch.from_numpy(arrays["shape_directions"].astype(np.float32) * scales),
+        shape_directions=torch.from_numpy(directions),
         rest_joints=torch.from_numpy(arrays["rest_joints"]),
         joint_shape_directions=torch.from_numpy(arrays["joint_shape_directions"]),
         joint_parents=tuple(arrays["joint_parents"].tolist()),

@@ -11,7 +11,7 @@ i - 1 follows, since rotating both rotates M_i. Forces on the vertices act throu
 its stiffness 6 k s along the normal (Eq. 10).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -207,7 +207,9 @@ def stable_factors(design: Design, factors: np.ndarray, unstable: np.ndarray) ->
 
     `unstable` becomes true for strands that are not stable after `MOST_TRIALS`.
     """
-    for strand in prange(len(factors)):
+    for index in prange(len(factors)):
+        # The index of a parallel loop has two types, for each of which numba would compile all that is called.
+        strand: Any = np.int64(index)
         unstable[strand] = not _find_factors(design, strand, factors[strand])
 
 

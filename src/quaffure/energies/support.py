@@ -9,7 +9,7 @@ Without an upper bound, a vertex beside a kink or a tie would push with thousand
 """
 
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -126,7 +126,8 @@ def split_moment(moment: Vector, before: Vector, direction: Vector) -> tuple[Vec
 @njit(cache=True, parallel=True)
 def _supports(forces: _Forces, available: np.ndarray, support: np.ndarray) -> None:
     strands, edges = forces.bending_stiffness.shape
-    for strand in prange(strands):
+    for index in prange(strands):
+        strand: Any = np.int64(index)  # one type, see `quaffure.energies.stability.stable_factors`
         problem = _LeastSquares(
             np.zeros((edges, edges, 4)), np.zeros((edges, 4)), np.zeros((edges, edges)), np.zeros(edges)
         )
@@ -202,7 +203,8 @@ def _descend(available: np.ndarray, weight: np.ndarray, problem: _LeastSquares, 
 
 @njit(cache=True, parallel=True)
 def _moments(forces: _Forces, support: np.ndarray, bending: np.ndarray, twisting: np.ndarray, goal: np.ndarray) -> None:
-    for strand in prange(len(twisting)):
+    for index in prange(len(twisting)):
+        strand: Any = np.int64(index)
         _moments_of_strand(forces, strand, support[strand], bending[strand], twisting[strand], goal[strand])
 
 

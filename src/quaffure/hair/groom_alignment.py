@@ -68,7 +68,7 @@ def _cost_with_direction(alignment: Alignment, polylines: Float[np.ndarray, "s n
     """Cost of a fit, higher where strands start into the head on average."""
     placed = alignment.transform(polylines)
     edge = np.linalg.norm(placed[:, 1] - placed[:, 0], axis=1)
-    vertex = np.clip(np.round(ROOT_PART / edge), 1, placed.shape[1] - 1).astype(int)
+    vertex = np.clip(np.round(ROOT_PART / np.maximum(edge, np.finfo(float).tiny)), 1, placed.shape[1] - 1).astype(int)
     start = placed[np.arange(len(placed)), vertex] - placed[:, 0]
     normals = target.normals[target.tree.query(placed[:, 0])[1]]
     outwards = (start * normals).sum(1) / np.maximum(np.linalg.norm(start, axis=1), np.finfo(float).tiny)

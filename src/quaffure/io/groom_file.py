@@ -95,7 +95,8 @@ def _check_roots(arrays: dict[str, np.ndarray], path: Path, body: BodyModel) -> 
     apart = float(np.abs(arrays["rest_strands"][:, 0] - roots).max())
     if apart > ROOT_SLACK:
         raise InputError(path, f"strands that begin at their roots to {ROOT_SLACK} m", f"{apart:.3g} m apart")
-    lengths = np.linalg.norm(np.diff(arrays["rest_strands"], axis=1), axis=-1)
+    with np.errstate(over="ignore"):  # a length that no number holds is infinite, and refused below
+        lengths = np.linalg.norm(np.diff(arrays["rest_strands"], axis=1), axis=-1)
     if not (lengths.min() > 0 and lengths.sum(1).max() < LONGEST_STRAND):
         found = f"{lengths.min():.3g} m and {lengths.sum(1).max():.3g} m"
         raise InputError(path, f"segments longer than 0 and strands under {LONGEST_STRAND} m", found)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from quaffure.errors import InputError
+from quaffure.extras import require_extra
 from quaffure.hair.strands import Strands
 from quaffure.input_file import check_input_file
 
@@ -33,10 +34,12 @@ def read_usd_strands(path: Path) -> Strands:
     Curves of purpose `guide` are left out where there are others.
 
     Raises:
-        InputError: not a USD file, one that takes more time or memory than its size accounts for, or no curves in it.
+        InputError: the USD library is not installed; not a USD file, one that takes more time or memory than its size
+            accounts for, or no curves in it.
     """
     expected = "a USD file"
     check_input_file(path, expected)
+    require_extra("usd", path)
     seconds = FREE_SECONDS + SECONDS_PER_BYTE * path.stat().st_size
     command = [sys.executable, "-P", "-m", "quaffure.io.usd_curves", str(path.absolute())]
     try:

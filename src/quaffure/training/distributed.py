@@ -56,6 +56,14 @@ class Worker:
         for gradient, mean in zip(gradients, parts):
             gradient.copy_(mean.view_as(gradient))
 
+    def any(self, is_so: bool) -> bool:
+        """Whether it is so in any of the workers; all of them have to ask."""
+        if self.world_size == 1:
+            return is_so
+        found = torch.tensor(int(is_so), device=self.device)
+        distributed.all_reduce(found, distributed.ReduceOp.MAX)
+        return bool(found)
+
     def broadcast_from_first(self, make: Callable[[], T]) -> T:
         """A value that the first worker makes, sent to all of them: no other one needs access to its disk."""
         if self.world_size == 1:

@@ -2,8 +2,9 @@
 
     forward and backward  ->  mean gradients of all processes  ->  Adam  ->  average of the weights
 
-with rows in `training.csv` and `validation.csv`, the best weights in `best.safetensors`, and a checkpoint from which a
-stopped run continues. A run that was killed and resumed ends with the same bits as one that was not.
+with rows in `training.csv` and `validation.csv`, the best weights in `best.safetensors`, the newest in
+`last.safetensors`, and a checkpoint from which a stopped run continues. A run that was killed and resumed ends with the
+same bits as one that was not.
 """
 
 import math
@@ -21,9 +22,12 @@ from quaffure.io.atomic import replacing
 from quaffure.training.averaged_adam import AveragedAdam, warm_cosine
 from quaffure.training.distributed import SINGLE_PROCESS, Worker
 from quaffure.training.run_folder import RunFolder
+from quaffure.training.stop_request import stop_request
 
 Metrics = dict[str, float]
-BEST = "best.safetensors"
+BEST, LAST = "best.safetensors", "last.safetensors"
+FIRST_SAVE_SECONDS = 20.0
+"""After these there are weights and a checkpoint of a run, and it is seen to work."""
 
 
 class Recipe(ABC):
@@ -67,10 +71,11 @@ class Recipe(ABC):
         """Metrics of the averaged network on data that no step trains on."""
         raise NotImplementedError
 
-    def save_best(self, path: Path, averaged: Any, metrics: Metrics, notes: dict[str, str]) -> None:
-        """Write the weights, ready to drape with.
+    def save_weights(self, path: Path, averaged: Any, metrics: Metrics, notes: dict[str, str]) -> None:
+        """Write the weights, ready to drape with; only where the recipe validates.
 
         Args:
+            metrics: of the last validation; empty before the first one.
             notes: step and version of the code; more may be added.
         """
         raise NotImplementedError
@@ -100,6 +105,7 @@ class Training(Generic[R]):
         self.recipe, self.folder = recipe, RunFolder(folder)
         self.optimizer: AveragedAdam[Any] = AveragedAdam(recipe.network, recipe.config.learning_rate, recipe.ema_decay)
         self.step, self.best, self.seconds = 0, math.inf, 0.0
+        self._validated: Metrics = {}
 
     def start_from(self, network: nn.Module) -> None:
         """Take over the weights of a network before the first step.
@@ -139,21 +145,26 @@ class Training(Generic[R]):
 
     def validate(self) -> Metrics:
         """Measure the averaged network, log the metrics, and keep the weights where they are the best so far."""
-        metrics = self.recipe.validate(self.optimizer.averaged)
+        self._validated = metrics = self.recipe.validate(self.optimizer.averaged)
         if metrics[self.recipe.score] < self.best:
             self.best = metrics[self.recipe.score]
-            notes = {"step": str(self.step), "version": self.folder.version}
-            with replacing(self.folder.path / BEST) as path:
-                self.recipe.save_best(path, self.optimizer.averaged, metrics, notes)
+            self._save_weights(BEST)
         self.folder.log("validation", self._row(metrics))
         return metrics
 
     def save(self) -> None:
-        """Write everything that `resume` needs."""
+        """Write everything that `resume` needs, and the weights of now."""
         counters = torch.tensor([self.step, self.best, self.seconds], dtype=torch.float64)
         generator = self.recipe.generator
         random = {} if generator is None else {"generator": generator.get_state()}
         self.folder.save(self.optimizer.state() | {"counters": counters} | random | self.recipe.identity())
+        if self.recipe.validate_every is not None:
+            self._save_weights(LAST)
+
+    def _save_weights(self, name: str) -> None:
+        notes = {"step": str(self.step), "version": self.folder.version}
+        with replacing(self.folder.path / name) as path:
+            self.recipe.save_weights(path, self.optimizer.averaged, self._validated, notes)
 
     def resume(self) -> bool:
         """Continue from the folder's checkpoint, which the first process reads for all; False where there is none.
@@ -184,19 +195,42 @@ class Training(Generic[R]):
 def train(training: Training[Any], report: Callable[[int, Metrics], None]) -> None:
     """Continue a run to its end, logging, validating and saving on the way.
 
+    Asked to stop by SIGINT or SIGTERM, a run ends its step and saves first; where several processes share it, all do.
+
     Args:
         report: called after every step of the first process with the step and its metrics (`Training.steps`), after
             validations also theirs.
+
+    Raises:
+        KeyboardInterrupt: after SIGINT.
+        SystemExit: after SIGTERM.
     """
     recipe: Recipe = training.recipe
-    if not recipe.worker.is_first:
-        for _ in training.steps():
-            pass
-        return
-    training.folder.describe(recipe.description())
-    saved = time.perf_counter()
-    for metrics in training.steps():
-        if recipe.log_every is not None and training.step % recipe.log_every == 0:
+    with stop_request() as stop:
+        steps = _until(training.steps(), lambda: recipe.worker.any(stop.is_made))
+        if recipe.worker.is_first:
+            training.folder.describe(recipe.description())
+            _log_and_save(training, steps, report)
+        else:
+            for _ in steps:
+                pass
+    stop.follow()
+
+
+def _until(steps: Iterator[Metrics], ends: Callable[[], bool]) -> Iterator[Metrics]:
+    """The steps to the first one after which it ends."""
+    for metrics in steps:
+        yield metrics
+        if ends():
+            return
+
+
+def _log_and_save(training: Training[Any], steps: Iterator[Metrics], report: Callable[[int, Metrics], None]) -> None:
+    recipe: Recipe = training.recipe
+    saved, interval = time.perf_counter(), min(FIRST_SAVE_SECONDS, recipe.config.save_every_seconds)
+    for metrics in steps:
+        # The first step too: a run without a table for minutes could as well hang.
+        if recipe.log_every is not None and (training.step % recipe.log_every == 0 or training.step == 1):
             training.log(metrics)
         validated = recipe.validate_every is not None and (
             training.step % recipe.validate_every == 0 or training.step == recipe.config.steps
@@ -205,9 +239,9 @@ def train(training: Training[Any], report: Callable[[int, Metrics], None]) -> No
             metrics |= training.validate()
         report(training.step, metrics)
         # Also after a validation: a resumed run needs the score of its best weights.
-        if validated or time.perf_counter() - saved > recipe.config.save_every_seconds:
+        if validated or time.perf_counter() - saved > interval:
             training.save()
-            saved = time.perf_counter()
+            saved, interval = time.perf_counter(), recipe.config.save_every_seconds
     training.save()
 
 

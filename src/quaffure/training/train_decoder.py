@@ -102,7 +102,7 @@ class DecoderRecipe(Recipe):
         return reads and self.own_terms is None and self.config.elastic == ROD
 
     def backward(self, step: int) -> dict[str, float]:
-        """The loss [`loss_unit`]; every `log_every` steps also every term of it."""
+        """The loss [`loss_unit`]; in the first step and every `log_every` steps also every term of it."""
         config = self.config
         generator = torch.Generator().manual_seed(_step_seed(config.seed, self.worker.rank, step))
         body_pose, body_shape = self.sampler.sample(config.runs, config.frames, generator)
@@ -148,7 +148,7 @@ class DecoderRecipe(Recipe):
         deformation = ((positions - scene.posed) @ head).unflatten(0, (config.runs, config.frames))
         smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg).mean() / config.frames
         metrics = {"loss": float((total.mean() + smoothness).detach()) / unit}
-        if self.worker.is_first and (step + 1) % config.log_every == 0:
+        if self.worker.is_first and ((step + 1) % config.log_every == 0 or step == 0):
             named = energy.by_term(draped.detach(), scene)
             metrics |= {name: float(term.mean()) / unit for name, term in named.items()}
             metrics["pose_regularization"] = float(smoothness.detach()) / unit
@@ -168,7 +168,7 @@ class DecoderRecipe(Recipe):
         metrics["loss"] = metrics["energy"]
         return metrics
 
-    def save_best(
+    def save_weights(
         self, path: Path, averaged: QuaffureNetwork, metrics: dict[str, float], notes: dict[str, str]
     ) -> None:
         names = ",".join(groom.name for groom in self.grooms)

@@ -113,7 +113,7 @@ class GroomGenRecipe(Recipe):
             moved = network(self.data.turn[poses])
         return moved - self.data.displacement[poses].float()
 
-    def save_best(
+    def save_weights(
         self, path: Path, averaged: GroomGenNetwork, metrics: dict[str, float], notes: dict[str, str]
     ) -> None:
         manifest = self.drapes.manifest
@@ -121,8 +121,9 @@ class GroomGenRecipe(Recipe):
             "groom": manifest.groom,
             "poses": f"{len(self.trained)}, and {len(self.validated)} for validation",
             "solver": manifest.solver,
-            "validation_distance_mm": f"{metrics['distance_mm']:.4g}",
         }
+        if "distance_mm" in metrics:
+            more["validation_distance_mm"] = f"{metrics['distance_mm']:.4g}"
         save_groomgen(path, averaged, manifest.material, notes | more)
 
     def description(self) -> dict[str, object]:

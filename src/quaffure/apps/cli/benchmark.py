@@ -1,6 +1,5 @@
 """`quaffure benchmark`: solvers, energy against time on the same drapes; inference, time and memory of the network."""
 
-import importlib.util
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -17,6 +16,7 @@ from quaffure.benchmark.solver_benchmark import Budget, Case, Run, budgets, repo
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.errors import InputError
+from quaffure.extras import is_installed
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import write_json
 from quaffure.io.load_groom import load_groom
@@ -175,7 +175,7 @@ def _write_files(out: Path, content: dict[str, object], plot: Callable[[Any, Pat
         A message that names the written files.
     """
     write_json(out, content)
-    if importlib.util.find_spec("matplotlib") is None:
+    if not is_installed("matplotlib"):
         return f"written: {out}; no plot without matplotlib: pip install 'quaffure\\[docs]'"
     from quaffure.benchmark import plots
 

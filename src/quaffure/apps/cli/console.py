@@ -1,6 +1,7 @@
 """Terminal output of the subcommands: tables, JSON, progress bars."""
 
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,20 +16,22 @@ from rich.table import Table
 from torch import nn
 
 from quaffure.benchmark.report import cell_text
-from quaffure.training.loop import Training, train
+from quaffure.training.loop import LAST, Training, train
 
 # If the output is not a terminal, rich would wrap tables at 80 columns. Commands with --json set `quiet`: then only
 # `print_json` writes to the output.
 console = Console() if sys.stdout.isatty() else Console(width=140)
 Update = Callable[..., None]
 Text = Callable[[dict[str, float]], str]
+SECONDS_PER_LINE = 20.0
 
 
 @contextmanager
 def progress_bar(
     description: str, total: int | None, done: int = 0, to: Console = console, **options: bool
 ) -> Iterator[Update]:
-    """Show a bar with the number of finished parts and the time left, or taken once it is full.
+    """Show a bar with the number of finished parts and the time left, or taken once it is full. Where the output is no
+    terminal, print a line now and then instead.
 
     Args:
         options: of `rich.progress.Progress`: `transient` bars disappear when they end, `disable` shows none.
@@ -36,10 +39,54 @@ def progress_bar(
     Yields:
         A function that takes what `rich.progress.Progress.update` does: `completed`, `advance`, `description`, `total`.
     """
+    if not to.is_terminal:
+        lines = ProgressLines(description, total, done, to)
+        yield (lambda **changes: None) if options.get("disable") else lines.update
+        return
     time_column = TimeRemainingColumn(elapsed_when_finished=True)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time_column
     with Progress(*columns, console=to, **options) as progress:  # type: ignore[arg-type]
         yield partial(progress.update, progress.add_task(description, total=total, completed=done))
+
+
+class ProgressLines:
+    """Plain lines about a work in parts, for files and pipes: after its first part, then not more often than every
+    `SECONDS_PER_LINE`.
+
+    Args:
+        description: the end of every line.
+        total: number of parts, where it is known.
+        done: parts that are finished already.
+    """
+
+    def __init__(self, description: str, total: int | None, done: int, to: Console) -> None:
+        self._description, self._total, self._done, self._to = description, total, done, to
+        self._printed, self._clock = -math.inf, (time.monotonic(), done)
+
+    def update(
+        self,
+        *,
+        completed: int | None = None,
+        advance: int = 0,
+        description: str | None = None,
+        total: int | None = None,
+    ) -> None:
+        """Take what a bar takes."""
+        before = self._done
+        self._done = advance + (self._done if completed is None else completed)
+        self._description, self._total = description or self._description, total or self._total
+        now = time.monotonic()
+        if self._done > before and self._done != self._total and now - self._printed >= SECONDS_PER_LINE:
+            self._printed = now
+            line = f"{self._done}{self._rest(now)}: {self._description}"
+            self._to.print(line, markup=False, highlight=False, soft_wrap=True)
+
+    def _rest(self, now: float) -> str:
+        if self._total is None:
+            return ""
+        start, before = self._clock
+        left = (now - start) / (self._done - before) * (self._total - self._done)
+        return f" of {self._total}, {timedelta(seconds=round(left))} left"
 
 
 class TimeLeft:
@@ -97,7 +144,14 @@ def _run_training(
             if text := validation_text(values):
                 to.print(f"step {step} of {total}: {text}; {left.at(step)} left")
 
-        train(training, report)
+        try:
+            train(training, report)
+        except (KeyboardInterrupt, SystemExit):
+            if is_first:
+                to.print(f"stopped at step {training.step} of {total}; the same command continues")
+                if training.recipe.validate_every is not None:
+                    to.print(f"weights: {training.folder.path / LAST}")
+            raise
     if training.optimizer.skipped and is_first:
         to.print(f"{training.optimizer.skipped} updates skipped: gradients that were not finite")
 

@@ -1,5 +1,6 @@
 """`quaffure drape`: drape a groom on a moving body, and write draped hair, pictures, video or USD."""
 
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,6 +14,7 @@ from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, motion_of
 from quaffure.apps.cli.kernel_cache import is_cached
 from quaffure.apps.cli.outputs import PICTURES, check_outputs, write_output
 from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
+from quaffure.benchmark.drape_checks import DrapeChecks
 from quaffure.benchmark.metrics import DrapeMetrics
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import HairMaterial
@@ -29,6 +31,7 @@ from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import interpolation_of
 from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
+from quaffure.model.initial_shape_kernels import initial_shape_kernel
 from quaffure.model.quaffure_model import load_model
 from quaffure.scene import Scene
 from quaffure.solvers.by_name import SOLVERS, solver
@@ -40,13 +43,15 @@ from quaffure.types import Positions
 
 NEURAL, GROOMGEN = "neural", GroomGenDraper.name
 DRAPERS = (*SOLVERS, NEURAL, GROOMGEN)
+FAULTS_FOUND = 3
+"""Exit code with --strict."""
 MOST_SCALE = 100.0
 """Largest factor of stiffness and weight."""
 
 
 @dataclass(frozen=True)
 class DrapeCommand:
-    """Drape a groom on a moving body, write it, and print metrics."""
+    """Drape a groom on a moving body and write it; print frames with hair inside the body or tips that jump."""
 
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")]
     """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
@@ -86,12 +91,16 @@ class DrapeCommand:
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones; those of `quaffure train-groomgen` for groomgen."""
     reference: Path | None = None
-    """An .npz drape of the same groom and frames by a solver, to measure against."""
+    """An .npz drape of the same groom and frames by a solver, to measure against; with it, all metrics are printed."""
+    metrics: bool = False
+    """Measure and print all metrics (docs/metrics.md), which takes longer than most drapes."""
+    strict: bool = False
+    """Exit with 3 where a tip jumps or hair is inside the body; the files are written all the same."""
     strands: int | None = None
     """Strands to interpolate between the draped ones for .png, .mp4 and .usd*: 10,000 to 100,000 make a full head
     of hair. Without it, the draped strands are shown. An .npz always holds the draped strands."""
     json: bool = False
-    """Print the metrics as JSON."""
+    """Print as JSON, frame by frame."""
 
     def run(self) -> None:
         console.quiet = self.json
@@ -114,14 +123,19 @@ class DrapeCommand:
         if reference is not None and reference.strands.shape != shape:
             raise InputError(f"{self.reference}", f"strands {shape}", f"{reference.strands.shape}")
         console.print(f"draping {len(groom)} strands in {frames_text(len(motion))} with {draper.name}")
-        measured = DrapeMetrics(groom, draper.material, reference, terms, motion.fps)
+        checks, measured = DrapeChecks(motion.fps), None
+        if self._measures:
+            measured = DrapeMetrics(groom, draper.material, reference, terms, motion.fps)
         times.lap("loading")
         with progress_bar("draping", len(motion), transient=True) as update:
 
             def on_frames(draped: Positions, scene: Scene) -> None:
                 times.lap("draping")
-                measured.add(draped, scene)
-                times.lap("metrics")
+                checks.add(draped, scene)
+                times.lap("checks")
+                if measured is not None:
+                    measured.add(draped, scene)
+                    times.lap("metrics")
                 update(advance=len(draped))
 
             sequence = drape_motion(draper, groom, body, motion, body_shape, on_frames)
@@ -131,16 +145,22 @@ class DrapeCommand:
             console.print(f"writing {path}")
             write_output(path, sequence, interpolation)
             times.lap("pictures" if path.suffix.lower() in PICTURES else "files")
-        if self.json:
-            print_drape_json(sequence, *measured.of_all_frames(), times)
-        else:
-            report_drape(sequence, *measured.of_all_frames(), times, self.out)
+        (print_drape_json if self.json else report_drape)(sequence, checks, measured, times)
+        console.print(f"written: {', '.join(map(str, self.out))}")
+        if self.strict and checks.findings():
+            sys.exit(FAULTS_FOUND)
+
+    @property
+    def _measures(self) -> bool:
+        return self.metrics or self.reference is not None
 
     @property
     def _kernels(self) -> tuple[object, ...]:
-        """One kernel of the metrics, and one of the solver that takes longest to compile, where it runs."""
+        """The kernels that take longest to compile, of those that run."""
         runs_newton = self._name == StrandNewtonDraper.name or self.settle
-        return (sort_into_cells, newton_rotations) if runs_newton else (sort_into_cells,)
+        solver_kernels = (newton_rotations,) if runs_newton else ()
+        network_kernels = (initial_shape_kernel,) if self._name == NEURAL else ()
+        return (*solver_kernels, *network_kernels, *((sort_into_cells,) if self._measures else ()))
 
     def _describe(self, meta: dict[str, Any]) -> None:
         """Note the energy that was minimized."""

@@ -1,17 +1,18 @@
-"""What `quaffure drape` prints about a drape: metrics with their units, and where the time went."""
+"""What `quaffure drape` prints about a drape: faults, metrics with their units, and where the time went."""
 
 import time
 from collections.abc import Sized
-from pathlib import Path
 from typing import Any
 
 from quaffure.apps.cli.console import console, print_json, print_rows
-from quaffure.benchmark.metrics import UNITS, PerFrame
+from quaffure.benchmark.drape_checks import MOST_INSIDE_PERCENT, DrapeChecks
+from quaffure.benchmark.metrics import UNITS, DrapeMetrics, PerFrame
 from quaffure.drape_motion import FRAMES_AT_ONCE
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.types import Float, Tensor
 
 DEFINITIONS = "docs/metrics.md"
+NO_FAULT = f"no tip jumps, and in no frame more than {MOST_INSIDE_PERCENT:g} % of the vertices are inside the body"
 
 
 class Stopwatch:
@@ -35,26 +36,34 @@ class Stopwatch:
         return ", ".join(f"{step} {duration(1000 * seconds)}" for step, seconds in self.seconds.items())
 
 
-def report_drape(
-    sequence: DrapeSequence, draped: PerFrame, posed: PerFrame, times: Stopwatch, written: tuple[Path, ...]
-) -> None:
-    """Print the table of a drape's metrics and of the posed groom's, the time of a drape and of every step."""
-    named = {"posed": posed, str(sequence.meta["draper"]): draped}
-    title = f"{sequence.meta['groom']} on {sequence.meta['motion']}, {frames_text(len(sequence))}"
-    print_rows([_table_row(key, named, draped[key]) for key in draped], title)
-    console.print(f"means over frames unless marked as worst; definitions: {DEFINITIONS}")
+def report_drape(sequence: DrapeSequence, checks: DrapeChecks, measured: DrapeMetrics | None, times: Stopwatch) -> None:
+    """Print the faults of a drape, the time of a drape and of every step, and where they were measured, the table of
+    its metrics and of the posed groom's."""
+    if measured is not None:
+        draped, posed = measured.of_all_frames()
+        named = {"posed": posed, str(sequence.meta["draper"]): draped}
+        title = f"{sequence.meta['groom']} on {sequence.meta['motion']}, {frames_text(len(sequence))}"
+        print_rows([_table_row(key, named, draped[key]) for key in draped], title)
+        console.print(f"means over frames unless marked as worst; definitions: {DEFINITIONS}")
+    console.print(f"checked: {'; '.join(checks.findings()) or NO_FAULT}")
     first = ", with the preparation of kernels and groom" if with_preparation(sequence) else ""
     taken = duration(float(sequence.meta["milliseconds"]))
     console.print(f"time: {times}; {taken} a drape{first}")
-    console.print(f"written: {', '.join(map(str, written))}")
 
 
-def print_drape_json(sequence: DrapeSequence, draped: PerFrame, posed: PerFrame, times: Stopwatch) -> None:
-    """Print the same as JSON, metrics frame by frame."""
-    named = {"posed": posed, str(sequence.meta["draper"]): draped}
-    rows = {name: {key: values.tolist() for key, values in row.items()} for name, row in named.items()}
-    report: dict[str, Any] = {"per_frame": rows, "milliseconds": sequence.meta["milliseconds"]}
-    report |= {"with_preparation": with_preparation(sequence), "seconds": times.seconds, "meta": sequence.meta}
+def print_drape_json(
+    sequence: DrapeSequence, checks: DrapeChecks, measured: DrapeMetrics | None, times: Stopwatch
+) -> None:
+    """Print the same as JSON, frame by frame."""
+    report: dict[str, Any] = {"faults": checks.findings()}
+    report |= {"inside_percent": checks.inside_percent, "jumps": checks.jumping_tips}
+    if measured is not None:
+        draped, posed = measured.of_all_frames()
+        named = {"posed": posed, str(sequence.meta["draper"]): draped}
+        rows = {name: {key: values.tolist() for key, values in row.items()} for name, row in named.items()}
+        report["per_frame"] = rows
+    report |= {"milliseconds": sequence.meta["milliseconds"], "with_preparation": with_preparation(sequence)}
+    report |= {"seconds": times.seconds, "meta": sequence.meta}
     print_json(report)
 
 

@@ -10,6 +10,7 @@ import tyro
 
 from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar
 from quaffure.apps.cli.groom_hold import HoldGroom
+from quaffure.apps.cli.outputs import check_packages
 from quaffure.apps.cli.style_settings import with_settings
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import VERTICES_PER_STRAND
@@ -51,6 +52,7 @@ class GroomsCommand:
         console.quiet = self.json
         if self.out is not None:
             check_output(self.out, ".png")
+            check_packages(self.out)
             _draw_styles(self.out)
         rows = [_style_row(name, size) for name, size in style_sizes().items()]
         print_json(rows) if self.json else print_rows(rows, "bundled grooms")
@@ -111,6 +113,7 @@ class ImportGroom:
         check_output(self.out, ".npz", inputs=inputs)
         if self.picture is not None:
             check_output(self.picture, ".png", inputs=inputs)
+            check_packages(self.picture)
         if not self.files:
             raise InputError("FILE", "at least one file of strands", "none")
         body = load_body()

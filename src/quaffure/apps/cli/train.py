@@ -23,7 +23,7 @@ from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.model.quaffure_network import QuaffureNetwork
 from quaffure.training.distributed import Device, joined_workers
 from quaffure.training.groom_samples import family_grooms
-from quaffure.training.loop import BEST, Training
+from quaffure.training.loop import BEST, LAST, Training
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.run_folder import RUN
 from quaffure.training.train_config import TrainConfig
@@ -38,8 +38,9 @@ class TrainCommand:
     """Train a network on grooms over sampled poses and shapes; continues where an earlier run in the folder stopped.
 
     Poses come from the shipped prior, and from motion files if some are given. The folder then holds
-    `best.safetensors`, the weights to drape with (`quaffure drape --weights`), `config.json`, the tables
-    `training.csv` and `validation.csv`, and the checkpoint to continue from. Several processes share a run when a
+    `best.safetensors`, the weights to drape with (`quaffure drape --weights`), `last.safetensors`, the newest ones,
+    `config.json`, the tables `training.csv` and `validation.csv`, and the checkpoint to continue from. Ctrl-C and
+    SIGTERM end the step and leave all of them. Several processes share a run when a
     launcher starts them: `torchrun --nproc-per-node 2 --no-python quaffure train ...`.
     """
 
@@ -70,7 +71,7 @@ class TrainCommand:
 
     def _check(self) -> None:
         """Refuse options that are wrong whatever the files hold."""
-        check_output_folder(self.out, RUN, (BEST,), (self.weights,))
+        check_output_folder(self.out, RUN, (BEST, LAST), (self.weights,))
         pose_features = self.config.network.pose_features
         if pose_features not in (0, FEATURE_COUNT):
             raise InputError("--pose-features", f"0 or {FEATURE_COUNT}", f"{pose_features}")

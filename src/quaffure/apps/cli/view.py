@@ -11,6 +11,7 @@ from quaffure.apps.cli.inputs import motion_of
 from quaffure.apps.cli.outputs import write_output
 from quaffure.body.clips import CLIP_NAMES
 from quaffure.errors import InputError
+from quaffure.extras import require_extra
 from quaffure.io.load_groom import load_groom
 from quaffure.model.quaffure_model import load_model
 from quaffure.procedural.hair_style import STYLES
@@ -50,8 +51,10 @@ class ViewCommand:
         """The page, served.
 
         Raises:
-            InputError: a groom, a motion, weights, a folder or an address that cannot be used.
+            InputError: packages of the page are missing; a groom, a motion, weights, a folder or an address that cannot
+                be used.
         """
+        require_extra("view", "quaffure view")
         from quaffure.apps.viewer.catalogue import REST, Catalogue
         from quaffure.apps.viewer.page import Page
 

@@ -9,9 +9,10 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
-from viser import GuiButtonGroupHandle, GuiEvent, GuiInputHandle, ViserServer
+from viser import GuiButtonGroupHandle, GuiEvent, GuiInputHandle, GuiSliderHandle
 
 from quaffure.apps.viewer.catalogue import NEURAL, Catalogue
+from quaffure.apps.viewer.guarded_server import guarded_server
 from quaffure.apps.viewer.panel import STRAND_COUNTS, Panel, put
 from quaffure.apps.viewer.playback import Playback
 from quaffure.apps.viewer.scene_nodes import SceneNodes
@@ -39,7 +40,7 @@ def check_address(host: str, port: int) -> None:
 
 
 class Page:
-    """Serves from construction until `stop`. All browsers that open it share one state.
+    """Serves from construction until `stop`, its own origin alone. All browsers that open it share one state.
 
     Args:
         catalogue: choices of the pickers.
@@ -63,7 +64,7 @@ class Page:
         groom, motion = start
         state = ViewState(catalogue.body, catalogue.groom(groom), catalogue.motion(motion), catalogue.draper(NEURAL))
         check_address(*address)
-        self._server = ViserServer(*address, verbose=False)
+        self._server = guarded_server(*address)
         self._catalogue = catalogue
         self._nodes = SceneNodes(self._server, catalogue.body)
         self.panel = Panel(self._server.gui, catalogue, groom, motion)
@@ -96,6 +97,8 @@ class Page:
 
         def on_update(event: GuiEvent[GuiInputHandle[T]]) -> None:
             if event.client_id is not None:
+                if isinstance(widget, GuiSliderHandle):
+                    put(widget, min(max(widget.value, widget.min), widget.max))
                 self._run_and_report(lambda: handle(widget.value))
 
         widget.on_update(on_update)

@@ -1,0 +1,154 @@
+"""Damage to files: bytes and numbers at random, and the parts of archives behind their checksums."""
+
+import json
+import random
+import re
+import struct
+from collections.abc import Callable
+from io import BytesIO
+from zipfile import ZipFile
+
+NUMBERS = (b"nan", b"inf", b"-1", b"0", b"1e39", b"-1e308", b"9" * 30, b"2147483648", b"0x10", b"1_0", b"", b"--5")
+"""What replaces a number of a text."""
+INTEGERS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
+FLOATS = (float("nan"), float("inf"), -1e39, 1e-45, 3e38)
+
+
+def mutant(seed: bytes, random_: random.Random) -> bytes:
+    """One change of a file, or a few."""
+    content = seed
+    for _ in range(random_.choice((1, 1, 1, 2, 3))):
+        content = _change_of(seed, random_)(content, random_)
+    return content
+
+
+def _change_of(seed: bytes, random_: random.Random) -> Callable[[bytes, random.Random], bytes]:
+    changes = [_bits, _word, _cut, _repeat]
+    if seed.startswith(b"PK"):
+        changes += [_member] * 16
+    elif seed[8:9] == b"{":
+        changes += [_header] * 12
+    elif b"\0" not in seed:
+        changes += [_number] * 9 + [_line] * 3
+    return random_.choice(changes)
+
+
+def _bits(content: bytes, random_: random.Random) -> bytes:
+    out = bytearray(content)
+    for _ in range(random_.randint(1, 8)):
+        if out:
+            out[random_.randrange(len(out))] = random_.randrange(256)
+    return bytes(out)
+
+
+def _word(content: bytes, random_: random.Random) -> bytes:
+    """A 32-bit number, most often near the start, where sizes are."""
+    reach = len(content) - 4 if random_.random() < 0.3 else min(len(content) - 4, 200)
+    if reach < 0:
+        return content
+    is_float = random_.random() < 0.3
+    word = struct.pack("<f", _single(random_)) if is_float else struct.pack("<I", random_.choice(INTEGERS))
+    at = random_.randint(0, reach // 4) * 4
+    return content[:at] + word + content[at + 4 :]
+
+
+def _single(random_: random.Random) -> float:
+    value = random_.choice(FLOATS)
+    return value if abs(value) < 3.4e38 else float("-inf")
+
+
+def _cut(content: bytes, random_: random.Random) -> bytes:
+    start, end = sorted(random_.randint(0, len(content)) for _ in range(2))
+    return content[:end] if random_.random() < 0.5 else content[:start] + content[end:]
+
+
+def _repeat(content: bytes, random_: random.Random) -> bytes:
+    start, end = sorted(random_.randint(0, len(content)) for _ in range(2))
+    return content[:end] + content[start : min(end, start + 4096)] * random_.randint(1, 3) + content[end:]
+
+
+def _number(content: bytes, random_: random.Random) -> bytes:
+    places = list(re.finditer(rb"-?\d+(\.\d+)?(e-?\d+)?", content))
+    if not places:
+        return content
+    place = random_.choice(places)
+    return content[: place.start()] + random_.choice(NUMBERS) + content[place.end() :]
+
+
+def _line(content: bytes, random_: random.Random) -> bytes:
+    lines = content.split(b"\n")
+    at, other = random_.randrange(len(lines)), random_.randrange(len(lines))
+    how = random_.randrange(3)
+    if how == 0:
+        lines[at : at + random_.randint(1, 5)] = []
+    elif how == 1:
+        lines.insert(at, lines[other])
+    else:
+        lines[at], lines[other] = lines[other], lines[at]
+    return b"\n".join(lines)
+
+
+def _header(content: bytes, random_: random.Random) -> bytes:
+    """A change in the JSON of a .safetensors file, whose length then fits, or of a number in one of its texts."""
+    (size,) = struct.unpack("<Q", content[:8])
+    header, rest = content[8 : 8 + size], content[8 + size :]
+    try:
+        fields = json.loads(header)
+        name = random_.choice(list(fields))
+        how = random_.randrange(4)
+        if how == 0:
+            del fields[name]
+        elif how == 1 and name != "__metadata__":
+            fields[name][random_.choice(("shape", "data_offsets"))] = [random_.choice(INTEGERS) for _ in range(2)]
+        else:
+            notes = fields["__metadata__"]
+            key = random_.choice(list(notes))
+            notes[key] = (_number if how == 2 else _bits)(notes[key].encode(), random_).decode(errors="replace")
+        header = json.dumps(fields).encode()
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError):
+        header = _bits(header, random_)
+    return struct.pack("<Q", len(header)) + header + rest
+
+
+def _member(content: bytes, random_: random.Random) -> bytes:
+    """A changed, missing or renamed array of an .npz, whose checksums then fit."""
+    try:
+        with ZipFile(BytesIO(content)) as archive:
+            members = {name: archive.read(name) for name in archive.namelist()}
+    except Exception:  # another change has damaged the archive
+        return _bits(content, random_)
+    if not members:
+        return content
+    name, how = random_.choice(list(members)), random_.randrange(8)
+    if how == 0:
+        del members[name]
+    elif how == 1:
+        members[random_.choice(list(members))] = members[name]
+    elif how == 2:
+        members[name] = _array_header(members[name], random_)
+    elif how == 3:
+        members[name] = _cut(members[name], random_)
+    else:
+        start = members[name].find(b"\n") + 1
+        changed = random_.choice((_bits, _word))(members[name][start:], random_)
+        members[name] = members[name][:start] + changed
+    out = BytesIO()
+    with ZipFile(out, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return out.getvalue()
+
+
+def _array_header(member: bytes, random_: random.Random) -> bytes:
+    """Another shape, type or order in the header of an .npy."""
+    end = member.find(b"\n") + 1
+    header, places = member[:end], list(re.finditer(rb"\d+|<f[48]|False|<i[48]", member[10:end]))
+    if not places:
+        return _bits(member, random_)
+    place = random_.choice(places)
+    start, stop = 10 + place.start(), 10 + place.end()
+    other = random_.choice((b"0", b"-1", b"9", b"4294967296", b"<f8", b">f4", b"<i8", b"|O", b"<U9", b"True", b"<c8"))
+    length = stop - start
+    # The header keeps its length: blanks are read over.
+    padded = header[:start] + other[:length].ljust(length) + header[stop:]
+    return padded + member[end:]

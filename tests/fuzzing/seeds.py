@@ -1,0 +1,127 @@
+"""Small valid files of every format that is read, made on the fly."""
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import torch
+
+from quaffure.body import load_body
+from quaffure.config import HairMaterial
+from quaffure.hair import DrapeSequence
+from quaffure.io import write_drape, write_groom, write_usd
+from quaffure.model import NetworkConfig, build_network, save_network
+from quaffure.training.run_folder import RunFolder
+from tests.test_groom_files import EVEN, GOOD, RAGGED, npz_bytes, ragged_npz
+from tests.test_retarget import CHANNELS, NAMES, SKELETON, random_angles
+from tests.training_runs import tiny_groom
+
+Write = Callable[[Path], object]
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+
+
+@cache
+def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
+    """By format, the suffix and files that its reader takes."""
+    body = load_body()
+    whole = tiny_groom(body)
+    groom = whole.select(torch.arange(0, len(whole), 4))
+    poses = np.random.default_rng(0).normal(scale=0.1, size=(3, 165))
+    network = build_network(NetworkConfig(texel_channels=4, strand_width=8))
+    drape = _drape()
+    foreign = npz_bytes(strands=100 * whole.rest_strands.numpy())
+
+    def usd(suffix: str) -> bytes:
+        return _written(lambda path: write_usd(path, drape), suffix)
+
+    return {
+        **{kind: (f".{kind}", _good(f".{kind}")) for kind in ("hair", "data", "bin", "tfx")},
+        "npz strands": (".npz", (ragged_npz(RAGGED), npz_bytes(strands=np.float32(EVEN)))),
+        "npz registered": (".npz", (foreign,)),
+        "npz groom": (".npz", (_written(lambda path: write_groom(path, groom), ".npz"),)),
+        "npz drape": (".npz", (_written(lambda path: write_drape(path, drape), ".npz"),)),
+        "npz body": (".npz", (_body(),)),
+        "npz motion": (".npz", (npz_bytes(body_pose=np.float32(poses[:, :81]), fps=np.float32(30)),)),
+        "npz amass": (".npz", (npz_bytes(poses=poses, trans=poses[:, :3], mocap_framerate=120.0),)),
+        "bvh": (".bvh", (_bvh(),)),
+        "obj": (".obj", (_obj(),)),
+        "csv": (".csv", (b"0.5,-1,0,0,0,2e-1,0,0,0,0\n", b"0 1 0 1 0 1 0 1 0 1")),
+        "safetensors": (
+            ".safetensors",
+            (_written(lambda path: save_network(path, network, HairMaterial(), {"step": "1"}), ".safetensors"),),
+        ),
+        "usda": (".usda", (usd(".usda"),)),
+        "usdc": (".usdc", (usd(".usdc"),)),
+        "checkpoint": (".pt", (_checkpoint(),)),
+    }
+
+
+def _good(suffix: str) -> tuple[bytes, ...]:
+    return tuple(content for kind, content, _ in GOOD.values() if kind == suffix)
+
+
+def _written(write: Write, suffix: str) -> bytes:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"seed{suffix}"
+        write(path)
+        return path.read_bytes()
+
+
+def _drape() -> DrapeSequence:
+    """Three strands in two frames, on a tetrahedron."""
+    strands = np.float32(0.01 * np.array(EVEN))
+    corners = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    return DrapeSequence(
+        strands=np.stack([strands, strands]),
+        posed=np.stack([strands, strands]),
+        rest_lengths=np.linalg.norm(np.diff(strands, axis=1), axis=-1),
+        body_vertices=np.stack([corners, corners]),
+        body_faces=np.int32([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+        body_pose=np.zeros((2, 81), np.float32),
+        body_shape=np.zeros(10, np.float32),
+        fps=30.0,
+        meta={"groom": "seed", "draper": "none", "milliseconds": 1.0},
+    )
+
+
+def _body() -> bytes:
+    from importlib.resources import files
+
+    return files("quaffure").joinpath("assets", "body.npz").read_bytes()
+
+
+def _bvh() -> bytes:
+    lines = ["HIERARCHY"]
+
+    def add(name: str, depth: int) -> None:
+        indent = "  " * depth
+        offset = next(offset for joint, _, offset in SKELETON if joint == name)
+        children = [joint for joint, parent, _ in SKELETON if parent == name]
+        lines.extend([f"{indent}{'JOINT' if depth else 'ROOT'} {name}", indent + "{"])
+        lines.append(f"{indent}  OFFSET {' '.join(map(str, offset))}")
+        lines.append(f"{indent}  CHANNELS {len(CHANNELS)} {' '.join(CHANNELS)}")
+        for child in children:
+            add(child, depth + 1)
+        if not children:
+            lines.extend([f"{indent}  End Site", indent + "  {", f"{indent}    OFFSET 0 1 0", indent + "  }"])
+        lines.append(indent + "}")
+
+    add(SKELETON[0][0], 0)
+    angles = random_angles(3).reshape(3, len(NAMES) * 3)
+    rows = [" ".join(f"{angle:.3f}" for angle in row) for row in angles]
+    return "\n".join([*lines, "MOTION", "Frames: 3", "Frame Time: 0.033333", *rows, ""]).encode()
+
+
+def _obj() -> bytes:
+    faces = ("1 2 4 3", "5 7 8 6", "1/1 5/1 6/1", "1/1/1 6/1/1 2/1/1", "3 4 8", "-6 -1 -2", "1 3 7 5", "2 6 8 4")
+    lines = [f"v {x} {y} {z}" for x, y, z in CUBE] + ["vt 0 0", "vn 0 0 1", "o head"] + [f"f {face}" for face in faces]
+    return "\n".join(lines).encode()
+
+
+def _checkpoint() -> bytes:
+    with TemporaryDirectory() as folder:
+        run = RunFolder(Path(folder))
+        run.save({"identity": "fuzzed", "counters": torch.zeros(3), "network": {"weight": torch.ones(2, 3)}})
+        return (run.path / "checkpoint.pt").read_bytes()

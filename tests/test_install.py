@@ -1,0 +1,115 @@
+"""What a wheel installs: a drape works with the required packages alone, and what needs more says so in one line."""
+
+import ast
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from quaffure.errors import InputError
+from quaffure.extras import EXTRAS, is_installed, require_extra
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+MODULE_OF = {"pillow": "PIL", "usd-core": "pxr"}
+"""Modules whose packages have other names."""
+OPTIONAL = {module: extra for extra, modules in EXTRAS.items() for module in modules}
+BODY_TOOLS = {"anny", "igl", "trimesh"}
+WITHOUT_EXTRAS = f"""
+import sys
+from importlib.machinery import PathFinder
+
+class Finder(PathFinder):
+    @classmethod
+    def find_spec(cls, name, *more):
+        return None if name.partition(".")[0] in {sorted(OPTIONAL)!r} else super().find_spec(name, *more)
+
+sys.meta_path = [Finder if finder is PathFinder else finder for finder in sys.meta_path]
+from quaffure.apps.cli.main import main
+main(sys.argv[1:])
+"""
+UPPER_BOUNDS = ("numba", "numpy", "scipy", "torch", "tyro", "viser", "moderngl", "safetensors", "jaxtyping")
+
+
+def modules_of(requirements: list[str]) -> set[str]:
+    names = {requirement.partition(">")[0].partition("=")[0] for requirement in requirements}
+    return {MODULE_OF.get(name, name) for name in names}
+
+
+def imported_modules(path: Path) -> set[str]:
+    """Top-level names of what a module imports anywhere."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {name.name.partition(".")[0] for name in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.add(node.module.partition(".")[0])
+    return found - set(sys.stdlib_module_names) - {"quaffure"}
+
+
+def without_extras(*arguments: str) -> "subprocess.CompletedProcess[str]":
+    """A command where no package of an extra is installed."""
+    command = [sys.executable, "-c", WITHOUT_EXTRAS, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_every_import_is_a_requirement_or_belongs_to_an_extra() -> None:
+    found = set().union(*(imported_modules(path) for path in (ROOT / "src").rglob("*.py")))
+    required = modules_of(PROJECT["dependencies"])
+    assert found - required <= set(OPTIONAL)
+    assert required <= found
+    for extra, modules in EXTRAS.items():
+        assert set(modules) == modules_of(PROJECT["optional-dependencies"][extra])
+    assert not required & set(OPTIONAL)
+
+
+def test_extras_and_upper_bounds() -> None:
+    extras = PROJECT["optional-dependencies"]
+    assert {*EXTRAS, "all", "dev"} <= set(extras)
+    assert extras["all"] == [f"quaffure[{','.join(sorted(EXTRAS))}]"]
+    assert "quaffure[all]" in extras["dev"]  # make sets up everything
+    assert "'.[dev]'" in (ROOT / "scripts" / "set_up.sh").read_text(encoding="utf-8")
+    every = PROJECT["dependencies"] + [one for extra in EXTRAS for one in extras[extra]]
+    for name in UPPER_BOUNDS:
+        (requirement,) = (one for one in every if one.startswith(f"{name}>="))
+        assert ",<" in requirement, requirement
+
+
+def test_a_drape_needs_no_extra(tiny_groom_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "hair.npz"
+    run = without_extras("drape", str(tiny_groom_file), "--frames", "0:1", "--metrics", "--out", str(out))
+    assert run.returncode == 0, run.stderr
+    assert out.is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "extra", "source"),
+    [
+        (["drape", "bob", "--out", "OUT/hair.png"], "render", "OUT/hair.png"),
+        (["drape", "bob", "--out", "OUT/hair.mp4"], "render", "OUT/hair.mp4"),
+        (["drape", "bob", "--out", "OUT/hair.usd"], "usd", "OUT/hair.usd"),
+        (["drape", "OUT/hair.usda", "--out", "OUT/hair.npz"], "usd", "OUT/hair.usda"),
+        (["grooms", "--out", "OUT/grooms.png"], "render", "OUT/grooms.png"),
+        (["view"], "view", "quaffure view"),
+    ],
+    ids=["png", "mp4", "usd", "reading usd", "grooms", "view"],
+)
+def test_what_needs_an_extra_names_it(arguments: list[str], extra: str, source: str, tmp_path: Path) -> None:
+    (tmp_path / "hair.usda").write_text("#usda 1.0\n")
+    run = without_extras(*(argument.replace("OUT", str(tmp_path)) for argument in arguments))
+    assert run.returncode == 2, run.stderr
+    assert run.stderr.startswith(f"quaffure: {source.replace('OUT', str(tmp_path))}: expected the packages that ")
+    assert f"pip install 'quaffure[{extra}]' brings, found no " in run.stderr
+    assert run.stderr.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["hair.usda"]
+
+
+def test_an_extra_that_is_there_is_not_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(EXTRAS, "render", ("json",))
+    require_extra("render", "a picture")
+    monkeypatch.setitem(EXTRAS, "render", ("json", "no_such_module"))
+    with pytest.raises(InputError, match=r"a picture: expected .*quaffure\[render\].* found no no_such_module"):
+        require_extra("render", "a picture")
+    assert not is_installed("no_such_module")

@@ -17,7 +17,7 @@ from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import Groom
 from quaffure.scene import PosedScene, Scene
-from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, energy_and_gradient, solver
+from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, energy_and_gradient
 from quaffure.solvers.coherent_clip import CoherentSetting
 from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonSetting
@@ -363,5 +363,3 @@ def test_other_terms_and_scenes_without_a_body_are_refused() -> None:
         StrandNewtonDraper(terms=hair_terms())
     with pytest.raises(InputError, match="without a body model"):
         StrandNewtonDraper().drape(posed_scene(sphere_groom(strands=3)))
-    with pytest.raises(InputError, match="newton: expected gravity"):
-        solver("newton", terms=hair_terms(acceleration=(0.0, 1.0, -9.81)))

@@ -208,7 +208,8 @@ def stable_factors(design: Design, factors: np.ndarray, unstable: np.ndarray) ->
     `unstable` becomes true for strands that are not stable after `MOST_TRIALS`.
     """
     for strand in prange(len(factors)):
-        unstable[strand] = not _find_factors(design, strand, factors[strand])
+        # prange counts unsigned; without the cast the function is compiled for both kinds of integers.
+        unstable[strand] = not _find_factors(design, int(np.int64(strand)), factors[strand])
 
 
 @njit(cache=True)

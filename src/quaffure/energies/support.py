@@ -130,7 +130,7 @@ def _supports(forces: _Forces, available: np.ndarray, support: np.ndarray) -> No
         problem = _LeastSquares(
             np.zeros((edges, edges, 4)), np.zeros((edges, 4)), np.zeros((edges, edges)), np.zeros(edges)
         )
-        _fill_rows(forces, strand, available[strand], problem)
+        _fill_rows(forces, int(np.int64(strand)), available[strand], problem)  # cast as in `stability`
         _fill_normal_equations(available[strand], problem)
         _descend(available[strand], forces.weight[strand], problem, support[strand])
 
@@ -203,7 +203,8 @@ def _descend(available: np.ndarray, weight: np.ndarray, problem: _LeastSquares, 
 @njit(cache=True, parallel=True)
 def _moments(forces: _Forces, support: np.ndarray, bending: np.ndarray, twisting: np.ndarray, goal: np.ndarray) -> None:
     for strand in prange(len(twisting)):
-        _moments_of_strand(forces, strand, support[strand], bending[strand], twisting[strand], goal[strand])
+        one = support[strand], bending[strand], twisting[strand], goal[strand]
+        _moments_of_strand(forces, int(np.int64(strand)), *one)  # cast as in `stability`
 
 
 @njit(cache=True)

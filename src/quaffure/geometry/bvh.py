@@ -97,7 +97,7 @@ def search_all(points: np.ndarray, corners: np.ndarray, tree: Bvh) -> np.ndarray
     chunk = 256
     for block in prange((count + chunk - 1) // chunk):
         stack, scratch = search_workspace()
-        leaf = 0
+        leaf = int(np.int64(0))  # of one type, or numba compiles the search twice
         for index in range(block * chunk, min(count, (block + 1) * chunk)):
             x, y, z = points[index, 0], points[index, 1], points[index, 2]
             leaf = nearest_face(x, y, z, leaf, squared_distance(corners[leaf], x, y, z), tree, stack, scratch)

@@ -1,4 +1,5 @@
 import importlib.util
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,3 +59,12 @@ def tiny_groom_file(body: "BodyModel", tmp_path_factory: pytest.TempPathFactory)
     path = tmp_path_factory.mktemp("grooms") / "tiny.npz"
     write_groom(path, tiny_groom(body))
     return path
+
+
+@pytest.fixture
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures of 64 pixels: a software rasteriser takes a second for a large one."""
+    from quaffure.apps.render import pictures, video
+
+    for module, name in ((pictures, "write_before_after"), (pictures, "write_picture"), (video, "write_video")):
+        monkeypatch.setattr(module, name, partial(getattr(module, name), tile=64))

@@ -127,6 +127,7 @@ def test_each_frame_is_posed_once_measuring_and_writing_included(
     assert sum(frames) == 12
 
 
+@pytest.mark.usefixtures("small_pictures")
 def test_drape_writes_every_format_and_prints_figures(
     tmp_path: Path, inputs: Path, groom: Groom, capfd: pytest.CaptureFixture[str]
 ) -> None:

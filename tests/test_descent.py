@@ -110,7 +110,7 @@ def test_unknown_names_and_terms_that_a_solver_does_not_take_are_refused() -> No
         solver("magic")
     with pytest.raises(InputError, match=r"one of modified_cosserat, .*jelly"):
         hair_terms("jelly")
-    for name in ("newton", "xpbd", "xpbd_paper", "strand_newton"):
+    for name in ("xpbd", "xpbd_paper", "strand_newton"):
         with pytest.raises(InputError, match=f"solver {name.removesuffix('_paper')}.*adam"):
             solver(name, terms=hair_terms("mass_spring"))
 

@@ -157,7 +157,7 @@ def test_torch_drapes_are_differentiable(body: BodyModel, varied: str) -> None:
     assert float(gradient) == pytest.approx(float(difference), rel=1e-4)
 
 
-def test_frames_are_posed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_posed_once(tiny_groom_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Draping, writing and measuring share the joints; in batches of frames."""
     posed: list[int] = []
     compiled = kinematics._forward_kinematics
@@ -178,7 +178,7 @@ def test_frames_are_posed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     main(
         [
             "drape",
-            "crew_cut",
+            str(tiny_groom_file),
             "--draper",
             "neural",
             "--frames",

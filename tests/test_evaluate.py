@@ -21,6 +21,7 @@ from quaffure.config import HairMaterial
 from quaffure.errors import InputError
 from quaffure.hair import Groom
 from quaffure.io import write_groom
+from quaffure.io.load_groom import load_groom
 from quaffure.model import NetworkConfig, build_network, save_network
 from tests.test_comparison import STRANDS, tiny_groom
 
@@ -46,6 +47,12 @@ def inputs(tmp_path_factory: pytest.TempPathFactory, groom: Groom) -> Path:
     save_network(folder / "other.safetensors", other, MATERIAL, {"trained": "neither"})
     save_network(folder / "stiff.safetensors", network, replace(MATERIAL, k_cosserat=1.0), {})
     return folder
+
+
+@pytest.fixture(autouse=True)
+def timed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No drape is repeated only to be timed."""
+    monkeypatch.setattr("quaffure.benchmark.draping.REPEATS", 1)
 
 
 @pytest.fixture
@@ -155,7 +162,18 @@ def test_evaluate_writes_the_same_on_file_page_and_screen(
     assert again["summary"] == results["summary"]
 
 
-@pytest.mark.slow
+@pytest.fixture
+def every_third_strand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Grooms of the set with a third of their strands."""
+
+    def thinned(name: str, body: BodyModel) -> Groom:
+        groom = load_groom(name, body)
+        return groom.select(torch.arange(0, len(groom), 3))
+
+    monkeypatch.setattr("quaffure.benchmark.evaluation_set.load_groom", thinned)
+
+
+@pytest.mark.usefixtures("every_third_strand")
 def test_the_quick_evaluation_of_the_shipped_weights(tmp_path: Path) -> None:
     out = tmp_path / "quick.json"
     main(["evaluate", "--quick", "--out", str(out), "--report", str(tmp_path), "--cache", str(tmp_path / "cache")])

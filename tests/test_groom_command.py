@@ -1,7 +1,6 @@
 """`quaffure groom`, `quaffure render` and `--strands`: what they write, and one line for every mistake."""
 
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ import torch
 from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import check_outputs
 from quaffure.apps.cli.style_settings import ABOVE_ZERO, with_settings
-from quaffure.apps.render import pictures, video
 from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
 from quaffure.io import read_groom, write_groom
@@ -35,13 +33,6 @@ def drape(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = ["--out", str(folder / "drape.npz"), "--out", str(folder / "drape.usd")]
     main(["drape", str(folder / "bob.npz"), "--draper", "posed", "--frames", "0:2", "--strands", "700", *out])
     return folder / "drape.npz"
-
-
-@pytest.fixture
-def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pictures of 64 pixels: a software rasteriser takes a second for a large one."""
-    for module, name in ((pictures, "write_before_after"), (pictures, "write_picture"), (video, "write_video")):
-        monkeypatch.setattr(module, name, partial(getattr(module, name), tile=64))
 
 
 def refused(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> str:

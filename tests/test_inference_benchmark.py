@@ -1,10 +1,12 @@
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
 
 from quaffure.apps.cli.main import main
+from quaffure.benchmark import inference_benchmark
 from quaffure.body import FEATURE_COUNT
 from quaffure.config import HairMaterial
 from quaffure.model import NetworkConfig, build_network, save_network
@@ -19,9 +21,24 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_benchmark_measures_and_writes(weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measurements that are no better than rough."""
+    timed = inference_benchmark._timed
+
+    def once(run: Callable[[], object], repeats: int) -> tuple[float, float]:
+        return timed(run, 1)
+
+    monkeypatch.setattr(inference_benchmark, "_timed", once)
+    monkeypatch.setattr(inference_benchmark, "_MATRIX", 256)
+
+
+@pytest.mark.usefixtures("brief")
+def test_the_benchmark_measures_and_writes(
+    weights: Path, tiny_groom_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "bench.json"
-    arguments = ["--quick", "--groom", "crew_cut", "--weights", str(weights), "--out", str(out), "--json"]
+    arguments = ["--quick", "--groom", str(tiny_groom_file), "--weights", str(weights), "--out", str(out), "--json"]
     main(["benchmark", "inference", *arguments])
     written = json.loads(out.read_text())
     assert json.loads(capsys.readouterr().out) == written

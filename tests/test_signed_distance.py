@@ -17,7 +17,7 @@ from quaffure.geometry import (
     posed_surface,
     surface_topology,
 )
-from quaffure.geometry.bvh import faces_within, nearest_face, search_all, search_workspace
+from quaffure.geometry.bvh import nearest_face, search_all, search_workspace
 from quaffure.geometry.mesh import opposite_faces
 from quaffure.geometry.occupancy_grid import UNKNOWN
 from quaffure.geometry.signed_distance import closest_points, closest_points_reference, signed_distance
@@ -131,23 +131,6 @@ def test_the_tree_finds_what_a_search_of_all_faces_finds(mesh: Callable[[], tupl
     for point, leaf in zip(points, search_all(points, corners, tree)):
         distances = distances_to_faces(corners, point)
         assert distances[leaf] == pytest.approx(distances.min(), abs=1e-6)
-
-
-@pytest.mark.parametrize("mesh", MESHES)
-def test_the_tree_lists_all_faces_within_a_distance(mesh: Callable[[], tuple[torch.Tensor, torch.Tensor]]) -> None:
-    vertices, faces = mesh()
-    corners, tree = one_body(posed_surface(surface_topology(vertices, faces), vertices[None]))
-    workspace, found, most = search_workspace(), np.empty(len(faces), np.int32), 0
-    for point in queries(100)[0].numpy():
-        distances = distances_to_faces(corners, point)
-        limit = np.float32(distances.min() + 0.01)
-        listed = found[: faces_within(*point, limit, tree, *workspace, found)]
-        assert len(set(listed)) == len(listed)
-        assert set(np.flatnonzero(distances < limit - 1e-6)) <= set(listed)
-        assert (distances[listed] < limit + 1e-6).all()
-        most = max(most, len(listed))
-    assert most > 1
-    assert faces_within(*point, limit, tree, *workspace, found[:1]) == 1  # no more than there is memory for
 
 
 def distances_to_faces(corners: np.ndarray, point: np.ndarray) -> np.ndarray:

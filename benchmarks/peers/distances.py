@@ -10,7 +10,7 @@ import numpy as np
 
 ENDS = {
     "neural": "ours_neural",
-    "newton": "ours_newton",
+    "lbfgs": "ours_lbfgs",
     "lbfgs, cosserat": "ours_lbfgs_cosserat",
     "dismech": "dismech_100",
     "mujoco": "mujoco_100",

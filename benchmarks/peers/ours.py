@@ -13,7 +13,6 @@ from quaffure.energies.hair_terms import hair_terms
 from quaffure.model import load_model
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import LbfgsDraper, XpbdDraper, XpbdSetting
-from quaffure.solvers.newton.newton import NewtonDraper
 from quaffure.types import Positions
 
 WARM_UP_STRANDS = 8
@@ -50,7 +49,6 @@ def our_drapers() -> tuple[Ours, ...]:
         Ours("neural", "Quaffure", (), lambda _: model.draper),
         Ours("xpbd", "Quaffure", steps, lambda effort: XpbdDraper(setting=XpbdSetting(steps=effort))),
         Ours("lbfgs", "Quaffure", evaluations, lambda effort: LbfgsDraper(evaluations=effort)),
-        Ours("newton", "Quaffure", (), lambda _: NewtonDraper()),
         Ours(
             "lbfgs, cosserat",
             "Cosserat rod",

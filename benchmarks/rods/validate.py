@@ -60,7 +60,7 @@ One hair, alone, clamped at its root: EI = {ROD.bend:.1e} N m^2, GJ = EI / {ROD.
 curl, would leave the clamp without weight; positions are (x, y, z) with z up. N is the number of vertices, {N} where
 none is given. Errors over a strand are root mean squares over its vertices. The truth is Kirchhoff's inextensible
 rod, a boundary-value problem (`benchmarks.rods.heavy_rod`, scipy's `solve_bvp`), which shares no code with the
-energies; a test holds PyElastica to it.
+energies; a test holds to it what PyElastica found.
 """
 
 

@@ -21,7 +21,7 @@ TILES = {
     "ours_posed": "posed",
     "ours_neural": "neural",
     "ours_xpbd": "xpbd",
-    "ours_newton": "newton",
+    "ours_lbfgs": "lbfgs",
     "ours_lbfgs_cosserat": "lbfgs, cosserat",
     "dismech_100": "dismech-newton",
     "mujoco_100": "MuJoCo",

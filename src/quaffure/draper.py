@@ -53,12 +53,9 @@ class StoppingReport:
 
     Attributes:
         energy: mean energy of the samples [J].
-        relative_gradient: of the worst sample, as `quaffure.solvers.stopping` defines it; `newton` reports its own, the
-            whole gradient in double precision of the energy with smoothed body edges, before the drape is cast to
-            float32.
-        iterations: energy evaluations, of a part of the strands in proportion; sweeps of XPBD. Those of `newton` are
-            without its starts'.
-        seconds: wall time, of `newton` with its starts.
+        relative_gradient: of the worst sample, as `quaffure.solvers.stopping` defines it.
+        iterations: energy evaluations, of a part of the strands in proportion; sweeps of XPBD.
+        seconds: wall time.
     """
 
     energy: float

@@ -9,19 +9,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 
-import torch
-
 from quaffure.baselines.posed import PosedDraper
 from quaffure.benchmark.machine_facts import machine_facts
 from quaffure.benchmark.metrics import metrics
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.scene import PosedScene, Scene
+from quaffure.scene import Scene
 from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
 from quaffure.solvers.by_name import Solver, solver
 from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
-from quaffure.solvers.newton.newton import NewtonDraper
 from quaffure.solvers.stopping import energy_and_gradient, relative_gradient
 from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting, paper_setting
 from quaffure.types import Positions
@@ -65,8 +62,7 @@ class Run:
     Attributes:
         excess_energy: above the least energy that any run reached on the case.
         relative_gradient: `quaffure.solvers.stopping`, the same measure for all.
-        reported_gradient: of the solver's `StoppingReport`; another measure for `newton` only. None without a report.
-        iterations: of that report, over `share` of the run.
+        iterations: of the solver's `StoppingReport`, over `share` of the run; None without a report.
         seconds, cpu_seconds: wall and processor time of the whole setting, measured over `share` of it.
     """
 
@@ -76,7 +72,6 @@ class Run:
     energy: float
     excess_energy: float
     relative_gradient: float
-    reported_gradient: float | None
     iterations: int | None
     body_intersection_percent: float
     length_error_percent: float
@@ -93,7 +88,6 @@ def budgets(quick: bool = False) -> list[Budget]:
     every += [Budget(name, effort, _WITH_EFFORT[name](effort)) for name, many in efforts.items() for effort in many]
     if quick:
         return every
-    every.append(Budget("newton", 0, lambda material: solver("newton", material)))
     part = replace(paper_setting(), steps=PAPER_STEPS)
     share = PAPER_STEPS / paper_setting().steps
     return [*every, Budget(PAPER, PAPER_STEPS, lambda material: XpbdDraper(material, part), share)]
@@ -149,7 +143,6 @@ def _run(case: Case, budget: Budget, energy: HairEnergy) -> Run:
         energy=values["energy"],
         excess_energy=0.0,
         relative_gradient=_residual(draped, case.scene, energy),
-        reported_gradient=None if stopped is None else stopped.relative_gradient,
         iterations=None if stopped is None else stopped.iterations,
         body_intersection_percent=values["body_intersection_percent"],
         length_error_percent=values["length_error_percent"],
@@ -169,14 +162,10 @@ def _compile(case: Case, chosen: Sequence[Budget], material: HairMaterial) -> No
     """Run every solver once, as briefly as it can, so that no time includes the compiler.
 
     On the whole groom: a few strands touch no others, and the kernels of hair against hair would not be compiled.
-    `newton` compiles its own on a few strands; its starts have the others.
     """
     for name in {budget.solver for budget in chosen}:
         draper = _WITH_EFFORT[name](1)(material) if name in _WITH_EFFORT else solver("posed", material)
         draper.drape(case.scene)
-    if any(budget.solver == "newton" for budget in chosen):
-        few, scene = torch.arange(min(8, len(case.scene.groom))), case.scene
-        NewtonDraper(material).drape(PosedScene(scene.groom.select(few), scene.posed[:, few], scene.surface))
 
 
 _WITH_EFFORT: dict[str, Callable[[int], Callable[[HairMaterial], Draper]]] = {

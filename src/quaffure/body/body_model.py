@@ -89,13 +89,18 @@ class BodyModel:
     meta: str
 
     def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> "BodyModel":
-        """The same body on a device, its real numbers in `dtype` (float64 in gradient checks)."""
-        moved: dict[str, Any] = {"scalp": self.scalp.to(device)}
+        """The same body on a device, its real numbers in `dtype` (float64 in gradient checks).
+
+        A body that is there already is returned itself, with what has been computed of it.
+        """
+        moved: dict[str, Any] = {}
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, Tensor):
                 moved[field.name] = value.to(device, dtype if value.is_floating_point() else None)
-        return replace(self, **moved)
+        if all(moved[name] is getattr(self, name) for name in moved):
+            return self
+        return replace(self, scalp=self.scalp.to(device), **moved)
 
     def rest(self, body_shape: BodyShape) -> tuple[Float[Tensor, "b v 3"], Float[Tensor, "b j 3"]]:
         """Surface and joints of shaped bodies in the rest pose [m]."""

@@ -97,7 +97,7 @@ def search_all(points: np.ndarray, corners: np.ndarray, tree: Bvh) -> np.ndarray
     chunk = 256
     for block in prange((count + chunk - 1) // chunk):
         stack, scratch = search_workspace()
-        leaf = 0
+        leaf = int(np.int64(0))  # of one type, or numba compiles the search twice
         for index in range(block * chunk, min(count, (block + 1) * chunk)):
             x, y, z = points[index, 0], points[index, 1], points[index, 2]
             leaf = nearest_face(x, y, z, leaf, squared_distance(corners[leaf], x, y, z), tree, stack, scratch)
@@ -149,41 +149,6 @@ def nearest_face(
             stack[near], stack[top - 1] = stack[top - 1], stack[near]
             waiting[near], waiting[top - 1] = waiting[top - 1], waiting[near]
     return min(leaf, levels[-1] - 1)  # the last block may be padded
-
-
-@njit(cache=True, fastmath=True)
-def faces_within(
-    x: float, y: float, z: float, limit: float, tree: Bvh, stack: np.ndarray, scratch: np.ndarray, found: np.ndarray
-) -> int:
-    """Write the leaves of the faces nearer than `limit` [m] to `found`, as many as it holds; return their number.
-
-    Args:
-        stack, scratch: of `search_workspace`.
-    """
-    blocks, boxes, levels = tree
-    to_child, to_face = scratch[:LANES], scratch[LANES : 2 * LANES]
-    block_count, squared, count = (levels[-1] + LANES - 1) // LANES, limit * limit, 0
-    stack[0], top = levels[-2] - 1, 1
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        _to_children(node, boxes, x, y, z, to_child)
-        if node >= levels[1]:
-            base, end = _inner_children(node, levels)
-            for child in range(end - base):
-                if to_child[child] < squared:
-                    stack[top] = base + child
-                    top += 1
-            continue
-        for child in range(min(LANES, block_count - node * LANES)):
-            if to_child[child] < squared:
-                first = (node * LANES + child) * LANES
-                _to_faces(node * LANES + child, blocks, x, y, z, to_face)
-                for lane in range(min(LANES, levels[-1] - first)):
-                    if to_face[lane] < squared and count < len(found):
-                        found[count] = first + lane
-                        count += 1
-    return count
 
 
 @njit(cache=True, inline="always")

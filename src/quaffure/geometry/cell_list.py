@@ -1,7 +1,5 @@
 """Pairs of points closer than a radius: integers from a compiled cell list, or from its torch twin."""
 
-from typing import NamedTuple
-
 import numpy as np
 import torch
 from numba import njit, prange
@@ -55,34 +53,12 @@ def fixed_radius_pairs_reference(points: Float[Tensor, "p 3"], radius: float) ->
     return pairs[:, pairs[0] < pairs[1]]
 
 
-class Grid(NamedTuple):
-    """Cubic cells round points.
-
-    Attributes:
-        lower: corner of the first cell [m].
-        side: of a cell [m].
-        shape: cells along x, y, z, numbered along z fastest.
-    """
-
-    lower: np.ndarray
-    side: float | np.floating
-    shape: tuple[int, int, int]
-
-
 @njit(cache=True)
 def sort_into_cells(points: np.ndarray, size: np.float32) -> tuple[np.ndarray, np.ndarray, tuple[int, int, int]]:
     """Counting sort of points into a grid of cells of side `size`, or larger where that would need too many.
 
     Returns the sorted order, where each cell starts in it (one more entry than cells), and the cells along x, y, z.
     """
-    grid = grid_round(points, size)
-    order, start = sort_into_grid(points, grid)
-    return order, start, grid.shape
-
-
-@njit(cache=True)
-def grid_round(points: np.ndarray, size: np.float32) -> Grid:
-    """Cells of side `size`, or larger where they would be too many."""
     lower = np.array([points[:, axis].min() for axis in range(3)])
     upper = np.array([points[:, axis].max() for axis in range(3)])
     side = size
@@ -92,22 +68,14 @@ def grid_round(points: np.ndarray, size: np.float32) -> Grid:
         if along[0] * along[1] * along[2] <= 64 * len(points) + 4096:
             break
         side *= np.float32(1.5)
-    return Grid(lower, side, (int(along[0]), int(along[1]), int(along[2])))
-
-
-@njit(cache=True)
-def sort_into_grid(points: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Counting sort of points into cells: the sorted order and where each cell starts in it.
-
-    Points beyond the grid go to its outermost cells; there too, what is closer than a cell's side is at most one away.
-    """
-    nx, ny, nz = grid.shape
+    nx, ny, nz = int(along[0]), int(along[1]), int(along[2])
     cells = np.empty(len(points), np.int64)
     start = np.zeros(nx * ny * nz + 1, np.int64)
     for index in range(len(points)):
-        ix = min(max(int((points[index, 0] - grid.lower[0]) / grid.side), 0), nx - 1)
-        iy = min(max(int((points[index, 1] - grid.lower[1]) / grid.side), 0), ny - 1)
-        iz = min(max(int((points[index, 2] - grid.lower[2]) / grid.side), 0), nz - 1)
+        # A quotient may round up to the number of cells.
+        ix = min(int((points[index, 0] - lower[0]) / side), nx - 1)
+        iy = min(int((points[index, 1] - lower[1]) / side), ny - 1)
+        iz = min(int((points[index, 2] - lower[2]) / side), nz - 1)
         cells[index] = (ix * ny + iy) * nz + iz
         start[cells[index] + 1] += 1
     start = np.cumsum(start)
@@ -116,7 +84,7 @@ def sort_into_grid(points: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarr
     for index in range(len(points)):
         order[cursor[cells[index]]] = index
         cursor[cells[index]] += 1
-    return order, start
+    return order, start, (nx, ny, nz)
 
 
 @njit(cache=True, inline="always")

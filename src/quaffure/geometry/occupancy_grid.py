@@ -128,7 +128,9 @@ def _flood_clear(corners: np.ndarray, normals: np.ndarray, tree: Bvh, space: Occ
 def _is_outside(x: float, y: float, z: float, corners: np.ndarray, normals: np.ndarray, tree: Bvh) -> bool:
     """Whether a point is outside, by the exact signed distance."""
     stack, scratch = search_workspace()
-    leaf = nearest_face(np.float32(x), np.float32(y), np.float32(z), 0, np.inf, tree, stack, scratch)
+    # Arguments of the types that all searches have: numba compiles once for each combination.
+    at, anywhere = (np.float32(x), np.float32(y), np.float32(z)), np.float32(np.inf)
+    leaf = nearest_face(at[0], at[1], at[2], int(np.int64(0)), anywhere, tree, stack, scratch)
     cx, cy, cz, feature = closest_on_triangle(corners[leaf], x, y, z)
     nx, ny, nz = normals[leaf, feature]
     return signed_distance_from_offset(x - cx, y - cy, z - cz, nx, ny, nz)[0] > 0.0

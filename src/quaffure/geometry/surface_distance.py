@@ -38,7 +38,7 @@ def distance_within(
     if where == UNKNOWN:
         found = nearest_face(px, py, pz, leaf, squared_distance(body.corners[leaf], px, py, pz), tree, stack, scratch)
     elif margin > _FREE_DISTANCE or (where != FREE and margin > _ZERO):
-        found = nearest_face(px, py, pz, -1, margin * margin, tree, stack, scratch)
+        found = nearest_face(px, py, pz, int(np.int64(-1)), margin * margin, tree, stack, scratch)
     if found < 0:
         return _FAR, _ZERO, _ZERO, _ZERO, -1
     cx, cy, cz, feature = closest_on_triangle(body.corners[found], px, py, pz)

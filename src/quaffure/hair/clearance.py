@@ -5,7 +5,7 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.geometry.polyline import integrate_directions_reference
 from quaffure.geometry.signed_distance import closest_points
-from quaffure.geometry.surface import Surface, posed_surface, surface_topology
+from quaffure.geometry.surface import Surface, posed_surface
 from quaffure.types import Bool, Float, Tensor
 
 CLEARANCE = 3e-3
@@ -23,7 +23,7 @@ STEP = 0.9
 
 def rest_surface(body: BodyModel) -> Surface:
     """The mean body in its rest pose, ready for nearest-face searches."""
-    return posed_surface(surface_topology(body.rest_vertices, body.faces), body.rest_vertices[None])
+    return posed_surface(body.surface_topology, body.rest_vertices[None])
 
 
 def distances_and_normals(

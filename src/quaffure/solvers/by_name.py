@@ -11,7 +11,6 @@ from quaffure.errors import InputError
 from quaffure.scene import Scene
 from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
 from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
-from quaffure.solvers.newton.newton import NewtonDraper
 from quaffure.solvers.strand_newton import StrandNewtonDraper
 from quaffure.solvers.xpbd import XpbdDraper, paper_setting
 from quaffure.types import Positions
@@ -30,9 +29,7 @@ def _with_terms(kind: Callable[..., Draper]) -> Callable[[HairMaterial, Terms | 
     return lambda material, terms: kind(material, terms=terms)
 
 
-_CLASSES = (
-    StrandNewtonDraper, AdamDraper, AdamPositionsDraper, LbfgsDraper, LbfgsPositionsDraper, NewtonDraper, XpbdDraper,
-)  # fmt: skip
+_CLASSES = (StrandNewtonDraper, AdamDraper, AdamPositionsDraper, LbfgsDraper, LbfgsPositionsDraper, XpbdDraper)
 _DRAPERS: dict[str, Callable[[HairMaterial, Terms | None], Draper]] = {
     **{kind.name: _with_terms(kind) for kind in _CLASSES},
     "xpbd_paper": lambda material, terms: XpbdDraper(material, paper_setting(), terms),

@@ -1,4 +1,4 @@
-"""Where every solver stopped, by one measure; only `newton` stops by, and reports, one of its own.
+"""Where every solver stopped, by one measure.
 
 The measure is the gradient of `HairEnergy` with respect to the vertices, roots fixed, without the part that tensions
 along the edges could balance: what would still rotate edges if none could change its length. It is zero at a minimum
@@ -6,9 +6,8 @@ over vertices, and also at a minimum over directions, where lengths are at rest 
 left out is below the precision of float32: a vertex 1.6 m from the origin is known to 0.1 um, for which Eq. 7 gives
 forces of a tenth of a vertex's weight along the edge. `length_error_percent` shows that part.
 
-At a concave edge of the body the exact energy's gradient jumps and vanishes nowhere, and hair rests in such edges.
-`newton` takes the whole gradient of the energy with smoothed edges instead, in double precision
-(`quaffure.solvers.newton.rounded_contact`).
+At a concave edge of the body the energy's gradient jumps and vanishes nowhere. Hair rests in such edges, so the measure
+does not fall to zero there.
 """
 
 import torch

@@ -36,6 +36,8 @@ class StrandNewtonSetting:
         free_passes: without contact.
         resolved_share: of their margins that vertices are pushed out to after these.
         contact_passes: without other hair.
+        rounds: in which the passes with all terms are done from there; hair is pushed out of the body between them.
+        tied_factor: how many times as many passes and rounds tied hair takes.
         control: of the steps.
     """
 
@@ -43,12 +45,16 @@ class StrandNewtonSetting:
     free_passes: int = 3
     resolved_share: float = 0.9
     contact_passes: int = 2
+    rounds: int = 3
+    tied_factor: int = 2
     control: StepControl = field(default_factory=StepControl)
 
     def __post_init__(self) -> None:
         """Raises:
-        ValueError: fewer passes in all than without contact and without other hair.
+        ValueError: fewer passes in all than without contact and without other hair, no round or a factor below 1.
         """
+        if self.rounds < 1 or self.tied_factor < 1:
+            raise ValueError(f"rounds, tied_factor: expected at least 1, found {self.rounds} and {self.tied_factor}")
         least = self.free_passes + self.contact_passes
         if self.passes < least:
             raise ValueError(f"passes: expected at least {least}, free and contact passes, found {self.passes}")
@@ -134,16 +140,18 @@ class StrandNewtonDraper:
 
         Hair falls from the posed groom. Where the posed groom may have less energy than what comes out, hair settles
         from it as well: upright it is the design, from which passes without contact push hair into the head. Tied hair
-        also settles from there with contact: falling, a tail would pass through the head and divide.
+        also settles from there with contact: falling, a tail would pass through the head and divide. Its strands are so
+        dense that after as many passes as other hair takes, neither energy says where it ends.
         """
         setting = self.setting
-        passes = setting.passes - setting.free_passes - setting.contact_passes
         fallen = StrandDescent(energy, scene, setting.control)
         own_energy_posed = fallen.own_energy
         fallen.fall(setting.free_passes)
         fallen.resolve_contact(setting.resolved_share)
         fallen.touch(setting.contact_passes)
-        fallen.settle(passes)
+        factor = setting.tied_factor if fallen.has_goals else 1
+        passes = factor * (setting.passes - setting.free_passes - setting.contact_passes)
+        self._settle_in_rounds(fallen, passes, factor * setting.rounds)
         found = [fallen]
         if own_energy_posed < fallen.settled_energy:
             found.append(StrandDescent(energy, scene, setting.control))
@@ -152,8 +160,15 @@ class StrandNewtonDraper:
             found.append(StrandDescent(energy, scene, setting.control))
             found[-1].resolve_contact(setting.resolved_share)
             found[-1].touch(setting.free_passes + setting.contact_passes)
-            found[-1].settle(passes)
+            self._settle_in_rounds(found[-1], passes, factor * setting.rounds)
         return min(found, key=lambda shape: shape.settled_energy)
+
+    def _settle_in_rounds(self, descent: StrandDescent, passes: int, rounds: int) -> None:
+        # Hair that other hair has pressed into the body, as on the crown in a bow, would stay there: contact is weaker.
+        for index in range(rounds):
+            if index > 0:
+                descent.resolve_contact(self.setting.resolved_share)
+            descent.settle((passes + index) // rounds)
 
 
 class SettledDraper:

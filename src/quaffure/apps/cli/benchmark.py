@@ -51,7 +51,7 @@ class SolversCommand:
     strands: int | None = None
     """Drape only this many strands of each groom, evenly spaced."""
     quick: bool = False
-    """Small budgets on 100 strands, one case, without newton and xpbd_paper: takes some seconds."""
+    """Small budgets on 100 strands, one case, without xpbd_paper: takes some seconds."""
     json: bool = False
     """Print the content of the file instead of a table."""
 

@@ -46,14 +46,11 @@ class Stopwatch:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("grooms", nargs="*", default=["long_straight", "bob"])
-    parser.add_argument("--self-collision-every", type=int, default=6)
     options = parser.parse_args()
     body = load_body()
     grooms = tuple(load_groom(name, body) for name in options.grooms)
     # A step that is logged evaluates the energies once more, for their terms.
-    config = TrainConfig(
-        runs=3, frames=2, bf16=True, self_collision_every=options.self_collision_every, log_every=10_000
-    )
+    config = TrainConfig(runs=3, frames=2, bf16=True, log_every=10_000)
     with TemporaryDirectory() as folder:
         recipe = DecoderRecipe(config, body, grooms, PoseSampler(load_pose_prior()), prior_validation())
         measure(Training(recipe, Path(folder)))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 GROOM = "long_ringlets"
 OPTIONS = (
-    *("--groom", GROOM, "--steps", "500", "--runs", "4", "--frames", "2", "--self-collision-every", "3", "--bf16"),
+    *("--groom", GROOM, "--steps", "500", "--runs", "4", "--frames", "2", "--bf16"),
     *("--learning-rate", "1.5e-3", "--warmup", "50", "--validate-every", "25"),
 )
 

@@ -34,8 +34,6 @@ class TrainConfig:
     """The learning rate at the start; falls to a hundredth along a cosine."""
     warmup: int = 200
     """Steps over which the learning rate rises from zero."""
-    self_collision_every: int = 1
-    """Evaluate Eq. 11 on every k-th step, k times as strong."""
     elastic: Literal["rod", "modified_cosserat", "cosserat", "mass_spring"] = "rod"
     """The energy that keeps a strand's shape: the rod that rests in its design, under loadings that are drawn anew; the
     paper's, edge by edge (Eqs. 6-8); the full rod (Eqs. 2-5), whose frames follow their edges here; or springs."""
@@ -51,7 +49,7 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         hair_terms(self.elastic)
-        counts = ("steps", "runs", "frames", "grooms_per_step", "self_collision_every", "log_every", "validate_every")
+        counts = ("steps", "runs", "frames", "grooms_per_step", "log_every", "validate_every")
         refuse_impossible({name: getattr(self, name) for name in counts}, self.learning_rate, self.seed)
         if not 0 < self.material.collision_margin <= LARGEST_COLLISION_MARGIN:
             raise InputError(

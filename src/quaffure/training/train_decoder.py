@@ -15,7 +15,6 @@ from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.hair_terms import ROD, hair_terms
 from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.energies.pose_regularization import energy_pose_regularization
-from quaffure.energies.self_collision import SelfCollision
 from quaffure.hair.groom import Groom
 from quaffure.model.checkpoint import save_network
 from quaffure.model.groom_code import load_groom_encoder
@@ -28,13 +27,11 @@ from quaffure.training.loop import Recipe
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.run_folder import body_digest
 from quaffure.training.train_config import TrainConfig
-from quaffure.training.validation import Validation, loss_unit, validation_metrics
+from quaffure.training.validation import Validation, energy_above_offset, loss_unit, validation_metrics
 from quaffure.types import Tensor
 
 EMA_DECAY = 0.998
 """Decay of the weights' exponential average: over the last thousand steps or so."""
-ENERGY_OFFSET, LEAST_ENERGY = 2.0, 0.1
-"""The energy of a sample, in its unit, counts by its logarithm above this much less: no drape has so little."""
 VALIDATED_GROOMS = 16
 """A validation measures about as many of the grooms, evenly spread over their list."""
 
@@ -77,7 +74,7 @@ class DecoderRecipe(Recipe):
         self.draper = NeuralDraper(self.network, config.material, config.bf16)
         self.own_terms = terms
         self.energies = [self._energy(groom) for groom in self.grooms]
-        self.log_every, self.validate_every = config.log_every, config.validate_every
+        self.log_every, self.validate_every, self.score = config.log_every, config.validate_every, "log_energy"
         drapes = config.runs * config.frames * min(config.grooms_per_step, len(grooms))
         self.samples_per_step = drapes * worker.world_size
 
@@ -137,13 +134,7 @@ class DecoderRecipe(Recipe):
         config, unit = self.config, loss_unit(energy)
         draped = self.draper.under(loading).deform(scene, projects=True)
         positions = draped.view_as(draped)
-        every = config.self_collision_every
-        if every == 1:
-            total = energy.total(positions, scene)
-        else:
-            total = energy.without(SelfCollision.name).total(positions, scene)
-            if step % every == 0:
-                total = total + every * energy.only(SelfCollision.name).total(positions, scene)
+        total = energy.total(positions, scene)
         head = world_from_head(self.body, scene.bodies.posed.joint_rotations)[:, None]
         deformation = ((positions - scene.posed) @ head).unflatten(0, (config.runs, config.frames))
         smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg).mean() / config.frames
@@ -152,21 +143,19 @@ class DecoderRecipe(Recipe):
             named = energy.by_term(draped.detach(), scene)
             metrics |= {name: float(term.mean()) / unit for name, term in named.items()}
             metrics["pose_regularization"] = float(smoothness.detach()) / unit
-        weight = 1 / (total.detach() / unit + ENERGY_OFFSET).clamp(min=LEAST_ENERGY)
+        weight = 1 / energy_above_offset(total.detach(), energy)
         # The gradient that arrives is that of the mean over samples and grooms.
         clip_gradients(positions, energy.rest, len(draped) * grooms * unit / weight)
         return ((weight * total).mean() + smoothness) / unit, metrics
 
     def validate(self, averaged: QuaffureNetwork) -> dict[str, float]:
-        """See `validation_metrics`; `loss` is the energy under `STANDARD_LOADING`."""
+        """See `validation_metrics`, under `STANDARD_LOADING`."""
         draper = NeuralDraper(averaged, self.config.material, self.config.bf16)
         device = self.worker.device
         bodies = BodyBatch(self.body, self.validation.body_pose.to(device), self.validation.body_shape.to(device))
         every = -(-len(self.grooms) // VALIDATED_GROOMS)
         scenes = (Scene(groom, bodies) for groom in self.grooms[::every])
-        metrics = validation_metrics(draper, zip(scenes, self.energies[::every]))
-        metrics["loss"] = metrics["energy"]
-        return metrics
+        return validation_metrics(draper, zip(scenes, self.energies[::every]))
 
     def save_weights(
         self, path: Path, averaged: QuaffureNetwork, metrics: dict[str, float], notes: dict[str, str]

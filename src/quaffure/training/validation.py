@@ -13,7 +13,7 @@ from quaffure.energies.stretch_shear import orientation_errors
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.scene import Scene
 from quaffure.training.pose_sampler import PoseSampler
-from quaffure.types import BodyPose, BodyShape, Float, Positions, Tensor
+from quaffure.types import BodyPose, BodyShape, Energy, Float, Positions, Tensor
 
 # Exact distances cost twice what all energies do; as many strands, spread over the groom, give the share to a
 # twentieth of itself.
@@ -41,6 +41,19 @@ STIFF_SHARE = 0.1
 """Share of k_Cosserat in the unit of the loss: as much as a strand of 9 cm weighs, in m g L of a vertex."""
 
 
+ENERGY_OFFSET, LEAST_ENERGY = 2.0, 0.1
+"""The energy of a sample, in `loss_unit`, counts by its logarithm above this much less: no drape has so little."""
+
+
+def energy_above_offset(total: Energy, energy: HairEnergy) -> Energy:
+    """Of each sample, above `-ENERGY_OFFSET` in `loss_unit`; a training descends its logarithm.
+
+    Args:
+        total: the sum of the energy's terms [J].
+    """
+    return (total / loss_unit(energy) + ENERGY_OFFSET).clamp(min=LEAST_ENERGY)
+
+
 def loss_unit(energy: HairEnergy) -> float:
     """The unit of a groom's loss [J]: m g L plus a part of k_Cosserat, a vertex.
 
@@ -58,7 +71,8 @@ def validation_metrics(draper: Draper, scenes: Iterable[tuple[Scene, HairEnergy]
         scenes: each groom on the validation bodies, and its energy.
 
     Returns:
-        Every energy term in `loss_unit`, their sum `energy`, `body_intersection_percent` (of `MEASURED_STRANDS` strands
+        Every energy term in `loss_unit`, their sum `energy`, the mean logarithm `log_energy` that a training descends
+        (`energy_above_offset`), `body_intersection_percent` (of `MEASURED_STRANDS` strands
         of a groom), `orientation_error_deg` and `length_error_percent`.
     """
     rows = [_groom_metrics(draper.drape(scene), scene, energy) for scene, energy in scenes]
@@ -69,6 +83,7 @@ def _groom_metrics(draped: Positions, scene: Scene, energy: HairEnergy) -> dict[
     terms = energy.by_term(draped, scene)
     metrics = {name: float(term.mean()) / loss_unit(energy) for name, term in terms.items()}
     metrics["energy"] = sum(metrics.values())
+    metrics["log_energy"] = float(energy_above_offset(torch.stack([*terms.values()]).sum(dim=0), energy).log().mean())
     metrics["body_intersection_percent"] = float(_inside(draped, scene).mean()) * 100
     metrics["orientation_error_deg"] = float(orientation_errors(draped, scene.director).mean())
     metrics["length_error_percent"] = float(length_errors(draped, energy.rest.rest_length).mean()) * 100

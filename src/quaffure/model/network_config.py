@@ -46,6 +46,9 @@ class InitialShapeConfig:
     def __post_init__(self) -> None:
         if not (isinstance(self.passes, int) and 0 <= self.passes <= 16) or self.min_weight_share <= 0:
             raise ValueError(f"expected 0 to 16 passes and a weight share above 0, found {self}")
+        rest = (self.least_disturbance, self.carry_length, self.margin_slope, self.depth_share, self.load_share)
+        if min(*rest, self.max_depth) < 0:
+            raise ValueError(f"expected no length, share or slope below 0, found {self}")
 
 
 @dataclass(frozen=True)
@@ -64,8 +67,8 @@ class ProjectionConfig:
     """Largest push of a vertex, in lengths of its edge: the edge then stands nearly along the push."""
 
     def __post_init__(self) -> None:
-        if not (self.spacing > 0 and self.clearance_share >= 0 and self.max_push >= 0):
-            raise ValueError(f"expected a spacing above 0, and no share or push below it, found {self}")
+        if self.spacing <= 0 or min(self.clearance_share, self.max_push, self.depth, self.most) < 0:
+            raise ValueError(f"expected a spacing above 0, and no share, push or distance below it, found {self}")
 
     def clearance(self, margin: Float[Tensor, "s n"], depth: Float[Tensor, "s 1"]) -> Float[Tensor, "s n"]:
         """Distance at which hair with a collision margin is left alone [m].

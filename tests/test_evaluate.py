@@ -201,7 +201,7 @@ def test_evaluate_takes_what_a_user_brings(
 ) -> None:
     out, report = tmp_path / "results.json", tmp_path / "report"
     posed = ("--draper", "posed")
-    with mock.patch("quaffure.benchmark.report.importlib.util.find_spec", return_value=None):
+    with mock.patch("quaffure.benchmark.report.is_installed", return_value=False):
         run("evaluate", "--out", out, "--groom", inputs / "tiny.npz", "--motion", "nod", *posed, "--report", report)
     printed = capfd.readouterr().out
     results = json.loads(out.read_text())

@@ -54,7 +54,7 @@ def test_benchmark_writes_prints_and_plots(tmp_path: Path, capfd: pytest.Capture
 
 
 def test_a_table_without_a_plot_where_matplotlib_is_missing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    with mock.patch("quaffure.apps.cli.benchmark.importlib.util.find_spec", return_value=None):
+    with mock.patch("quaffure.apps.cli.benchmark.is_installed", return_value=False):
         bench(tmp_path / "bench.json", "--solver", "posed", "--frames", "3:5", "--motion", "nod")
     printed = capfd.readouterr().out
     assert [path.name for path in tmp_path.iterdir()] == ["bench.json"]

@@ -240,7 +240,7 @@ MATERIAL = asdict(HairMaterial())
         ("network", {"initial_shape": {"layer_ramp": "wide"}}, "layer_ramp"),
         ("network", {"initial_shape": {"layer_thickness": float("inf")}}, "layer_thickness"),
         ("network", {"projection": {"spacing": 0.0}}, "a spacing above 0"),
-        ("network", {"initial_shape": {"carry_length": -0.05}}, "no length, share or slope below 0"),
+        ("network", {"initial_shape": {"decay_length": -0.05}}, "no length, share or slope below 0"),
     ],
 )
 def test_settings_of_weights_are_checked(note: str, value: object, found: str, tmp_path: Path) -> None:

@@ -75,10 +75,10 @@ def test_a_contact_bends_a_strand_over_a_length() -> None:
     root, lengths, margin = torch.tensor([[[0.05, 0.0, 1.12]]]), torch.full((1, 40), 0.02), torch.zeros(1, 41)
     down = torch.tensor([0.3, 0.0, -1.0]).expand(1, 1, 40, 3)
     bent = {}
-    for carry_length in (0.0, 0.1):
-        edges, _ = resolve_contact_reference(root, down, lengths, margin, ball(), carry_length)
+    for decay_length in (0.0, 0.1):
+        edges, _ = resolve_contact_reference(root, down, lengths, margin, ball(), decay_length)
         assert (root[:, :, None] + (lengths[..., None] * edges).cumsum(2)).norm(dim=-1).min() > 0.99
-        bent[carry_length] = torch.acos((edges[:, :, 1:] * edges[:, :, :-1]).sum(-1).clamp(max=1)).square().sum()
+        bent[decay_length] = torch.acos((edges[:, :, 1:] * edges[:, :, :-1]).sum(-1).clamp(max=1)).square().sum()
     assert bent[0.1] < 0.3 * bent[0.0]
 
     past, down = torch.tensor([[[0.98, 0.0, 0.4]]]), torch.tensor([0.0, 0.0, -1.0])

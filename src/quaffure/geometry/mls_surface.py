@@ -88,7 +88,7 @@ def resolve_contact_reference(
     rest_length: RestLengths,
     margin: Float[Tensor, "s n"],
     surface: MlsSurface,
-    carry_length: float = 0.0,
+    decay_length: float = 0.0,
 ) -> tuple[EdgeVectors, Float[Tensor, "b s e 5"]]:
     """Strands integrated edge by edge along `vectors`, each edge rotated out of the surface that its end would be in.
 
@@ -100,20 +100,20 @@ def resolve_contact_reference(
         vectors: edge directions without contact, of any length but zero.
         rest_length: of the edges [m].
         margin: distance that each vertex is to keep [m].
-        carry_length: along a strand, over which edges return to their own directions after a contact [m].
+        decay_length: along a strand, over which edges return to their own directions after a contact [m].
 
     Returns:
         Unit edges, and the local features at the end of each before contact.
     """
     position, edges, features = root, [], []
-    carried = torch.zeros_like(root)
+    gibbs = torch.zeros_like(root)
     for edge in range(vectors.shape[2]):
         length = rest_length[:, edge, None].clamp(min=MIN_LENGTH)
-        direction = rotate_by_gibbs(carried, torch.nn.functional.normalize(vectors[:, :, edge], dim=-1))
+        direction = rotate_by_gibbs(gibbs, torch.nn.functional.normalize(vectors[:, :, edge], dim=-1))
         feature = local_features_reference(position + length * direction, surface)
         depth = (margin[:, edge + 1, None] * feature[..., 4:] - surface.radius * feature[..., :1]).clamp(min=0)
         rotated = torch.nn.functional.normalize(direction + depth / length * feature[..., 1:4], dim=-1)
-        carried = carry_length / (carry_length + length) * (carried + gibbs_vector(direction, rotated))
+        gibbs = decay_length / (decay_length + length) * (gibbs + gibbs_vector(direction, rotated))
         direction = rotated
         position = position + length * direction
         edges.append(direction)

@@ -71,7 +71,7 @@ def initial_shape_reference(
         ),
         config.passes,
     )
-    edges, local = resolve_contact_reference(roots, free, rest_length, groom.margin, body.surface, config.carry_length)
+    edges, local = resolve_contact_reference(roots, free, rest_length, groom.margin, body.surface, config.decay_length)
     deflection = torch.nn.functional.pad(edges - free, (0, 0, 1, 0)).diff(dim=2).norm(dim=-1)
     disturbance = (edges - posed).square().sum(-1).amax(dim=2, keepdim=True)
     fading = disturbance / (disturbance + config.least_disturbance**2 + 1e-12)
@@ -124,7 +124,7 @@ def fill_initial_shape(
         np.float32(1 / radius),
         np.float32(1.0 if isinstance(loading.stiffness, Tensor) else loading.stiffness),
         np.float32(config.least_disturbance**2 + 1e-12),
-        np.float32(config.carry_length),
+        np.float32(config.decay_length),
     )
     roots, edges, compliance, features = shape
     initial_shape_kernel(

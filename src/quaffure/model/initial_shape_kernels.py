@@ -25,7 +25,7 @@ class BodyArrays(NamedTuple):
         radius, per_radius: of its points [m], and its inverse.
         stiffness: of all joints.
         least_disturbance: squared rotation at which strands comply by half.
-        carry_length: see `resolve_contact_reference` [m].
+        decay_length: see `resolve_contact_reference` [m].
     """
 
     scalp: np.ndarray
@@ -36,7 +36,7 @@ class BodyArrays(NamedTuple):
     per_radius: np.float32
     stiffness: np.float32
     least_disturbance: np.float32
-    carry_length: np.float32
+    decay_length: np.float32
 
 
 class ShapeArrays(NamedTuple):
@@ -93,7 +93,7 @@ def initial_shape_kernel(
             for edge in range(count):
                 lane.aim(own[edge], rows)
                 listed = lane.evaluate_ends(own_records, own_positions, body.radius, cover, listed, inside, near, rows)
-                lane.deflect(margin[edge], body.radius, body.carry_length, rows)
+                lane.deflect(margin[edge], body.radius, body.decay_length, rows)
                 lane.advance(rows)
                 lane.comply(rods.compliance[block, edge], own[edge], body.pull[sample], body.stiffness, rows)
                 for i in range(LANES):

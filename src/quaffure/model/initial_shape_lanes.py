@@ -32,8 +32,8 @@ COMPLIANCE = _LENGTH + LANES
 _FRAME = COMPLIANCE + LANES
 _DEFLECTION = _FRAME + 9 * LANES  # of the last edge by the skin
 _DISTURBANCE = _DEFLECTION + 3 * LANES  # largest rotation of an edge from the posed design, squared
-_CARRIED = _DISTURBANCE + LANES  # rotation by the skin that the next edge takes over, tan(angle / 2) along the axis
-_ROUNDED = _CARRIED + 3 * LANES  # as many as before `DIRECTION`, rounded to bfloat16
+_GIBBS = _DISTURBANCE + LANES  # rotation by the skin that the next edge takes over, tan(angle / 2) along the axis
+_ROUNDED = _GIBBS + 3 * LANES  # as many as before `DIRECTION`, rounded to bfloat16
 ALL_ROWS = _ROUNDED + DIRECTION
 
 
@@ -111,7 +111,7 @@ def aim(inputs: np.ndarray, rows: np.ndarray) -> None:
     for i in range(LANES):
         rows[_LENGTH + i] = inputs[rod.LENGTH, i]
         x, y, z = inputs[rod.DIRECTION, i], inputs[rod.DIRECTION + 1, i], inputs[rod.DIRECTION + 2, i]
-        a, b, c = rows[_CARRIED + i], rows[_CARRIED + LANES + i], rows[_CARRIED + 2 * LANES + i]
+        a, b, c = rows[_GIBBS + i], rows[_GIBBS + LANES + i], rows[_GIBBS + 2 * LANES + i]
         scale = two / (one + a * a + b * b + c * c)
         u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
         rows[DIRECTION + i] = x + scale * (u + b * w - c * v)
@@ -183,7 +183,7 @@ def _move_centre(centre: np.ndarray, rows: np.ndarray) -> None:
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def deflect(margin: np.ndarray, radius: float, carry_length: float, rows: np.ndarray) -> None:
+def deflect(margin: np.ndarray, radius: float, decay_length: float, rows: np.ndarray) -> None:
     """Rotate edges out of the skin."""
     one, none = np.float32(1.0), np.float32(0.0)
     for i in range(LANES):
@@ -195,11 +195,11 @@ def deflect(margin: np.ndarray, radius: float, carry_length: float, rows: np.nda
         norm = one / np.sqrt(vx * vx + vy * vy + vz * vz + np.float32(1e-24))
         vx, vy, vz = vx * norm, vy * norm, vz * norm
         rows[DIRECTION + i], rows[DIRECTION + LANES + i], rows[DIRECTION + 2 * LANES + i] = vx, vy, vz
-        share = carry_length / (carry_length + rows[_LENGTH + i])
+        share = decay_length / (decay_length + rows[_LENGTH + i])
         half = one / max(one + ux * vx + uy * vy + uz * vz, np.float32(LEAST_ALIGNMENT))
-        rows[_CARRIED + i] = share * (rows[_CARRIED + i] + half * (uy * vz - uz * vy))
-        rows[_CARRIED + LANES + i] = share * (rows[_CARRIED + LANES + i] + half * (uz * vx - ux * vz))
-        rows[_CARRIED + 2 * LANES + i] = share * (rows[_CARRIED + 2 * LANES + i] + half * (ux * vy - uy * vx))
+        rows[_GIBBS + i] = share * (rows[_GIBBS + i] + half * (uy * vz - uz * vy))
+        rows[_GIBBS + LANES + i] = share * (rows[_GIBBS + LANES + i] + half * (uz * vx - ux * vz))
+        rows[_GIBBS + 2 * LANES + i] = share * (rows[_GIBBS + 2 * LANES + i] + half * (ux * vy - uy * vx))
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

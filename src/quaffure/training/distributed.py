@@ -100,6 +100,8 @@ def joined_workers(device: Device = "auto") -> Iterator[Worker]:
     distributed.init_process_group("nccl" if kind == "cuda" else "gloo", timeout=_TIMEOUT)
     try:
         yield worker
+        # Gloo aborts a process that leaves while another one still talks to it.
+        distributed.barrier()
     finally:
         distributed.destroy_process_group()
 

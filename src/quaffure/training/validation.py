@@ -46,7 +46,7 @@ ENERGY_OFFSET, LEAST_ENERGY = 2.0, 0.1
 
 
 def energy_above_offset(total: Energy, energy: HairEnergy) -> Energy:
-    """Of each sample, above `-ENERGY_OFFSET` in `loss_unit`; a training descends its logarithm.
+    """Energy of each sample above `-ENERGY_OFFSET`, in `loss_unit`; a training descends its logarithm.
 
     Args:
         total: the sum of the energy's terms [J].

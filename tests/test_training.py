@@ -225,7 +225,7 @@ def test_some_of_many_grooms_stand_for_all_in_a_validation(
 
     def figures(draper: NeuralDraper, scenes: Iterable[tuple[Scene, HairEnergy]]) -> dict[str, float]:
         measured.extend((len(scene.groom), len(energy.rest.mass)) for scene, energy in scenes)
-        return {"energy": 0.0, "body_collision": 0.0}
+        return {"log_energy": 0.0, "body_collision": 0.0}
 
     monkeypatch.setattr(train_decoder, "VALIDATED_GROOMS", 2)
     monkeypatch.setattr(train_decoder, "validation_metrics", figures)

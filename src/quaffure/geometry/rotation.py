@@ -130,8 +130,8 @@ def gibbs_vector(a: Float[Tensor, "*batch 3"], b: Float[Tensor, "*batch 3"]) -> 
 
 def rotate_by_gibbs(gibbs: Float[Tensor, "*batch 3"], vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
     """A vector rotated by a Gibbs vector (Rodrigues 1840)."""
-    cross = torch.linalg.cross(gibbs, vector)
-    return vector + 2 / (1 + gibbs.square().sum(-1, keepdim=True)) * (cross + torch.linalg.cross(gibbs, cross))
+    cross = torch.linalg.cross(gibbs, vector, dim=-1)
+    return vector + 2 * (cross + torch.linalg.cross(gibbs, cross, dim=-1)) / (1 + gibbs.square().sum(-1, keepdim=True))
 
 
 def interpolate_rotations(

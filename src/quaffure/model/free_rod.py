@@ -22,6 +22,7 @@ from typing import NamedTuple
 import torch
 
 from quaffure.energies.rod import BENDING_STIFFNESS, TWISTING_STIFFNESS
+from quaffure.geometry.rotation import quaternion_multiply
 from quaffure.types import EdgeVectors, Float, Tensor
 
 TWIST_SHARE = TWISTING_STIFFNESS / BENDING_STIFFNESS
@@ -79,7 +80,7 @@ def _newton_rotations(rods: FreeRods, rotation: Float[Tensor, "*s e 4"]) -> Edge
     along = tangent[..., :, None] * tangent[..., None, :]
     identity = identity.to(along)
     joint = bending * (identity + (TWIST_SHARE - 1) * along)
-    turned = _rotation_vector(_product(rotation, before * before.new_tensor([1, -1, -1, -1])))
+    turned = _rotation_vector(quaternion_multiply(rotation, before * before.new_tensor([1, -1, -1, -1])))
     moment = rotate(before, rods.moment) + (joint @ turned[..., None])[..., 0]
     beyond = rods.force.flip(-2).cumsum(-2).flip(-2)
     next_moment = torch.nn.functional.pad(moment[..., 1:, :], (0, 0, 0, 1))
@@ -113,14 +114,8 @@ def _rotated(quaternion: Float[Tensor, "*n 4"], vector: Float[Tensor, "*n 3"]) -
     half = 0.5 * vector
     square = half.square().sum(-1, keepdim=True).clamp(max=LARGEST_HALF_TURN**2)
     tangent = half * (1 + square / 3 * (1 + 0.4 * square))  # series of tan(x) / x
-    turned = _product(torch.cat([torch.ones_like(square), tangent], dim=-1), quaternion)
+    turned = quaternion_multiply(torch.cat([torch.ones_like(square), tangent], dim=-1), quaternion)
     return torch.nn.functional.normalize(turned, dim=-1)
-
-
-def _product(a: Float[Tensor, "*n 4"], b: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 4"]:
-    real = a[..., :1] * b[..., :1] - (a[..., 1:] * b[..., 1:]).sum(-1, keepdim=True)
-    cross = torch.linalg.cross(a[..., 1:], b[..., 1:])
-    return torch.cat([real, a[..., :1] * b[..., 1:] + b[..., :1] * a[..., 1:] + cross], dim=-1)
 
 
 def _rotation_vector(quaternion: Float[Tensor, "*n 4"]) -> Float[Tensor, "*n 3"]:

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from quaffure.geometry.mls_surface import FAST, LANES
+from quaffure.geometry.symmetric_matrix import symmetric_inverse, symmetric_times
 from quaffure.model.free_rod import LARGEST_HALF_TURN, LEAST_STIFFNESS, TWIST_SHARE
 
 # Rows of an edge's input, each of `LANES` numbers (`FreeRods`): direction, moment, force, bending, goal, length; and
@@ -59,32 +60,6 @@ def _rotate(q: Any, x: Any, y: Any, z: Any) -> Any:
 
 
 @njit(fastmath=FAST, error_model="numpy", inline="always")
-def _inverse(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, least: Any) -> Any:
-    """The inverse of the symmetric matrix 00, 10, 11, 20, 21, 22, by L D L^T; no pivot becomes less than `least`."""
-    i0 = _ONE / max(a, least)
-    l10, l20 = b * i0, d * i0
-    i1 = _ONE / max(c - l10 * b, least)
-    rest = e - l20 * b
-    l21 = rest * i1
-    i2 = _ONE / max(f - l20 * d - l21 * rest, least)
-    n20 = l10 * l21 - l20
-    return (
-        i0 + l10 * l10 * i1 + n20 * n20 * i2,
-        -l10 * i1 - l21 * n20 * i2,
-        i1 + l21 * l21 * i2,
-        n20 * i2,
-        -l21 * i2,
-        i2,
-    )
-
-
-@njit(fastmath=FAST, error_model="numpy", inline="always")
-def _times(m: Any, x: Any, y: Any, z: Any) -> Any:
-    """A symmetric matrix times a vector."""
-    return m[0] * x + m[1] * y + m[3] * z, m[1] * x + m[2] * y + m[4] * z, m[3] * x + m[4] * y + m[5] * z
-
-
-@njit(fastmath=FAST, error_model="numpy", inline="always")
 def _moment(row: Any, q: Any, p: Any, t: Any, i: int) -> Any:
     """M of the joint between an edge of rotation q and tangent t and one of rotation p."""
     # q p*, and twice its imaginary part.
@@ -131,26 +106,26 @@ def _eliminate(row: np.ndarray, own: np.ndarray, other: np.ndarray, moves: Any, 
         c, d = passed[_BLOCK + 2, i] + pull * (_ONE - ty * ty) + least, passed[_BLOCK + 3, i] - pull * tz * tx
         e, f = passed[_BLOCK + 4, i] - pull * tz * ty, passed[_BLOCK + 5, i] + pull * (_ONE - tz * tz) + least
         block = a, b, c, d, e, f
-        v = _inverse(
+        both = (
             a + bend + axial * tx * tx,
             b + axial * ty * tx,
             c + bend + axial * ty * ty,
             d + axial * tz * tx,
             e + axial * tz * ty,
             f + bend + axial * tz * tz,
-            _LEAST * bend,
         )
+        v = symmetric_inverse(both, _LEAST * bend)
         # With S the sum of D and the block Q: S^-1 Q, and Q - Q S^-1 Q, in which short edges lose no digits.
-        x, y, z = _times(v, a, b, d), _times(v, b, c, e), _times(v, d, e, f)
+        x, y, z = symmetric_times(v, (a, b, d)), symmetric_times(v, (b, c, e)), symmetric_times(v, (d, e, f))
         for k in range(3):
             row_of = _FOLLOWS + 3 * k
             own[row_of, i], own[row_of + 1, i], own[row_of + 2, i] = x[k], y[k], z[k]
-        s = _times(v, gx, gy, gz)
+        s = symmetric_times(v, (gx, gy, gz))
         own[_SHIFT, i], own[_SHIFT + 1, i], own[_SHIFT + 2, i] = s[0], s[1], s[2]
-        x, y, z = _times(block, x[0], x[1], x[2]), _times(block, y[0], y[1], y[2]), _times(block, z[0], z[1], z[2])
+        x, y, z = symmetric_times(block, x), symmetric_times(block, y), symmetric_times(block, z)
         passed[_BLOCK, i], passed[_BLOCK + 1, i], passed[_BLOCK + 2, i] = a - x[0], b - x[1], c - y[1]
         passed[_BLOCK + 3, i], passed[_BLOCK + 4, i], passed[_BLOCK + 5, i] = d - x[2], e - y[2], f - z[2]
-        x = _times(block, s[0], s[1], s[2])
+        x = symmetric_times(block, s)
         passed[_SLOPE, i], passed[_SLOPE + 1, i], passed[_SLOPE + 2, i] = gx - x[0], gy - x[1], gz - x[2]
 
 

@@ -13,6 +13,7 @@ from quaffure.body.collision_skin import collision_skin
 from quaffure.body.head_frame import HeadFrameBody, head_frame_body_reference
 from quaffure.energies.loading import Loading
 from quaffure.geometry.polyline import integrate_directions
+from quaffure.geometry.rotation import rotate_by_gibbs
 from quaffure.model.inference_network import NetworkInputs
 from quaffure.model.initial_shape import InitialShape, initial_shape_reference, strands_in_head_frame
 from quaffure.model.loading_features import loading_features
@@ -80,12 +81,8 @@ class TorchBackend:
         """Vertices [m, world] of edges rotated by the sum of all joints before them."""
         world_from_head = posed.body.world_from_head[:, None].mT
         turn = (0.5 * shape.compliance[..., None] * changes).cumsum(dim=2)
-        across = torch.linalg.cross(turn, shape.edges, dim=-1)
-        # The rotation of the quaternion 1 + turn, but for its length.
-        edges = shape.edges + 2 * (across + torch.linalg.cross(turn, across, dim=-1)) / (
-            1 + turn.square().sum(-1, keepdim=True)
-        )
-        edges = edges @ world_from_head
+        # As a Gibbs vector: the rotation of the quaternion 1 + turn, but for its length.
+        edges = rotate_by_gibbs(turn, shape.edges) @ world_from_head
         roots = (shape.roots[:, :, None] @ world_from_head)[:, :, 0] + posed.body.head[:, None]
         return integrate_directions(roots, edges, groom.rest_length)
 

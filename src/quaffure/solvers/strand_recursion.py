@@ -12,13 +12,14 @@ beyond the edge (tension stiffens), G the gradient of the whole energy, c and n 
 h a stiffness in all directions. Twist is theta's part along the edge; eliminated with the rest, it is quasi-static.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
 from quaffure.energies.body_collision import contact_stiffness
 from quaffure.energies.rod_kernels import Vector, cross, dot
+from quaffure.geometry.symmetric_matrix import Symmetric, symmetric_inverse, symmetric_times
 
 LANES = 8
 """Strands in a block: one 512-bit register of float64. In float32 the stiffness of deep contact would leave nothing of
@@ -27,7 +28,6 @@ LEAST_STIFFNESS = 1e-4
 """Stiffness added to every rotation, relative to the bending stiffness: keeps the system positive definite."""
 LEAST_ALIGNMENT = 0.02
 """1 + cos of the angle between two edges, at least: below, the model of their twist is worth nothing."""
-Symmetric = tuple[Any, Any, Any, Any, Any, Any]  # 00, 10, 11, 20, 21, 22
 Rows = tuple[Vector, Vector, Vector]
 _TINY = 1e-30
 
@@ -142,36 +142,6 @@ def _store_symmetric(array: np.ndarray, row: int, lane: int, m: Symmetric) -> No
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def _times(m: Symmetric, v: Vector) -> Vector:
-    """A symmetric matrix times a vector."""
-    return (
-        m[0] * v[0] + m[1] * v[1] + m[3] * v[2],
-        m[1] * v[0] + m[2] * v[1] + m[4] * v[2],
-        m[3] * v[0] + m[4] * v[1] + m[5] * v[2],
-    )
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
-def _inverse(m: Symmetric, least: float) -> Symmetric:
-    """By L D L^T; rounding must not make a pivot less than `least`."""
-    i0 = 1.0 / max(m[0], least)
-    l10, l20 = m[1] * i0, m[3] * i0
-    i1 = 1.0 / max(m[2] - l10 * m[1], least)
-    e21 = m[4] - l20 * m[1]
-    l21 = e21 * i1
-    i2 = 1.0 / max(m[5] - l20 * m[3] - l21 * e21, least)
-    n20 = l10 * l21 - l20
-    return (
-        i0 + l10 * l10 * i1 + n20 * n20 * i2,
-        -l10 * i1 - l21 * n20 * i2,
-        i1 + l21 * l21 * i2,
-        n20 * i2,
-        -l21 * i2,
-        i2,
-    )
-
-
-@njit(cache=True, fastmath=True, error_model="numpy", inline="always")
 def _joint_matrix(before: Vector, t: Vector, bend: float, twist: float) -> Symmetric:
     """D = B S^T S + C w w^T, S d = d x t - (t_before x t) (w . d) / 2, w . d the twist between the two edges."""
     inverse = 1.0 / max(1.0 + dot(t, before), LEAST_ALIGNMENT)
@@ -273,13 +243,13 @@ def _eliminate(row: np.ndarray, before: np.ndarray, state: np.ndarray, force: np
         tension = max(dot(f, arm), 0.0) + row[_GOAL, lane]
         least = LEAST_STIFFNESS * bend + _TINY
         s = _edge_matrix(d, _load_symmetric(state, _PP, lane), p, a, arm)
-        inverse = _inverse(_stiffened(s, t, tension, least), least)
+        inverse = symmetric_inverse(_stiffened(s, t, tension, least), least)
         turned, own = cross(arm, mu), _load(state, _P, lane)
-        k = _times(inverse, (turned[0] + own[0], turned[1] + own[1], turned[2] + own[2]))
+        k = symmetric_times(inverse, (turned[0] + own[0], turned[1] + own[1], turned[2] + own[2]))
         # Columns of K_u = A_tt^-1 A_ut^T and K_p = A_tt^-1 D.
-        u = (_times(inverse, a[0]), _times(inverse, a[1]), _times(inverse, a[2]))
+        u = (symmetric_times(inverse, a[0]), symmetric_times(inverse, a[1]), symmetric_times(inverse, a[2]))
         rows = ((d[0], d[1], d[3]), (d[1], d[2], d[4]), (d[3], d[4], d[5]))
-        o = (_times(inverse, rows[0]), _times(inverse, rows[1]), _times(inverse, rows[2]))
+        o = (symmetric_times(inverse, rows[0]), symmetric_times(inverse, rows[1]), symmetric_times(inverse, rows[2]))
         for axis in range(3):
             _store(left, _KU + 3 * axis, lane, (u[0][axis], u[1][axis], u[2][axis]))
             _store(left, _KP + 3 * axis, lane, (o[0][axis], o[1][axis], o[2][axis]))

@@ -3,10 +3,15 @@ import math
 import pytest
 import torch
 
-from quaffure.body import BodyModel, PosedBody, load_body
+from quaffure.baselines.posed import PosedDraper
+from quaffure.body import BodyModel, Motion, PosedBody, load_body
+from quaffure.body.pose_features import world_from_head
+from quaffure.drape_motion import drape_motion
 from quaffure.geometry import matrix_from_axis_angle
-from quaffure.hair import Groom, posed_strands, root_positions, root_rotations
+from quaffure.hair import Groom, groom_of_drape, posed_strands, root_positions, root_rotations, triangle_frames
+from quaffure.hair.posing import ties_of
 from quaffure.procedural import HairStyle, make_groom
+from quaffure.scene import BodyBatch, Scene
 
 
 @pytest.fixture(scope="module")
@@ -80,3 +85,45 @@ def test_root_rotations_are_rotations(body: BodyModel, groom: Groom) -> None:
     rotations = root_rotations(groom, random_body(body, seed=6), body)
     assert torch.allclose(rotations @ rotations.mT, torch.eye(3).expand_as(rotations), atol=1e-5)
     assert torch.allclose(torch.linalg.det(rotations), torch.ones(rotations.shape[:2]), atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def ponytail(body: BodyModel) -> Groom:
+    return make_groom("ponytail", body).select(torch.arange(0, 2400, 40))
+
+
+def bent_body(body: BodyModel) -> BodyBatch:
+    """Neck and head turned and bowed, and a shape of its own."""
+    pose = torch.zeros(1, 81)
+    for name in ("Neck", "Neck1", "Head"):
+        joint = body.joint_names.index(name)
+        pose[0, 3 * joint : 3 * joint + 3] = torch.tensor([0.4, 0.1, 0.3])
+    return BodyBatch(body, pose, torch.linspace(-1, 1, 10)[None])
+
+
+def test_tied_strands_point_to_their_tie(body: BodyModel, ponytail: Groom) -> None:
+    bodies = bent_body(body)
+    posed, ties = Scene(ponytail, bodies).posed[0], ties_of(ponytail, body)
+    head = world_from_head(body, bodies.posed.joint_rotations)[0]
+    place = bodies.posed.vertices[0, ties.anchor] + ties.offset @ head.T
+    assert ponytail.tie_vertex is not None
+    tie = posed[ties.strands, ponytail.tie_vertex[ties.strands].long()]
+    root = root_positions(ponytail, bodies.posed.vertices, body)[0, ties.strands]
+    directions = [torch.nn.functional.normalize(end - root, dim=-1) for end in (tie, place)]
+    assert len(ties.strands) > 20
+    torch.testing.assert_close(directions[0], directions[1], atol=1e-5, rtol=0)
+    # What is left is the change of distance between root and tie: half a tail apart with the scalp's own triangles.
+    apart = (tie - place).norm(dim=-1)
+    carriers = body.faces[ponytail.root_faces]
+    own = triangle_frames(bodies.posed.vertices[0, carriers]) @ triangle_frames(body.rest_vertices[carriers]).mT
+    by_triangle = posed_strands(ponytail, bodies.posed, body, own[None])[0]
+    scattered = (by_triangle[ties.strands, ponytail.tie_vertex[ties.strands].long()] - place).norm(dim=-1)
+    assert apart.mean() < 0.4 * scattered.mean()
+
+
+def test_a_tied_groom_is_recovered_from_its_pose(body: BodyModel, ponytail: Groom) -> None:
+    bodies = bent_body(body)
+    motion = Motion(bodies.body_pose, 30.0, "bent")
+    sequence = drape_motion(PosedDraper(), ponytail, body, motion, bodies.body_shape[0])
+    found = groom_of_drape(sequence, body)
+    assert (found.rest_strands - ponytail.rest_strands).norm(dim=-1).max() < 2e-3

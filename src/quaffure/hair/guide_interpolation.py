@@ -18,11 +18,13 @@ from numba import njit, prange
 from torch import Tensor
 
 from quaffure.body.body_model import BodyModel
+from quaffure.body.pose_features import world_from_head
 from quaffure.errors import InputError
+from quaffure.geometry.rotation import shortest_arc
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_triangles import coherence, first_direction_vertex, sample_roots, triangulate
-from quaffure.hair.posing import triangle_frames
+from quaffure.hair.posing import nearest_scalp_vertex, triangle_frames
 from quaffure.hair.registration import nearest_on_scalp
 from quaffure.hair.strands import held_parts_of
 
@@ -179,10 +181,39 @@ def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:
     carriers = body.faces[faces]
     rest_from_world = triangle_frames(body.rest_vertices[carriers]) @ triangle_frames(vertices[carriers]).mT
     roots = (weights[..., None] * body.rest_vertices[carriers]).sum(-2)
+    held_parts = {name: torch.from_numpy(values) for name, values in held_parts_of(sequence).items()}
+    if "tie_vertex" in held_parts:
+        tied, rotation = _tied_rest_from_world(sequence, body, held_parts["tie_vertex"].long(), roots)
+        rest_from_world[tied] = rotation
     rest = (posed - posed[:, :1]) @ rest_from_world.mT + roots[:, None]
     name, licence = (str(sequence.meta.get(key, "")) for key in ("groom", "licence"))
-    held_parts = {name: torch.from_numpy(values) for name, values in held_parts_of(sequence).items()}
     return Groom(name or "drape", rest, faces, weights, body.scalp.uv_at(faces, weights), licence, **held_parts)
+
+
+def _tied_rest_from_world(
+    sequence: DrapeSequence, body: BodyModel, tie_vertex: Int[Tensor, " s"], rest_roots: Float[Tensor, "s 3"]
+) -> tuple[Int[Tensor, " t"], Float[Tensor, "t 3 3"]]:
+    """The tied strands and their rotation back from the first posed frame: `Ties.rotation` undone.
+
+    Known are the unit vector p from root to tie in the pose and how far root and tie have moved apart, m; the rest
+    vector d between them is as long as in the pose, and d + m points along p.
+    """
+    tied = (tie_vertex > 0).nonzero()[:, 0]
+    posed, vertices = torch.from_numpy(sequence.posed[0])[tied], torch.from_numpy(sequence.body_vertices[0])
+    pose, shape = torch.from_numpy(sequence.body_pose[:1]), torch.from_numpy(sequence.body_shape)[None]
+    head = world_from_head(body, body.posed_joints(pose, shape)[0])[0]
+    tie = posed[torch.arange(len(tied)), tie_vertex[tied]]
+    anchor = nearest_scalp_vertex(tie, vertices, body)
+    between = (tie - posed[:, 0]) @ head
+    length = between.norm(dim=-1, keepdim=True)
+    along = between / length
+    moved = (vertices[anchor] - posed[:, 0]) @ head - (body.rest_vertices[anchor] - rest_roots[tied])
+    share = (along * moved).sum(-1, keepdim=True)
+    at_rest = (
+        share + (share**2 + length**2 - moved.square().sum(-1, keepdim=True)).clamp(min=0).sqrt()
+    ) * along - moved
+    turned = shortest_arc(torch.nn.functional.normalize(at_rest, dim=-1), along)
+    return tied, turned.mT @ head.mT
 
 
 @njit(cache=True, parallel=True, fastmath=True)

@@ -1,10 +1,65 @@
-"""Pose-based groom transform, Sec. 3.3: every strand moves rigidly with its scalp triangle."""
+"""Pose-based groom transform, Sec. 3.3: every strand moves rigidly with its scalp triangle.
+
+A tied strand turns with the head instead, and points from its root to its tie. With their own triangles, strands would
+arrive at their tie up to 8 cm apart in poses where the skin of the nape turns against the crown.
+"""
+
+from typing import NamedTuple
 
 import torch
 
 from quaffure.body.body_model import BodyModel, PosedBody
+from quaffure.body.head_frame import scalp_vertices
+from quaffure.body.pose_features import world_from_head
+from quaffure.geometry.rotation import shortest_arc
 from quaffure.hair.groom import Groom
-from quaffure.types import Float, MeshVertices, Positions, Tensor
+from quaffure.types import Float, Int, MeshVertices, Positions, Tensor
+
+
+class Ties(NamedTuple):
+    """Ties of a groom at rest. A tie keeps its place, in the head's frame, relative to the scalp vertex nearest to it.
+
+    Attributes:
+        strands: which ones are tied.
+        anchor: body vertex nearest to the tie of each.
+        offset: of the tie from that vertex [m].
+        direction: unit vector from the root to the tie.
+    """
+
+    strands: Int[Tensor, " t"]
+    anchor: Int[Tensor, " t"]
+    offset: Float[Tensor, "t 3"]
+    direction: Float[Tensor, "t 3"]
+
+    def rotation(self, reach: Float[Tensor, "b t 3"]) -> Float[Tensor, "b t 3 3"]:
+        """Rotation of every tied strand from rest, in the head's frame: the smallest that points it to its tie.
+
+        Args:
+            reach: from each root to the anchor of its tie [m, head's frame].
+        """
+        return shortest_arc(self.direction, torch.nn.functional.normalize(reach + self.offset, dim=-1))
+
+
+def ties_of(groom: Groom, body: BodyModel) -> Ties:
+    """The ties of a groom that is registered to `body`."""
+    tie_vertex = torch.zeros_like(groom.root_faces) if groom.tie_vertex is None else groom.tie_vertex.long()
+    strands = (tie_vertex > 0).nonzero()[:, 0]
+    tie = groom.rest_strands[strands, tie_vertex[strands]]
+    anchor = nearest_scalp_vertex(tie, body.rest_vertices, body)
+    direction = torch.nn.functional.normalize(tie - rest_roots(groom, body)[strands], dim=-1)
+    return Ties(strands, anchor, tie - body.rest_vertices[anchor], direction)
+
+
+def nearest_scalp_vertex(
+    points: Float[Tensor, "t 3"], vertices: Float[Tensor, "v 3"], body: BodyModel
+) -> Int[Tensor, " t"]:
+    """Body vertex of the scalp that is nearest to each point.
+
+    Args:
+        vertices: of the body, at rest or posed [m].
+    """
+    scalp = scalp_vertices(body)
+    return scalp[torch.cdist(points, vertices[scalp]).argmin(dim=1)]
 
 
 def triangle_frames(triangles: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 3 3"]:
@@ -21,11 +76,24 @@ def root_positions(groom: Groom, vertices: MeshVertices, body: BodyModel) -> Flo
     return (groom.root_barycentric[..., None] * triangles).sum(-2)
 
 
+def rest_roots(groom: Groom, body: BodyModel) -> Float[Tensor, "s 3"]:
+    """Positions of the roots on the body at rest [m]."""
+    return root_positions(groom, body.rest_vertices[None], body)[0]
+
+
+def rest_frames(groom: Groom, body: BodyModel, ties: Ties) -> Float[Tensor, "s 3 3"]:
+    """Frame in which every strand moves rigidly: of its scalp triangle, of a tied strand the head's (the identity)."""
+    frames = triangle_frames(body.rest_vertices[body.faces[groom.root_faces]])
+    return frames.index_copy(0, ties.strands, torch.eye(3).to(frames).expand(len(ties.strands), 3, 3))
+
+
 def root_rotations(groom: Groom, posed: PosedBody, body: BodyModel) -> Float[Tensor, "b s 3 3"]:
-    """Rotation of every strand's scalp triangle from the rest body to the posed body (world_from_rest)."""
-    carriers = body.faces[groom.root_faces]
-    rest = triangle_frames(body.rest_vertices[carriers])
-    return triangle_frames(posed.vertices[:, carriers]) @ rest.mT
+    """Rotation of every strand from the rest body to the posed body (world_from_rest)."""
+    ties, head = ties_of(groom, body), world_from_head(body, posed.joint_rotations)[:, None]
+    frames = triangle_frames(posed.vertices[:, body.faces[groom.root_faces]])
+    reach = posed.vertices[:, ties.anchor] - root_positions(groom, posed.vertices, body)[:, ties.strands]
+    tied = ties.rotation((reach[:, :, None] @ head)[:, :, 0])
+    return frames.index_copy(1, ties.strands, head @ tied) @ rest_frames(groom, body, ties).mT
 
 
 def rigid_rotations(groom: Groom, posed: Positions) -> Float[Tensor, "b s 3 3"]:
@@ -43,14 +111,13 @@ def rigid_rotations(groom: Groom, posed: Positions) -> Float[Tensor, "b s 3 3"]:
 def posed_strands(
     groom: Groom, posed: PosedBody, body: BodyModel, rotation: Float[Tensor, "b s 3 3"] | None = None
 ) -> Positions:
-    """The groom moved rigidly, strand by strand, with its scalp triangles (x_posed) [m, world].
+    """The groom moved rigidly, strand by strand, with its scalp (x_posed) [m, world].
 
     Args:
         groom: registered to `body`.
         posed: a batch of poses and shapes of `body`.
         rotation: `root_rotations` of the same, where they are known already.
     """
-    rest_roots = root_positions(groom, body.rest_vertices[None], body)[0]
-    offsets = groom.rest_strands - rest_roots[:, None]
+    offsets = groom.rest_strands - rest_roots(groom, body)[:, None]
     rotation = root_rotations(groom, posed, body) if rotation is None else rotation
     return offsets @ rotation.mT + root_positions(groom, posed.vertices, body)[:, :, None]

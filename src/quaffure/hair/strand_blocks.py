@@ -1,7 +1,7 @@
 """A groom's rest strands in SIMD blocks of sixteen neighbours, as compiled kernels read them.
 
 A kernel works on a block at once, a strand in each lane of the processor's vectors; neighbours read the same part of
-the skin. Edges are in the frame of the scalp triangle that carries the strand, where no pose changes them.
+the skin. Edges are in the frame in which the strand moves rigidly (`quaffure.hair.posing`), where no pose changes them.
 """
 
 from typing import NamedTuple
@@ -14,24 +14,26 @@ from quaffure.body.head_frame import scalp_vertices
 from quaffure.errors import InputError
 from quaffure.geometry.mls_surface import LANES
 from quaffure.hair.groom import Groom
-from quaffure.hair.posing import root_positions, triangle_frames
+from quaffure.hair.posing import Ties, rest_frames, rest_roots, ties_of
 from quaffure.types import Float, Int, Tensor
 
 
 class RestStrands(NamedTuple):
-    """Strands in the frames of the scalp triangles that carry them.
+    """Strands in the frames in which they move rigidly.
 
     Attributes:
         edges: rest edges [m].
-        offset: first vertex, from its position on the triangle [m].
+        offset: first vertex, from its position on its scalp triangle [m].
         corners: of the triangle, as indices of `scalp_vertices`.
         barycentric: position on the triangle.
+        ties: with anchors as indices of `scalp_vertices`.
     """
 
     edges: Float[Tensor, "s e 3"]
     offset: Float[Tensor, "s 3"]
     corners: Int[Tensor, "s 3"]
     barycentric: Float[Tensor, "s 3"]
+    ties: Ties
 
 
 class StrandBlocks(NamedTuple):
@@ -40,6 +42,8 @@ class StrandBlocks(NamedTuple):
     Attributes:
         strand: index of the strand in each lane.
         edges, offset, corners, barycentric: see `RestStrands`.
+        anchor: of a tied strand (`Ties`), as an index of `scalp_vertices`; -1 for free ones.
+        tie: of a tied strand, offset and direction (`Ties`).
         margin: distance from the body that the far vertex of each edge is to keep [m].
     """
 
@@ -48,11 +52,13 @@ class StrandBlocks(NamedTuple):
     offset: Float[np.ndarray, "block 3 lane"]
     corners: Int[np.ndarray, "block 3 lane"]
     barycentric: Float[np.ndarray, "block 3 lane"]
+    anchor: Int[np.ndarray, "block lane"]
+    tie: Float[np.ndarray, "block 6 lane"]
     margin: Float[np.ndarray, "block e lane"]
 
 
 def rest_strands(groom: Groom, body: BodyModel) -> RestStrands:
-    """A groom in the frames of its scalp triangles.
+    """A groom in the frames in which its strands move rigidly.
 
     Raises:
         InputError: a root that is not on the scalp.
@@ -61,17 +67,24 @@ def rest_strands(groom: Groom, body: BodyModel) -> RestStrands:
     corners = torch.searchsorted(vertices, carriers).clamp(max=len(vertices) - 1)
     if not torch.equal(vertices[corners], carriers):
         raise InputError(groom.name, "roots on the scalp", "roots elsewhere")
-    frames = triangle_frames(body.rest_vertices[carriers])
-    offset = (groom.rest_strands[:, 0] - root_positions(groom, body.rest_vertices[None], body)[0])[:, None] @ frames
-    return RestStrands(groom.rest_strands.diff(dim=1) @ frames, offset[:, 0], corners, groom.root_barycentric)
+    ties = ties_of(groom, body)
+    frames = rest_frames(groom, body, ties)
+    offset = (groom.rest_strands[:, 0] - rest_roots(groom, body))[:, None] @ frames
+    ties = ties._replace(anchor=torch.searchsorted(vertices, ties.anchor))
+    edges = groom.rest_strands.diff(dim=1) @ frames
+    return RestStrands(edges, offset[:, 0], corners, groom.root_barycentric, ties)
 
 
 def strand_blocks(strands: RestStrands, margin: Float[Tensor, "s n"], order: Int[Tensor, " m"]) -> StrandBlocks:
     """Some strands in an order, near ones next to each other."""
     order = torch.cat([order, order[-1:].expand(-len(order) % LANES)])
-    edges, offset, corners, barycentric = (values[order] for values in strands)
-    parts = (order.int(), edges, offset, corners.int(), barycentric, margin[order, 1:])
-    return StrandBlocks(*(in_blocks(values) for values in parts))
+    ties = strands.ties
+    anchor = torch.full_like(strands.corners[:, 0], -1).index_copy(0, ties.strands, ties.anchor)
+    of_ties = torch.cat([ties.offset, ties.direction], dim=1)
+    tie = strands.offset.new_zeros(len(anchor), 6).index_copy(0, ties.strands, of_ties)
+    edges, offset, corners, barycentric = (values[order] for values in strands[:4])
+    parts = (edges, offset, corners.int(), barycentric, anchor[order].int(), tie[order], margin[order, 1:])
+    return StrandBlocks(in_blocks(order.int()), *(in_blocks(values) for values in parts))
 
 
 def in_blocks(values: Tensor) -> np.ndarray:

@@ -51,11 +51,11 @@ def initial_shape_reference(
     Args:
         loading: with one stiffness for all; one for each edge is in the groom (`PreparedGroom.stiffened`).
     """
-    rest_length, (roots, posed_edges) = groom.rest_length, strands_in_head_frame(groom.strands, body)
-    rods, frames = groom.rods, triangle_frames(body.scalp[:, groom.strands.corners])
+    rest_length, rods = groom.rest_length, groom.rods
+    roots, frames = strand_frames(groom.strands, body)
     if not isinstance(loading.stiffness, Tensor):
         rods = rods.stiffened(loading.stiffness)
-    posed = torch.nn.functional.normalize(posed_edges, dim=-1)
+    posed = torch.nn.functional.normalize(groom.strands.edges @ frames.mT, dim=-1)
     pull = roots.new_tensor(loading.in_gravities) @ body.world_from_head
     size = pull.norm(dim=-1)[:, None, None]
     support = rods.support @ frames.mT
@@ -80,12 +80,13 @@ def initial_shape_reference(
     return InitialShape(roots, edges, compliance, torch.cat([positions.flatten(2), local.flatten(2)], dim=2))
 
 
-def strands_in_head_frame(strands: RestStrands, body: HeadFrameBody) -> tuple[Float[Tensor, "b s 3"], EdgeVectors]:
-    """Roots and edges of a groom that moves rigidly with its scalp triangles [m, head's frame]."""
-    triangles = body.scalp[:, strands.corners]
-    frames = triangle_frames(triangles)
-    roots = (strands.barycentric[..., None] * triangles).sum(-2) + (frames @ strands.offset[..., None])[..., 0]
-    return roots, strands.edges @ frames.mT
+def strand_frames(strands: RestStrands, body: HeadFrameBody) -> tuple[Float[Tensor, "b s 3"], Float[Tensor, "b s 3 3"]]:
+    """First vertices [m, head's frame] of a posed groom and the frames of its strands (`RestStrands`)."""
+    triangles, ties = body.scalp[:, strands.corners], strands.ties
+    roots = (strands.barycentric[..., None] * triangles).sum(-2)
+    tied = ties.rotation(body.scalp[:, ties.anchor] - roots[:, ties.strands])
+    frames = triangle_frames(triangles).index_copy(1, ties.strands, tied)
+    return roots + (frames @ strands.offset[..., None])[..., 0], frames
 
 
 def empty_shape(batch: int, strands: int, features: int, dtype: torch.dtype) -> InitialShape:

@@ -80,7 +80,8 @@ def initial_shape_kernel(
             margin, edges, features = strands.margin[block], shape.edges[sample], shape.features[sample]
             compliance, roots, own = shape.compliance[sample], shape.roots[sample], inputs[thread]
             corners, barycentric, offset = strands.corners[block], strands.barycentric[block], strands.offset[block]
-            lane.compute_roots(corners, barycentric, offset, body.scalp[sample], rows)
+            anchor, tie = strands.anchor[block], strands.tie[block]
+            lane.compute_roots(corners, barycentric, offset, anchor, tie, body.scalp[sample], rows)
             for i in range(LANES):
                 for axis in range(3):
                     roots[own_rows[i], axis] = rows[lane.VERTEX + axis * LANES + i]

@@ -39,9 +39,10 @@ ALL_ROWS = _ROUNDED + DIRECTION
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def compute_roots(
-    corners: np.ndarray, barycentric: np.ndarray, offset: np.ndarray, scalp: np.ndarray, rows: np.ndarray
-) -> None:
-    """Frames of the scalp triangles (`triangle_frames`) and first vertices."""
+    corners: np.ndarray, barycentric: np.ndarray, offset: np.ndarray, anchor: np.ndarray, tie: np.ndarray,
+    scalp: np.ndarray, rows: np.ndarray,
+) -> None:  # fmt: skip
+    """Frames of the strands and first vertices (`strand_frames` of `quaffure.model.initial_shape`)."""
     for i in range(7 * LANES):
         rows[_DEFLECTION + i] = np.float32(0.0)
     for i in range(LANES):
@@ -53,14 +54,49 @@ def compute_roots(
         out = np.float32(1.0) / np.sqrt(nx * nx + ny * ny + nz * nz)
         ax, ay, az, nx, ny, nz = ax * along, ay * along, az * along, nx * out, ny * out, nz * out
         tx, ty, tz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
-        ox, oy, oz = offset[0, i], offset[1, i], offset[2, i]
         u, v, w = barycentric[0, i], barycentric[1, i], barycentric[2, i]
-        rows[VERTEX + i] = u * a[0] + v * b[0] + w * c[0] + ax * ox + tx * oy + nx * oz
-        rows[VERTEX + LANES + i] = u * a[1] + v * b[1] + w * c[1] + ay * ox + ty * oy + ny * oz
-        rows[VERTEX + 2 * LANES + i] = u * a[2] + v * b[2] + w * c[2] + az * ox + tz * oy + nz * oz
+        for axis in range(3):
+            rows[VERTEX + axis * LANES + i] = u * a[axis] + v * b[axis] + w * c[axis]
         rows[_FRAME + i], rows[_FRAME + LANES + i], rows[_FRAME + 2 * LANES + i] = ax, tx, nx
         rows[_FRAME + 3 * LANES + i], rows[_FRAME + 4 * LANES + i], rows[_FRAME + 5 * LANES + i] = ay, ty, ny
         rows[_FRAME + 6 * LANES + i], rows[_FRAME + 7 * LANES + i], rows[_FRAME + 8 * LANES + i] = az, tz, nz
+    for i in range(LANES):
+        if anchor[i] >= 0:
+            _point_to_tie(scalp[anchor[i]], tie, i, rows)
+    for i in range(LANES):
+        x, y, z = offset[0, i], offset[1, i], offset[2, i]
+        for axis in range(3):
+            row = _FRAME + 3 * axis * LANES + i
+            rows[VERTEX + axis * LANES + i] += rows[row] * x + rows[row + LANES] * y + rows[row + 2 * LANES] * z
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _point_to_tie(anchor: np.ndarray, tie: np.ndarray, lane: int, rows: np.ndarray) -> None:
+    """Frame of a tied strand: the smallest rotation that points it to its tie (`Ties.rotation`)."""
+    one, square = np.float32(1.0), np.float32(0.0)
+    for axis in range(3):
+        reach = anchor[axis] + tie[axis, lane] - rows[VERTEX + axis * LANES + lane]
+        rows[_DEFLECTION + axis * LANES + lane] = reach
+        square += reach * reach
+    per_length = one / np.sqrt(square)
+    x, y, z = tie[3, lane], tie[4, lane], tie[5, lane]
+    u = rows[_DEFLECTION + lane] * per_length
+    v = rows[_DEFLECTION + LANES + lane] * per_length
+    w = rows[_DEFLECTION + 2 * LANES + lane] * per_length
+    for axis in range(3):
+        rows[_DEFLECTION + axis * LANES + lane] = np.float32(0.0)
+    a, b, c = y * w - z * v, z * u - x * w, x * v - y * u
+    alignment = x * u + y * v + z * w
+    scale = one / max(one + alignment, np.float32(1e-6))
+    row = _FRAME + lane
+    rows[row], rows[row + 4 * LANES], rows[row + 8 * LANES] = (
+        alignment + scale * a * a,
+        alignment + scale * b * b,
+        alignment + scale * c * c,
+    )
+    rows[row + LANES], rows[row + 3 * LANES] = scale * a * b - c, scale * a * b + c
+    rows[row + 2 * LANES], rows[row + 6 * LANES] = scale * a * c + b, scale * a * c - b
+    rows[row + 5 * LANES], rows[row + 7 * LANES] = scale * b * c - a, scale * b * c + a
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

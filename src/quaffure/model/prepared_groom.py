@@ -15,7 +15,7 @@ from quaffure.energies.sag_free import SagFreeRest, design_of
 from quaffure.geometry.mls_surface import LANES, local_features
 from quaffure.geometry.sampling import neighbours_together
 from quaffure.hair.groom import Groom
-from quaffure.hair.posing import triangle_frames
+from quaffure.hair.posing import rest_frames, ties_of
 from quaffure.hair.strand_blocks import RestStrands, StrandBlocks, in_blocks, rest_strands, strand_blocks
 from quaffure.model.groom_code import groom_code
 from quaffure.model.groom_encoder import GroomEncoder
@@ -29,7 +29,7 @@ _LEAST_UPNESS = 0.1
 
 
 class DesignRods(NamedTuple):
-    """Strands as rods that rest in their design, in the frames of their scalp triangles; in weights of a metre of hair.
+    """Strands as rods that rest in their design, in the frames of `RestStrands`; in weights of a metre of hair.
 
     Attributes:
         moment: that each joint transmits in the design [m^2].
@@ -97,7 +97,7 @@ class PreparedGroom:
     Attributes:
         code: of the frozen encoder.
         texels: flat index of each strand's texel.
-        strands, rods: in the frames of their scalp triangles.
+        strands, rods: in the frames in which strands move rigidly.
         rest_length: of every edge [m].
         margin: distance from the point-sampled body at which strands start [m].
         clearance: distance up to which hair is projected out of the skin [m], see `quaffure.model.projection`.
@@ -177,7 +177,7 @@ def design_rods(
     beyond = (support - mass[..., None] * up)[:, 1:].flip(1).cumsum(1).flip(1)
     edges = groom.rest_strands.double().diff(dim=1)
     moment = torch.linalg.cross(edges, beyond, dim=-1).flip(1).cumsum(1).flip(1)
-    frames = triangle_frames(body.rest_vertices.double()[body.faces[groom.root_faces]])
+    frames = rest_frames(groom, body, ties_of(groom, body)).to(mass)
     upness = (1 + design.normal.to(mass)[:, 1:] @ up).clamp(min=_LEAST_UPNESS)
     bending, goal = design.rod.bending_stiffness.to(mass) / weight, design.rod.goal_weight.to(mass) / weight
     load = mass[:, 1:].clone()

@@ -15,7 +15,7 @@ from quaffure.energies.loading import Loading
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.geometry.rotation import rotate_by_gibbs
 from quaffure.model.inference_network import NetworkInputs
-from quaffure.model.initial_shape import InitialShape, initial_shape_reference, strands_in_head_frame
+from quaffure.model.initial_shape import InitialShape, initial_shape_reference, strand_frames
 from quaffure.model.loading_features import loading_features
 from quaffure.model.network_config import NetworkConfig
 from quaffure.model.prepared_groom import PreparedGroom
@@ -107,7 +107,8 @@ class DisplacementBackend(TorchBackend):
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
         """The posed groom; its features are positions alone."""
-        roots, edges = strands_in_head_frame(groom.strands, posed.body)
+        roots, frames = strand_frames(groom.strands, posed.body)
+        edges = groom.strands.edges @ frames.mT
         positions = roots[:, :, None] + torch.nn.functional.pad(edges.cumsum(dim=2), (0, 0, 1, 0))
         return InitialShape(roots, edges, torch.ones_like(edges[..., 0]), positions.flatten(2))
 

@@ -1,6 +1,7 @@
 """The terms of `HairEnergy` by the name of the elastic model, as the command line knows it."""
 
 from quaffure.energies.body_collision import BodyCollision
+from quaffure.energies.cohesion import Cohesion
 from quaffure.energies.cosserat import Cosserat
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.gravity import GRAVITY, Acceleration, Gravity
@@ -33,7 +34,7 @@ def hair_terms(
     stiffness: float | Float[Tensor, "s e"] = 1.0,
     acceleration: Acceleration = GRAVITY,
 ) -> Terms:
-    """An elastic model and Eqs. 9, 10 and 11.
+    """An elastic model and Eqs. 9, 10 and 11; with a design, the cohesion of its tails as well.
 
     Args:
         elastic: name of the model.
@@ -51,4 +52,5 @@ def hair_terms(
     if elastic != ROD and (isinstance(stiffness, Tensor) or stiffness != 1):
         raise InputError("stiffness", f"the elastic model {ROD}", repr(elastic))
     chosen = (Rod(design, stiffness), Stretch()) if elastic == ROD else ELASTIC_MODELS[elastic]
-    return (*chosen, Gravity(acceleration), BodyCollision(), SelfCollision())
+    cohesion = () if design is None or design.tails is None else (Cohesion(design.tails),)
+    return (*chosen, Gravity(acceleration), BodyCollision(), SelfCollision(), *cohesion)

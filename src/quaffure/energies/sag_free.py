@@ -22,6 +22,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.energies.cohesion import Tails, tails_of
 from quaffure.energies.held_parts import GOAL_STIFFNESS, goal_weight_of, stiffness_scale_of
 from quaffure.energies.rest_state import rest_state
 from quaffure.energies.rod import (
@@ -64,6 +65,7 @@ class SagFreeRest:
         support: s, force of the body on each vertex of the design [N].
         normal: direction of that force, unit.
         unstable: strands that are no minimum yet, though as stiff as `stability.MOST_TRIALS` allow.
+        tails: hair beyond ties, which coheres; None without.
     """
 
     rod: RodRest
@@ -71,6 +73,7 @@ class SagFreeRest:
     support: Float[Tensor, "s n"]
     normal: Float[Tensor, "s n 3"]
     unstable: Bool[Tensor, " s"]
+    tails: Tails | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +165,7 @@ def sag_free_rest(
         support=support,
         normal=normal,
         unstable=unstable,
+        tails=tails_of(groom),
     )
 
 

@@ -1,8 +1,8 @@
 """One groom in one pose, whose strands are moved to rest by Newton's method, each by itself.
 
 A pass minimizes the quadratic model of every strand (`quaffure.solvers.strand_recursion`) and shortens the step of each
-until its own energy falls. Hair on hair comes from the last positions: its force, and on the diagonal a stiffness that
-lets no vertex go far before the force is computed anew.
+until its own energy falls. Hair on hair, density and cohesion, comes from the last positions: its force, and on the
+diagonal a stiffness that lets no vertex go far before the force is computed anew.
 """
 
 import math
@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from quaffure.config import STANDARD_GRAVITY
+from quaffure.energies.cohesion import Cohesion
 from quaffure.energies.force_limit import MAX_FORCE
 from quaffure.energies.fused_density import self_collision_and_gradient
 from quaffure.energies.hair_energy import HairEnergy
@@ -59,7 +60,7 @@ class _State(NamedTuple):
 
     energy: float
     direction: np.ndarray
-    density_gradient: np.ndarray
+    gradient_of_others: np.ndarray
 
 
 class StrandDescent:
@@ -81,7 +82,7 @@ class StrandDescent:
         """
         Args:
             direction: unit directions of the edges to start from; those of the posed groom where none are given.
-            energy: of the rod, Eqs. 7, 9, 10 and 11; lengths are kept, so that Eq. 7 stays 0.
+            energy: of the rod, Eqs. 7, 9, 10 and 11, and of tails; lengths are kept, so that Eq. 7 stays 0.
             scene: of one sample.
 
         Raises:
@@ -90,7 +91,8 @@ class StrandDescent:
         check_finite(scene.posed)
         if direction is not None:
             check_finite(direction)
-        self._energy, self._control = energy, control or StepControl()
+        self._energy, self._scene, self._control = energy, scene, control or StepControl()
+        self._cohesion = energy.only(Cohesion.name)
         rest = energy.rest
         posed_rod = _rod_of(energy, scene)
         self._rod = posed_rod.arrays
@@ -127,10 +129,10 @@ class StrandDescent:
         return torch.from_numpy(self._now.positions.copy())[None]
 
     def fall(self, passes: int, most_turn: float = 1.5) -> None:
-        """Passes without contact and without other hair."""
-        self._clear_surroundings()
+        """Passes without contact and without density; tails cohere."""
         self._best = None
         for _ in range(passes):
+            self._model_surroundings(self._with_cohesion()[1])
             self._move(np.float32(0.0), most_turn, self._anywhere, backtracks=0)
 
     def resolve_contact(self, share: float) -> None:
@@ -139,24 +141,24 @@ class StrandDescent:
         self._best = self._k_of_now = self._start = None
 
     def touch(self, passes: int) -> None:
-        """Passes with contact and without other hair."""
-        self._clear_surroundings()
+        """Passes with contact and without density; tails cohere."""
         for _ in range(passes):
+            self._model_surroundings(self._with_cohesion()[1])
             self._move(self._k_body_collision, self._control.most_turn, self._anywhere, self._control.backtracks)
 
     def settle(self, passes: int) -> None:
         """Passes with all terms. The energy of all hair is never higher at the end than at the start."""
         for _ in range(passes):
-            self._update_density()
+            self._update_other_hair()
             self._move(self._k_body_collision, self._control.most_turn, self._anywhere, self._control.backtracks)
-        self._update_density()
+        self._update_other_hair()
 
     def follow(self, passes: int, most_move: float, most_moved: float) -> None:
         """Passes with all terms, in each of which no vertex moves by more than `most_move` [m], and in all since
         the start by more than `most_moved` [m], both to first order. The energy may rise: hair that follows a
         head is on its way."""
         for _ in range(passes):
-            self._model_surroundings(self._with_density()[1])
+            self._model_surroundings(self._with_other_hair()[1])
             if self._start is None:
                 self._start = self._now.positions.copy()
             gone = np.linalg.norm(self._now.positions - self._start, axis=-1).max(axis=-1)
@@ -186,12 +188,9 @@ class StrandDescent:
             evaluate_strands(self.direction, self._strands, *hair, k_body_collision, self._now)
             self._k_of_now = k_body_collision
 
-    def _clear_surroundings(self) -> None:
-        self._around.gradient[:], self._around.stiffness[:] = 0.0, 0.0
-
-    def _update_density(self) -> None:
+    def _update_other_hair(self) -> None:
         """Compute hair against hair anew; where the energy of all has risen, go back and take shorter steps."""
-        total, gradient = self._with_density()
+        total, gradient = self._with_other_hair()
         if self._best is not None and not total < self._best.energy:
             self.direction[:] = self._best.direction
             self._k_of_now = None
@@ -200,13 +199,24 @@ class StrandDescent:
         else:
             self._best = _State(total, self.direction.copy(), gradient)
             self._damping = 0.5 * self._damping if self._damping > 0.1 else 0.0
-        self._model_surroundings(self._best.density_gradient)
+        self._model_surroundings(self._best.gradient_of_others)
 
-    def _with_density(self) -> tuple[float, np.ndarray]:
+    def _with_other_hair(self) -> tuple[float, np.ndarray]:
+        """Energy of all terms [J], and the gradient of those between strands."""
         self._evaluate(self._k_body_collision)
         positions = torch.from_numpy(self._now.positions)
         density_energy, gradient = self_collision_and_gradient(positions, self._energy.rest, self._energy.material)
-        return self.own_energy + density_energy, gradient.numpy()
+        cohesion_energy, gradient_of_cohesion = self._with_cohesion()
+        return self.own_energy + density_energy + cohesion_energy, gradient.numpy() + gradient_of_cohesion
+
+    def _with_cohesion(self) -> tuple[float, np.ndarray]:
+        """Energy of the cohesion of tails at the positions of now [J], and its gradient."""
+        self._evaluate(np.float32(0.0) if self._k_of_now is None else self._k_of_now)
+        if not self._cohesion.terms:
+            return 0.0, np.zeros_like(self._now.positions)
+        hair = torch.from_numpy(self._now.positions)[None].requires_grad_()
+        energy = self._cohesion.total(hair, self._scene)
+        return float(energy.detach()), torch.autograd.grad(energy, hair)[0][0].numpy()
 
     def _model_surroundings(self, gradient: np.ndarray) -> None:
         size = np.linalg.norm(gradient, axis=-1)

@@ -14,13 +14,13 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm, rankdata
 
+from quaffure.benchmark.evaluation_set import SETS, load_evaluation_set
 from quaffure.body import PRIOR_FILE, BodyModel, Motion, PosePrior, joint_matrices, load_body, without_heading
 from quaffure.body.retargeting import body_bone
 from quaffure.errors import InputError
 from quaffure.io import replacing
 from quaffure.io.read_motion import MOTION_READERS, read_motion
 
-EVALUATION_SET = PRIOR_FILE.with_name("evaluation_set.json")
 # Tables run from the 0.5th to the 99.5th percentile, 53 entries.
 LARGEST_SCORE = 2.6
 EXPLAINED_VARIANCE = 0.99
@@ -66,7 +66,7 @@ def check_prior(prior: PosePrior, source: str) -> None:
 
 
 def training_clips(folder: Path, body: BodyModel) -> list[Motion]:
-    held_out = json.loads(EVALUATION_SET.read_text())["motions"]
+    held_out = {name for version in SETS for name in load_evaluation_set(version).motions}
     paths = [path for path in sorted(folder.glob("*")) if path.suffix.lower() in MOTION_READERS]
     paths = [path for path in paths if path.stem not in held_out]
     clips = [read_motion(path, body) for path in paths]

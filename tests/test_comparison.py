@@ -72,11 +72,16 @@ def case_of(groom: Groom, clip: Motion, frames: tuple[int, ...], group: str = "s
 # ---- the set
 
 
-def test_the_set_is_sound(body: BodyModel) -> None:
-    of = load_evaluation_set()
-    assert of.version == 2
+@pytest.mark.parametrize(("version", "cases", "frames"), [(2, 41, 88), (3, 98, 144)])
+def test_a_set_is_sound(body: BodyModel, version: int, cases: int, frames: int) -> None:
+    of = load_evaluation_set(version)
+    assert of.version == version
     names = [entry.name for entry in of.cases]
-    assert len(set(names)) == len(names) == 41
+    assert len(set(names)) == len(names) == cases
+    assert sum(len(entry.frames) for entry in of.cases) == frames
+    assert {entry.loading for entry in of.cases} - {""} == set(of.loadings)
+    for loading in of.loadings.values():
+        loading.check()
     assert set(of.quick) <= set(names)
     assert {entry.clip for entry in of.cases} <= {*of.motions, *CLIP_NAMES}
     assert {entry.groom for entry in of.cases} == set(of.grooms)
@@ -91,10 +96,10 @@ def test_the_set_is_sound(body: BodyModel) -> None:
 
 def test_the_quick_cases_need_nothing_but_the_package_and_hold_a_run(body: BodyModel) -> None:
     of = load_evaluation_set()
-    nowhere = DataFolders(Path("nowhere"), Path("nowhere"))
+    nowhere = DataFolders((Path("nowhere"),), (Path("nowhere"),))
     quick = [entry for entry in of.cases if entry.name in of.quick]
     assert all(nowhere.missing(entry, of) is None for entry in quick)
-    assert {of.grooms[entry.groom].group for entry in quick} == {"seen", "unseen"}
+    assert {of.grooms[entry.groom].group for entry in quick} == {"seen", "unseen", "tied"}
     (case,) = (case for case in load_cases(quick[-1:], of, nowhere, body))
     assert case.is_run
     assert len(case.bodies(body).body_pose) == len(case.frames)
@@ -102,15 +107,19 @@ def test_the_quick_cases_need_nothing_but_the_package_and_hold_a_run(body: BodyM
 
 
 @pytest.mark.shared_data
-def test_the_frames_of_the_set_lie_within_its_motion_files(body: BodyModel, shared_data: Path) -> None:
-    of = load_evaluation_set()
-    folders = DataFolders(shared_data / "motion", shared_data / "grooms")
+@pytest.mark.parametrize(("version", "length"), [(2, 76), (3, 145)])
+def test_the_frames_of_a_set_lie_within_its_motion_files(
+    body: BodyModel, shared_data: Path, version: int, length: int
+) -> None:
+    of = load_evaluation_set(version)
+    both = (("motion", "motion_evaluation"), ("grooms", "grooms_evaluation"))
+    folders = DataFolders(*(tuple(shared_data / name for name in names) for names in both))
     assert all(folders.missing(entry, of) is None for entry in of.cases)
     last = {entry.clip: max(entry.frames) for entry in sorted(of.cases, key=lambda entry: max(entry.frames))}
     entries = [CaseEntry("bob_fringe", clip, "a", (last[clip],)) for clip in of.motions]
     assert [case.motion.fps for case in load_cases(entries, of, folders, body)] == [30, 30, 30]
-    with pytest.raises(InputError, match="more than 76 frames"):
-        list(load_cases([replace(entries[1], frames=(76,))], of, folders, body))
+    with pytest.raises(InputError, match=f"more than {length} frames"):
+        list(load_cases([replace(entries[1], frames=(length,))], of, folders, body))
 
 
 # ---- drapes, kept
@@ -371,7 +380,7 @@ def test_a_run_weighs_no_more_than_a_frame(case: EvaluationCase, body: BodyModel
     rows = {"posed": lifted(body, dict.fromkeys(range(3), 0.0))}
     results = compare([case, single], rows, (), body, HairMaterial())
     summary = summarize(results)
-    assert list(summary) == ["all", "seen", "unseen", "clip bow"]
+    assert list(summary) == ["all", "free", "seen", "unseen", "clip bow"]
     energies = [result.metrics["posed"]["energy"] for result in results]
     assert summary["all"]["posed"]["energy"]["mean"] == pytest.approx(np.mean([np.mean(e) for e in energies]))
     assert summary["all"]["posed"]["energy"]["worst"] == max(energies[0] + energies[1])

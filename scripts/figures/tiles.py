@@ -192,7 +192,7 @@ def load_scenes(entries: Sequence[CaseEntry], motion_folder: Path, body: BodyMod
     """
     of = load_evaluation_set()
     of = replace(of, grooms={entry.groom: GroomSource("") for entry in entries})
-    for case in load_cases(entries, of, DataFolders(motion_folder, Path()), body):
+    for case in load_cases(entries, of, DataFolders((motion_folder,), ()), body):
         yield Scene(case.groom, case.bodies(body))
 
 

@@ -63,7 +63,7 @@ def main(motion_folder: Path = MOTION_FOLDER, groom_folder: Path = GROOM_FOLDER)
     with TileRenderer(240, 280) as renderer:
         for worst in [each for metric, text in SHOWN for each in worst_frames(metric, text)]:
             entry = entries[worst.case]
-            (case,) = load_cases([entry], of, DataFolders(motion_folder, groom_folder), model.body)
+            (case,) = load_cases([entry], of, DataFolders((motion_folder,), (groom_folder,)), model.body)
             bodies = BodyBatch(model.body, case.motion.body_pose[worst.frame : worst.frame + 1], case.body_shape[None])
             scene = Scene(case.groom, bodies)
             drapes = (model.draper.drape(scene), XpbdDraper(model.draper.material).drape(scene))

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from quaffure.config import HairMaterial
+from quaffure.energies.loading import Loading
 from quaffure.scene import Scene
 from quaffure.types import Positions
 
@@ -25,6 +26,15 @@ class Draper(Protocol):
 
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of every sample [m, world]."""
+        ...
+
+
+@runtime_checkable
+class LoadedDraper(Draper, Protocol):
+    """A draper that reads stiffness, gravity and wind."""
+
+    def under(self, loading: Loading) -> "LoadedDraper":
+        """The same draper under another loading."""
         ...
 
 

@@ -83,7 +83,7 @@ def measure_case(
 
     Each frame's body is posed once.
     """
-    energy = HairEnergy(case.groom, material, terms_of_design(case.groom, body, material))
+    energy = HairEnergy(case.groom, material, terms_of_design(case.groom, body, material, case.loading))
     of_rows: dict[str, Metrics] = {name: {} for name in drapes}
     from_head: dict[str, list[Positions]] = {name: [] for name in drapes}
     reference = []
@@ -122,12 +122,13 @@ def measure_case(
 
 
 def summarize(results: Sequence[CaseResult]) -> Summary:
-    """Metrics over all cases, over each group and over each clip.
+    """Metrics over all cases, over free hair (`seen` and `unseen`), over each group and over each clip.
 
     The mean is that of the cases, each the mean of its frames, so that a run weighs no more than a frame; the worst is
     the worst frame. A row that misses a case of a group is left out there.
     """
-    groups: dict[str, list[CaseResult]] = {"all": list(results)}
+    free = [result for result in results if result.group in ("seen", "unseen")]
+    groups: dict[str, list[CaseResult]] = {"all": list(results)} | ({"free": free} if free else {})
     for result in results:
         groups.setdefault(result.group, []).append(result)
     for result in results:

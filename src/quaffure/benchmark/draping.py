@@ -13,6 +13,7 @@ from quaffure.benchmark.methods import Method
 from quaffure.body.body_model import BodyModel
 from quaffure.digest import array_digest
 from quaffure.draper import Draper
+from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.hair.groom_cache import GroomCache
 from quaffure.scene import Scene
@@ -39,25 +40,26 @@ class CaseDraper:
             body.rest_vertices, body.shape_directions, body.rest_joints, body.joint_shape_directions,
             body.skin_joints, body.skin_weights, body.faces,
         )  # fmt: skip
-        self._method_keys: dict[str, str] = {}
+        self._drapers: dict[tuple[str, Loading], tuple[Draper, str]] = {}
         self._groom_keys: GroomCache[str] = GroomCache()
 
     def drape(self, method: Method, case: EvaluationCase, frame: int) -> TimedDrape | None:
-        """One frame, counted within the case; None where the method cannot drape the groom.
+        """One frame, counted within the case; None where the method cannot drape the groom under the case's loading.
 
         Raises:
             InputError: the draper returns NaN or infinity.
         """
-        if not method.drapes(case.groom, self.body):
+        if not method.drapes(case.groom, self.body, case.loading):
             return None
+        draper, _ = self._draper(method, case.loading)
         cached = self.known(method, case, frame)
         if cached is not None:
             return cached
         if method.name not in self._warm:
             few = case.groom.select(torch.arange(min(WARM_UP_STRANDS, len(case.groom))))
-            method.draper.drape(Scene(few, case.bodies(self.body, frame)))
+            draper.drape(Scene(few, case.bodies(self.body, frame)))
             self._warm.add(method.name)
-        drape = self._timed(method.draper, case, frame)
+        drape = self._timed(draper, case, frame)
         if not bool(torch.isfinite(drape.strands).all()):
             raise InputError(method.name, f"finite vertices in {case.name}", "NaN or infinity")
         self.cache.put(self._key(method, case, frame), drape, case.name, case.frames[frame], method.name)
@@ -66,11 +68,20 @@ class CaseDraper:
 
     def known(self, method: Method, case: EvaluationCase, frame: int) -> TimedDrape | None:
         """The drape where the cache holds it."""
+        if not method.drapes(case.groom, self.body, case.loading):
+            return None
         drape = self.cache.get(self._key(method, case, frame))
         if drape is None or drape.strands.shape != case.groom.rest_strands.shape:
             return None
         self.fetched += 1
         return drape
+
+    def _draper(self, method: Method, loading: Loading) -> tuple[Draper, str]:
+        """A method's draper under a loading, and its key."""
+        if (method.name, loading) not in self._drapers:
+            draper = method.under(loading)
+            self._drapers[method.name, loading] = draper, draper_key(draper)
+        return self._drapers[method.name, loading]
 
     def _timed(self, draper: Draper, case: EvaluationCase, frame: int) -> TimedDrape:
         strands, seconds = self._once(draper, case, frame)
@@ -84,8 +95,6 @@ class CaseDraper:
         return strands, time.perf_counter() - begin
 
     def _key(self, method: Method, case: EvaluationCase, frame: int) -> str:
-        if method.name not in self._method_keys:
-            self._method_keys[method.name] = draper_key(method.draper)
         groom_key = self._groom_keys.of(case.groom, lambda: self.cache.groom_key(case.groom))
         pose = case.motion.body_pose[frame]
-        return drape_key(self._method_keys[method.name], groom_key, self._body_key, pose, case.body_shape)
+        return drape_key(self._draper(method, case.loading)[1], groom_key, self._body_key, pose, case.body_shape)

@@ -1,8 +1,8 @@
-"""The evaluation set: clips, shapes and grooms that no training uses, in one versioned file of the package."""
+"""The evaluation sets: clips, shapes and grooms that no training uses, each in one versioned file of the package."""
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -12,6 +12,8 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.body.clips import CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion, resample
+from quaffure.energies.gravity import GRAVITY
+from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.io.load_groom import load_groom
@@ -19,6 +21,8 @@ from quaffure.io.read_motion import read_motion
 from quaffure.scene import BodyBatch
 from quaffure.types import Float, Tensor
 
+SETS = (2, 3)
+"""Versions of the sets that come with the package; the last one is current."""
 LEAST_RUN = 3
 """Frames in a row that have an acceleration."""
 
@@ -28,7 +32,7 @@ class GroomSource:
     """Where a groom of the set comes from.
 
     Attributes:
-        group: `seen` if training may use the groom, else `unseen`.
+        group: `seen` if training may use the groom, else `unseen`; `tied` of tied styles, which training may use.
         file, head: in the folder of grooms; empty for a bundled style.
     """
 
@@ -43,16 +47,18 @@ class CaseEntry:
 
     Attributes:
         shape: letter of the shape.
+        loading: name of the loading; empty for human hair under gravity.
     """
 
     groom: str
     clip: str
     shape: str
     frames: tuple[int, ...]
+    loading: str = ""
 
     @property
     def name(self) -> str:
-        return f"{self.groom}-{self.clip}-{self.shape}"
+        return "-".join(part for part in (self.groom, self.clip, self.shape, self.loading) if part)
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,7 @@ class EvaluationSet:
         fps: rate at which frames count.
         motions: stems of the motion files; other clips are bundled ones.
         shapes: ten coefficients of each shape [standard deviations].
+        loadings: stiffness, gravity and wind by name.
         quick: names of the cases of a quick evaluation.
     """
 
@@ -74,6 +81,7 @@ class EvaluationSet:
     grooms: dict[str, GroomSource]
     cases: tuple[CaseEntry, ...]
     quick: tuple[str, ...]
+    loadings: dict[str, Loading] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +89,7 @@ class EvaluationCase:
     """A groom on a body in some frames, ready to drape.
 
     Attributes:
-        group: `seen`, `unseen` or `own`.
+        group: `seen`, `unseen`, `tied` or `own`; the name of the loading where there is one.
         motion: the frames of the clip, and nothing else.
         frames: which ones they are.
     """
@@ -93,6 +101,7 @@ class EvaluationCase:
     motion: Motion
     frames: tuple[int, ...]
     body_shape: Float[Tensor, "10"]
+    loading: Loading = STANDARD_LOADING
 
     @property
     def is_run(self) -> bool:
@@ -108,9 +117,15 @@ class EvaluationCase:
 
 
 @cache
-def load_evaluation_set() -> EvaluationSet:
-    """The set that comes with the package."""
-    content = json.loads((files("quaffure") / "assets" / "evaluation_set.json").read_text(encoding="utf-8"))
+def load_evaluation_set(version: int = SETS[-1]) -> EvaluationSet:
+    """A set that comes with the package.
+
+    Raises:
+        InputError: none of that version.
+    """
+    if version not in SETS:
+        raise InputError("evaluation set", f"version {' or '.join(map(str, SETS))}", f"{version}")
+    content = json.loads((files("quaffure") / "assets" / f"evaluation_set_{version}.json").read_text(encoding="utf-8"))
     return EvaluationSet(
         version=content["version"],
         fps=float(content["fps"]),
@@ -119,22 +134,32 @@ def load_evaluation_set() -> EvaluationSet:
         grooms={name: GroomSource(**source) for name, source in content["grooms"].items()},
         cases=tuple(CaseEntry(**entry | {"frames": tuple(entry["frames"])}) for entry in content["cases"]),
         quick=tuple(content["quick"]),
+        loadings={name: _loading(**values) for name, values in content.get("loadings", {}).items()},
     )
 
 
+def _loading(stiffness: float = 1.0, acceleration: Sequence[float] = GRAVITY) -> Loading:
+    x, y, z = acceleration
+    return Loading(stiffness, (x, y, z))
+
+
 def refuse_evaluation_data(grooms: Iterable[str | Path] = (), motions: Iterable[str | Path] = ()) -> None:
-    """Keep out of a training what it is evaluated on: every clip of the set, and its grooms of the group `unseen`.
+    """Keep out of a training what it is evaluated on: every clip of the sets, and their grooms of the group `unseen`.
 
     Args:
         grooms, motions: bundled names or files. Names and stems of files count, in any case: a copy of a held-out
             groom is one as well.
 
     Raises:
-        InputError: one of them is in the set.
+        InputError: one of them is in a set.
     """
-    of = load_evaluation_set()
-    clips = {name.lower() for name in (*of.motions, *(entry.clip for entry in of.cases))}
-    unseen = {name.lower() for name, source in of.grooms.items() if source.group == "unseen"}
+    clips: set[str] = set()
+    unseen: set[str] = set()
+    for of in map(load_evaluation_set, SETS):
+        clips |= {name.lower() for name in (*of.motions, *(entry.clip for entry in of.cases))}
+        held_out = {name: source for name, source in of.grooms.items() if source.group == "unseen"}
+        unseen |= {name.lower() for name in held_out}
+        unseen |= {Path(source.file).stem.lower() for source in held_out.values() if source.file}
     for path in map(Path, grooms):
         if path.stem.lower() in unseen:
             raise InputError(f"groom {path}", "a groom that is not held out for evaluation", path.stem)
@@ -146,25 +171,34 @@ def refuse_evaluation_data(grooms: Iterable[str | Path] = (), motions: Iterable[
 
 @dataclass(frozen=True)
 class DataFolders:
-    """Folders of the files of the set that the package does not ship. Either folder may be missing.
+    """Folders of the files of the set that the package does not ship. Any of them may be missing.
 
     Attributes:
-        motions: holds `<clip>.bvh`.
-        grooms: holds the files of `GroomSource`.
+        motions: hold `<clip>.bvh`.
+        grooms: hold the files of `GroomSource`.
     """
 
-    motions: Path
-    grooms: Path
+    motions: tuple[Path, ...]
+    grooms: tuple[Path, ...]
 
     def motion(self, clip: str) -> Path:
-        return self.motions / f"{clip}.bvh"
+        return _first_file(self.motions, f"{clip}.bvh")
+
+    def groom(self, name: str) -> Path:
+        return _first_file(self.grooms, name)
 
     def missing(self, entry: CaseEntry, of: EvaluationSet) -> Path | None:
         """The first file that a case needs and that is not there."""
         source = of.grooms[entry.groom]
         needed = [self.motion(entry.clip)] if entry.clip not in CLIP_NAMES else []
-        needed += [self.grooms / name for name in (source.file, source.head) if name]
+        needed += [self.groom(name) for name in (source.file, source.head) if name]
         return next((path for path in needed if not path.is_file()), None)
+
+
+def _first_file(folders: Sequence[Path], name: str) -> Path:
+    """The file in the first folder that has it; in the first one of all where none has."""
+    paths = [folder / name for folder in folders] or [Path(name)]
+    return next((path for path in paths if path.is_file()), paths[0])
 
 
 def load_cases(
@@ -181,8 +215,8 @@ def load_cases(
         source = of.grooms[name]
         if not source.file:
             return load_groom(name, body)
-        head = folders.grooms / source.head if source.head else None
-        return replace(load_groom(folders.grooms / source.file, body, head), name=name)
+        head = folders.groom(source.head) if source.head else None
+        return replace(load_groom(folders.groom(source.file), body, head), name=name)
 
     @cache
     def clip_of(name: str) -> Motion:
@@ -195,10 +229,11 @@ def load_cases(
             raise InputError(folders.motion(entry.clip), f"more than {max(entry.frames)} frames", f"{len(clip)}")
         yield EvaluationCase(
             name=entry.name,
-            group=of.grooms[entry.groom].group,
+            group=entry.loading or of.grooms[entry.groom].group,
             shape=entry.shape,
             groom=groom,
             motion=replace(clip, body_pose=clip.body_pose[list(entry.frames)]),
             frames=entry.frames,
             body_shape=torch.tensor(of.shapes[entry.shape]),
+            loading=of.loadings[entry.loading] if entry.loading else STANDARD_LOADING,
         )

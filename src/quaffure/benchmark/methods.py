@@ -8,10 +8,13 @@ from pathlib import Path
 from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
 from quaffure.baselines.posed import PosedDraper
 from quaffure.body.body_model import BodyModel
-from quaffure.draper import Draper
+from quaffure.draper import Draper, LoadedDraper
+from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
+from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_model import load_model
+from quaffure.model.quaffure_network import DisplacementNetwork
 from quaffure.solvers.design_solver import DesignSolver
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
 
@@ -19,8 +22,10 @@ POSED, NETWORK, SETTLED = "posed", "neural", "neural_settled"
 GROOMGEN = GroomGenDraper.name
 """The row whose weights are those of `quaffure train-groomgen`."""
 SOLVER_ROWS = ("adam", "lbfgs", "strand_newton")
-"""Whose lowest drape of a frame is the reference of all rows."""
-ROWS = (POSED, *SOLVER_ROWS, NETWORK, SETTLED)
+FROM_NETWORK = {f"{name}_from_{NETWORK}": name for name in SOLVER_ROWS}
+"""Solvers that start from the network's drape instead of their own start. The lowest drape of a frame among these rows
+and `SOLVER_ROWS` is the reference of all rows."""
+ROWS = (POSED, *SOLVER_ROWS, *FROM_NETWORK, NETWORK, SETTLED)
 QUICK_ROWS = (POSED, "strand_newton", NETWORK, SETTLED)
 SETTLING_PASSES = 3
 
@@ -39,9 +44,23 @@ class Method:
     is_solver: bool = False
     notes: dict[str, str] = field(default_factory=dict)
 
-    def drapes(self, groom: Groom, body: BodyModel) -> bool:
-        """Whether it can drape this groom: GroomGen drapes only its own."""
-        return not isinstance(self.draper, GroomGenDraper) or self.draper.knows(groom, body)
+    def drapes(self, groom: Groom, body: BodyModel, loading: Loading) -> bool:
+        """Whether it can drape this groom under a loading: GroomGen drapes only its own, and it and the paper's
+        configuration know one loading."""
+        if isinstance(self.draper, GroomGenDraper) and not self.draper.knows(groom, body):
+            return False
+        return loading == STANDARD_LOADING or (isinstance(self.draper, LoadedDraper) and not _is_paper(self.draper))
+
+    def under(self, loading: Loading) -> Draper:
+        """The draper under a loading that it knows."""
+        if loading == STANDARD_LOADING:
+            return self.draper
+        assert isinstance(self.draper, LoadedDraper)
+        return self.draper.under(loading)
+
+
+def _is_paper(draper: Draper) -> bool:
+    return isinstance(draper, NeuralDraper) and isinstance(draper.network, DisplacementNetwork)
 
 
 def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:
@@ -65,6 +84,10 @@ def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:
         SETTLED: Method(SETTLED, settled, notes=shipped.notes),
     }
     rows |= {name: Method(name, DesignSolver(name, material), is_solver=True) for name in SOLVER_ROWS}
+    rows |= {
+        name: Method(name, DesignSolver(of, material, start=shipped.draper), is_solver=True)
+        for name, of in FROM_NETWORK.items()
+    }
     for name, path in weights.items():
         if name == NETWORK:
             continue

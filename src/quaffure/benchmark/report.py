@@ -47,11 +47,12 @@ def write_report(folder: Path, results: Results) -> list[Path]:
 def page(results: Results, with_picture: bool) -> str:
     """The page's text."""
     summary = results["summary"]
+    of_all, hair = headline(summary)
     parts = ["# Results of the evaluation", _about(results)]
     if with_picture:
         parts.append(f"![Quality against time, one mark a draper]({PICTURE})")
-    parts += ["## Means", _table(mean_rows(summary["all"])), "## Worst frames", _table(worst_rows(summary["all"]))]
-    ratios = ratio_rows(summary["all"])
+    parts += [f"## Means{hair}", _table(mean_rows(of_all)), f"## Worst frames{hair}", _table(worst_rows(of_all))]
+    ratios = ratio_rows(of_all)
     if ratios:
         parts += [f"## {RATIOS}", _table(ratios)]
     for metric in BY_GROUP:
@@ -60,6 +61,15 @@ def page(results: Results, with_picture: bool) -> str:
             parts += [f"## {metric} by group of cases", _table(rows)]
     parts += ["## Rows", _table(setting_rows(results))]
     return "\n\n".join(parts) + "\n"
+
+
+def headline(summary: Results) -> tuple[Results, str]:
+    """What the first tables show, and how their titles say it: free hair, whose cases other rows can drape as well,
+    where the set has tied hair or other loadings too."""
+    others = summary.keys() - {"all", "free", "seen", "unseen", "own"}
+    if "free" in summary and any(not group.startswith("clip ") for group in others):
+        return summary["free"], ", free hair"
+    return summary["all"], ""
 
 
 def mean_rows(of_group: dict[str, dict[str, dict[str, float]]]) -> list[dict[str, object]]:
@@ -75,7 +85,8 @@ def worst_rows(of_group: dict[str, dict[str, dict[str, float]]]) -> list[dict[st
 
 def group_rows(summary: Results, metric: str) -> list[dict[str, object]]:
     """A table row a draper: means of one metric in every group; none where no draper has the metric."""
-    known = [row for row in summary["all"] if metric in summary["all"][row]]
+    of_all, _ = headline(summary)
+    known = [row for row in of_all if metric in of_all[row]]
     return [
         {"draper": row} | {group: rows.get(row, {}).get(metric, {}).get("mean", "") for group, rows in summary.items()}
         for row in known

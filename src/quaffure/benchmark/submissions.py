@@ -31,6 +31,7 @@ def write_case(folder: Path, case: EvaluationCase, set_version: int, body: BodyM
     """
     posed = drape_motion(PosedDraper(material), case.groom, body, case.motion, case.body_shape)
     meta = {name: posed.meta[name] for name in ("groom", "licence", "motion", "material")}
+    meta |= {"stiffness": case.loading.mean_stiffness, "acceleration": case.loading.acceleration}
     meta |= {"case": case.name, "evaluation_set": set_version, "frames": case.frames}
     at_rest = {
         "rest_strands": case.groom.rest_strands.numpy(),

@@ -23,7 +23,7 @@ from quaffure.body.retargeting import align_bone, body_bone
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
 
-CLIP_NAMES = ("neck_turn", "nod", "bow", "shrug", "walk")
+CLIP_NAMES = ("neck_turn", "nod", "bow", "shrug", "walk", "idle")
 CLIP_FPS = 30.0
 # Upper arms of someone standing at ease, away from the vertical; closer, they would penetrate heavier bodies.
 HANGING_ARM_DEGREES = 15.0
@@ -67,7 +67,7 @@ def _read_clip(name: str, joint_names: tuple[str, ...]) -> KeyedClip:
     table = tomllib.loads((files("quaffure") / "assets" / "clips.toml").read_text(encoding="utf-8"))[name]
     angles: dict[str, Keys] = {}
     for joint, motion in table["joints"].items():
-        keys = _keys(motion, table["curves"])
+        keys = _keys(motion, table.get("curves", {}))
         if joint in CHAINS:
             angles |= {link: share * keys for link, share in CHAINS[joint].items()}
         elif joint in joint_names:
@@ -80,7 +80,9 @@ def _read_clip(name: str, joint_names: tuple[str, ...]) -> KeyedClip:
 
 
 def _keys(motion: dict[str, Any], curves: dict[str, list[int | float]]) -> Keys:
-    """Rotation vectors of one joint [degrees]: constant + curve * amplitude."""
+    """Rotation vectors of one joint [degrees]: constant + curve * amplitude, or as they are."""
+    if "keys" in motion:
+        return np.array(motion["keys"], dtype=float)
     constant = np.array(motion.get("constant", (0.0, 0.0, 0.0)), dtype=float)
     return constant + np.outer(curves[motion["curve"]], motion["amplitude"])
 

@@ -25,6 +25,15 @@ class Solver(Draper, Protocol):
         ...
 
 
+@runtime_checkable
+class StartedSolver(Solver, Protocol):
+    """A solver that can start from any drape."""
+
+    def drape_from(self, scene: Scene, start: Positions) -> Positions:
+        """Draped vertices [m] from any drape of the scene."""
+        ...
+
+
 def _with_terms(kind: Callable[..., Draper]) -> Callable[[HairMaterial, Terms | None], Draper]:
     return lambda material, terms: kind(material, terms=terms)
 

@@ -19,7 +19,7 @@ from quaffure.energies.gravity import Gravity
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.hair_terms import hair_terms
 from quaffure.energies.stretch_shear import StretchShear
-from quaffure.geometry.polyline import integrate_directions
+from quaffure.geometry.polyline import directors, integrate_directions
 from quaffure.scene import HairScene
 from quaffure.solvers.stopping import stopping_report
 from quaffure.types import EdgeVectors, Positions, Tensor
@@ -28,18 +28,20 @@ from quaffure.types import EdgeVectors, Positions, Tensor
 class Directions:
     """Directions of the edges, of any length but zero; edges keep their rest lengths.
 
-    They start as the closed-form gravity equilibrium without contact; without Eqs. 6 and 9, as posed.
+    Without vertices to start from, they start as the closed-form gravity equilibrium without contact; without Eqs. 6
+    and 9, as posed.
 
     Attributes:
         values: leaf of the optimizer.
     """
 
-    def __init__(self, energy: HairEnergy, scene: HairScene) -> None:
+    def __init__(self, energy: HairEnergy, scene: HairScene, start: Positions | None = None) -> None:
         self._roots, self._rest_length = scene.posed[:, :, 0], energy.rest.rest_length
-        start = scene.director.clone()
-        if {StretchShear, Gravity} <= {type(term) for term in energy.terms}:
-            start = equilibrium_vectors(start, self._rest_length, energy.rest.mass_beyond, energy.material.k_cosserat)
-        self.values = torch.nn.functional.normalize(start, dim=-1).requires_grad_()
+        vectors = scene.director.clone() if start is None else directors(start)
+        if start is None and {StretchShear, Gravity} <= {type(term) for term in energy.terms}:
+            stiffness = energy.material.k_cosserat
+            vectors = equilibrium_vectors(vectors, self._rest_length, energy.rest.mass_beyond, stiffness)
+        self.values = torch.nn.functional.normalize(vectors, dim=-1).requires_grad_()
 
     @torch.no_grad()
     def set_directions(self, vectors: EdgeVectors) -> None:
@@ -61,9 +63,9 @@ class Offsets:
         values: leaf of the optimizer.
     """
 
-    def __init__(self, energy: HairEnergy, scene: HairScene) -> None:
+    def __init__(self, energy: HairEnergy, scene: HairScene, start: Positions | None = None) -> None:
         self._posed = scene.posed
-        self.values = torch.zeros_like(scene.posed[:, :, 1:]).requires_grad_()
+        self.values = ((scene.posed if start is None else start) - scene.posed)[:, :, 1:].clone().requires_grad_()
 
     def positions(self) -> Positions:
         return torch.cat([self._posed[:, :, :1], self._posed[:, :, 1:] + self.values], dim=2)
@@ -125,7 +127,7 @@ class DescentDraper(ABC):
         clips: limit the force on each vertex (`quaffure.energies.force_limit`).
     """
 
-    variables: Callable[[HairEnergy, HairScene], HairVariables] = Directions
+    variables: Callable[[HairEnergy, HairScene, Positions | None], HairVariables] = Directions
     clips = False
 
     def __init__(self, material: HairMaterial | None = None, terms: Terms | None = None) -> None:
@@ -136,10 +138,17 @@ class DescentDraper(ABC):
         """Draped vertices of every sample [m, world]."""
         return self.solve(scene)[0]
 
+    def drape_from(self, scene: HairScene, start: Positions) -> Positions:
+        """Draped vertices [m] from any drape of the scene."""
+        return self._solve(scene, start)[0]
+
     def solve(self, scene: HairScene) -> tuple[Positions, StoppingReport]:
         """Draped vertices [m] and where the solver stopped."""
+        return self._solve(scene, None)
+
+    def _solve(self, scene: HairScene, start: Positions | None) -> tuple[Positions, StoppingReport]:
         energy = HairEnergy(scene.groom, self.material, self.terms)
-        descent = Descent(energy, scene, self.variables(energy, scene), self.clips)
+        descent = Descent(energy, scene, self.variables(energy, scene, start), self.clips)
         self.minimize(descent)
         return descent.finish()
 

@@ -11,7 +11,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
-from quaffure.draper import Draper, StoppingReport
+from quaffure.draper import Draper, LoadedDraper, StoppingReport
 from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.hair_energy import HairEnergy
@@ -90,6 +90,12 @@ class StrandNewtonDraper:
         self._terms = terms
         self._energy: tuple[GroomCopy, tuple[BodyModel | None, Loading], HairEnergy] | None = None
 
+    def under(self, loading: Loading) -> "StrandNewtonDraper":
+        """The same solver, without terms, under another loading."""
+        other = StrandNewtonDraper(self.material, self.setting)
+        other.loading = loading
+        return other
+
     def drape(self, scene: HairScene) -> Positions:
         """Draped vertices of every sample [m, world]."""
         return self.solve(scene)[0]
@@ -124,6 +130,10 @@ class StrandNewtonDraper:
         seconds = time.perf_counter() - begin
         passes = max(descent.passes for descent in descents)
         return positions, stopping_report(energy, scene, positions, passes, seconds)
+
+    def drape_from(self, scene: HairScene, start: Positions) -> Positions:
+        """All passes of the setting, with all terms, from any drape [m]."""
+        return self.settle(scene, start, self.setting.passes)
 
     def settle(self, scene: HairScene, start: Positions, passes: int) -> Positions:
         """More passes with all terms from any drape [m]; lengths become those at rest."""
@@ -190,6 +200,16 @@ class SettledDraper:
     @property
     def material(self) -> HairMaterial:
         return self.newton.material
+
+    def under(self, loading: Loading) -> "SettledDraper":
+        """The same drapers under another loading.
+
+        Raises:
+            InputError: the first of them knows one loading.
+        """
+        if not isinstance(self.start, LoadedDraper):
+            raise InputError("stiffness, gravity and wind", "a draper that reads them", self.start.name)
+        return SettledDraper(self.start.under(loading), self.newton.under(loading), self.passes)
 
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of every sample [m, world]."""

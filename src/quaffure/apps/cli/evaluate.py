@@ -16,9 +16,9 @@ from quaffure.apps.cli.inputs import body_shape_of, motion_of
 from quaffure.benchmark.comparison import DrapeFrame, compare
 from quaffure.benchmark.drape_cache import DrapeCache, TimedDrape
 from quaffure.benchmark.draping import CaseDraper
-from quaffure.benchmark.evaluation_set import DataFolders, EvaluationCase, load_cases, load_evaluation_set
+from quaffure.benchmark.evaluation_set import SETS, DataFolders, EvaluationCase, load_cases, load_evaluation_set
 from quaffure.benchmark.methods import NETWORK, QUICK_ROWS, ROWS, methods
-from quaffure.benchmark.report import mean_rows, worst_rows, write_report
+from quaffure.benchmark.report import headline, mean_rows, worst_rows, write_report
 from quaffure.benchmark.results import Results, results_of
 from quaffure.benchmark.submissions import read_submission, submitted_frames, write_case
 from quaffure.body.body_model import BodyModel, load_body
@@ -60,14 +60,18 @@ class EvaluationOptions:
     the row groomgen is those of `quaffure train-groomgen`, left out of cases of other grooms than its own."""
     cache: Path = Path("runs/evaluation")
     """Folder that keeps the drapes of `quaffure evaluate`."""
-    motion_folder: Path = Path("data/motion")
-    """Folder of the set's motion files; `quaffure evaluate` leaves out cases whose files are missing."""
-    groom_folder: Path = Path("data/grooms")
-    """The same for the set's groom files."""
+    set: int = SETS[-1]
+    """Version of the evaluation set."""
+    motion_folder: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
+    """Folder of the set's motion files; may be given several times; without it, data/motion_evaluation and data/motion.
+    `quaffure evaluate` leaves out cases whose files are missing."""
+    groom_folder: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
+    """The same for the set's groom files; without it, data/grooms_evaluation and data/grooms."""
 
     @property
     def folders(self) -> DataFolders:
-        return DataFolders(self.motion_folder, self.groom_folder)
+        motions = self.motion_folder or (Path("data/motion_evaluation"), Path("data/motion"))
+        return DataFolders(motions, self.groom_folder or (Path("data/grooms_evaluation"), Path("data/grooms")))
 
     def case_draper(self, body: BodyModel) -> CaseDraper:
         return CaseDraper(body, DrapeCache(self.cache))
@@ -164,7 +168,7 @@ class EvaluateCommand:
             raise InputError(option, "--groom or --motion with it: the set has its own", self.frames or self.shape)
 
     def _set_cases(self, body: BodyModel) -> Selection:
-        evaluation_set, folders = load_evaluation_set(), self.shared.folders
+        evaluation_set, folders = load_evaluation_set(self.shared.set), self.shared.folders
         entries = [entry for entry in evaluation_set.cases if not self.quick or entry.name in evaluation_set.quick]
         missing = {entry.name: folders.missing(entry, evaluation_set) for entry in entries}
         complete = [entry for entry in entries if missing[entry.name] is None]
@@ -194,7 +198,7 @@ class EvaluateCommand:
         material = methods((NETWORK,), weights)[0].draper.material
         cases = self._set_cases(body).cases
         made_folder(folder, "a folder for the cases")
-        version = load_evaluation_set().version
+        version = load_evaluation_set(self.shared.set).version
         paths = [write_case(folder, case, version, body, material) for case in cases]
         if self.json:
             print_json([str(path) for path in paths])
@@ -254,7 +258,7 @@ class ScoreCommand:
             raise InputError("--name", "a name that no other row has", f"'{self.name}'")
         material = rows[0].draper.material
         drapes = self._read(material)
-        evaluation_set, body = load_evaluation_set(), load_body()
+        evaluation_set, body = load_evaluation_set(self.shared.set), load_body()
         draper = self.shared.case_draper(body)
 
         @cache
@@ -271,7 +275,7 @@ class ScoreCommand:
 
     def _read(self, material: HairMaterial) -> dict[str, tuple[Path, DrapeSequence]]:
         """File and drape by the name of the case."""
-        evaluation_set = load_evaluation_set()
+        evaluation_set = load_evaluation_set(self.shared.set)
         drapes: dict[str, tuple[Path, DrapeSequence]] = {}
         for path in self.files:
             entry, sequence = read_submission(path, evaluation_set, material)
@@ -293,9 +297,9 @@ class ScoreCommand:
 
 
 def print_summary(results: Results) -> None:
-    """Means and worst frames over all cases."""
-    rows = results["summary"]["all"]
-    print_rows(_transposed(mean_rows(rows)), f"{len(results['cases'])} cases, means; times are medians")
+    """Means and worst frames over all cases, or over those of free hair."""
+    rows, hair = headline(results["summary"])
+    print_rows(_transposed(mean_rows(rows)), f"{len(results['cases'])} cases, means{hair}; times are medians")
     print_rows(_transposed(worst_rows(rows)), "worst frames")
 
 

@@ -13,7 +13,7 @@ from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.model.neural import NeuralDraper
-from quaffure.model.quaffure_model import load_model
+from quaffure.model.quaffure_model import PAPER, load_model
 from quaffure.model.quaffure_network import DisplacementNetwork
 from quaffure.solvers.design_solver import DesignSolver
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
@@ -25,7 +25,7 @@ SOLVER_ROWS = ("adam", "lbfgs", "strand_newton")
 FROM_NETWORK = {f"{name}_from_{NETWORK}": name for name in SOLVER_ROWS}
 """Solvers that start from the network's drape instead of their own start. The lowest drape of a frame among these rows
 and `SOLVER_ROWS` is the reference of all rows."""
-ROWS = (POSED, *SOLVER_ROWS, *FROM_NETWORK, NETWORK, SETTLED)
+ROWS = (POSED, *SOLVER_ROWS, *FROM_NETWORK, NETWORK, SETTLED, PAPER)
 QUICK_ROWS = (POSED, "strand_newton", NETWORK, SETTLED)
 SETTLING_PASSES = 3
 
@@ -75,19 +75,8 @@ def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:
     Raises:
         InputError: a name that is no row, a file that is no checkpoint, or one that was trained for other hair.
     """
-    shipped = load_model(weights.get(NETWORK))
-    material = shipped.draper.material
-    settled = SettledDraper(shipped.draper, StrandNewtonDraper(material), SETTLING_PASSES)
-    rows = {
-        POSED: Method(POSED, PosedDraper(material)),
-        NETWORK: Method(NETWORK, shipped.draper, notes=shipped.notes),
-        SETTLED: Method(SETTLED, settled, notes=shipped.notes),
-    }
-    rows |= {name: Method(name, DesignSolver(name, material), is_solver=True) for name in SOLVER_ROWS}
-    rows |= {
-        name: Method(name, DesignSolver(of, material, start=shipped.draper), is_solver=True)
-        for name, of in FROM_NETWORK.items()
-    }
+    rows = _shipped_rows(weights.get(NETWORK), with_paper=PAPER in names and PAPER not in weights)
+    material = rows[NETWORK].draper.material
     for name, path in weights.items():
         if name == NETWORK:
             continue
@@ -103,6 +92,32 @@ def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:
         if name not in rows:
             raise InputError("draper", f"one of {', '.join(rows)}", f"'{name}'")
     return [rows[name] for name in dict.fromkeys(names)]
+
+
+def _shipped_rows(weights: Path | None, with_paper: bool) -> dict[str, Method]:
+    """The rows that need no weights of the user, by name.
+
+    Args:
+        weights: instead of the shipped ones.
+        with_paper: the paper's configuration too, whose weights take a moment to read.
+    """
+    shipped = load_model(weights)
+    material = shipped.draper.material
+    settled = SettledDraper(shipped.draper, StrandNewtonDraper(material), SETTLING_PASSES)
+    rows = [
+        Method(POSED, PosedDraper(material)),
+        Method(NETWORK, shipped.draper, notes=shipped.notes),
+        Method(SETTLED, settled, notes=shipped.notes),
+    ]
+    rows += [Method(name, DesignSolver(name, material), is_solver=True) for name in SOLVER_ROWS]
+    rows += [
+        Method(name, DesignSolver(solver, material, start=shipped.draper), is_solver=True)
+        for name, solver in FROM_NETWORK.items()
+    ]
+    if with_paper:
+        published = load_model(PAPER)
+        rows.append(Method(PAPER, published.draper, notes=published.notes))
+    return {row.name: row for row in rows}
 
 
 def _trained(name: str, path: Path) -> tuple[Draper, dict[str, str]]:

@@ -21,7 +21,10 @@ from quaffure.model.neural import NeuralDraper
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions, Tensor
 
-WEIGHTS = Path(str(files("quaffure") / "assets" / "quaffure.safetensors"))
+PAPER = "paper"
+"""The model of the paper's configuration: displacements of vertices, trained on Eqs. 6 to 14."""
+MODELS = {name: Path(str(files("quaffure") / "assets" / f"{name}.safetensors")) for name in ("quaffure", PAPER)}
+WEIGHTS = MODELS["quaffure"]
 
 
 class Quaffure:
@@ -133,13 +136,14 @@ def load_model(
     """The shipped weights, or those of a training run.
 
     Args:
+        path: a file, or `paper` for the paper's configuration, which is shipped as well.
         bf16: run the network's layers in bfloat16, which moves vertices by some hundredths of a millimetre; None:
             where the CPU multiplies such matrices in hardware.
 
     Raises:
         InputError: `path` is no checkpoint of this package.
     """
-    network, material, notes = load_network(path or WEIGHTS)
+    network, material, notes = load_network(MODELS.get(str(path), path) if path else WEIGHTS)
     body = load_body().to(device)
     if bf16 is None:
         bf16 = choose_backend(body.rest_vertices) is Backend.CPU and fast_bfloat16()

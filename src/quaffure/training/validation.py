@@ -71,12 +71,13 @@ def validation_metrics(draper: Draper, scenes: Iterable[tuple[Scene, HairEnergy]
         scenes: each groom on the validation bodies, and its energy.
 
     Returns:
-        Every energy term in `loss_unit`, their sum `energy`, the mean logarithm `log_energy` that a training descends
-        (`energy_above_offset`), `body_intersection_percent` (of `MEASURED_STRANDS` strands
+        Every energy term in `loss_unit`, zero for grooms without it, their sum `energy`, the mean logarithm
+        `log_energy` that a training descends (`energy_above_offset`), `body_intersection_percent` (of `MEASURED_STRANDS` strands
         of a groom), `orientation_error_deg` and `length_error_percent`.
     """
     rows = [_groom_metrics(draper.drape(scene), scene, energy) for scene, energy in scenes]
-    return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: sum(row.get(name, 0.0) for row in rows) / len(rows) for name in names}
 
 
 def _groom_metrics(draped: Positions, scene: Scene, energy: HairEnergy) -> dict[str, float]:

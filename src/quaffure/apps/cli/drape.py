@@ -32,7 +32,7 @@ from quaffure.hair.guide_interpolation import interpolation_of
 from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
 from quaffure.model.initial_shape_kernels import initial_shape_kernel
-from quaffure.model.quaffure_model import load_model
+from quaffure.model.quaffure_model import MODELS, PAPER, load_model
 from quaffure.scene import Scene
 from quaffure.solvers.by_name import SOLVERS, solver
 from quaffure.solvers.coherent_clip import CoherentDraper
@@ -90,6 +90,8 @@ class DrapeCommand:
     """Acceleration X,Y,Z by a wind that pulls all hair alike, along the same axes: 0,-3,0 blows from behind [m/s^2]."""
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones; those of `quaffure train-groomgen` for groomgen."""
+    model: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(MODELS)}}}")] = None
+    """Shipped weights by name: quaffure, or paper, the paper's configuration (docs/paper_network.md)."""
     reference: Path | None = None
     """An .npz drape of the same groom and frames by a solver, to measure against; with it, all metrics are printed."""
     metrics: bool = False
@@ -171,11 +173,13 @@ class DrapeCommand:
 
     @property
     def _name(self) -> str:
-        return self.draper or (StrandNewtonDraper.name if self.weights is None else NEURAL)
+        if self.draper is None:
+            return NEURAL if self.weights or self.model else StrandNewtonDraper.name
+        return self.draper
 
     @property
     def _elastic(self) -> str:
-        has_rod = self._name in (StrandNewtonDraper.name, NEURAL) or self.settle
+        has_rod = (self._name in (StrandNewtonDraper.name, NEURAL) and self.model != PAPER) or self.settle
         return self.elastic or (ROD if has_rod else MODIFIED_COSSERAT)
 
     @property
@@ -193,7 +197,11 @@ class DrapeCommand:
             raise InputError("--settle", expected, f"'{self._name}' and '{self._elastic}'")
         if self.rest is not None and self._elastic != ROD:
             raise InputError("--rest", f"--elastic {ROD}", f"'{self._elastic}'")
-        trained = {NEURAL: ROD, GROOMGEN: MODIFIED_COSSERAT}.get(self._name)
+        if self.model is not None and (self.model not in MODELS or self.weights is not None or self._name != NEURAL):
+            expected = f"{' or '.join(MODELS)}, with the network and without --weights"
+            raise InputError("--model", expected, f"'{self.model}', {self._name}")
+        of_network = MODIFIED_COSSERAT if self.model == PAPER else ROD
+        trained = {NEURAL: of_network, GROOMGEN: MODIFIED_COSSERAT}.get(self._name)
         if trained is not None and not self.settle and self.elastic not in (None, trained):
             raise InputError("--elastic", f"{trained} with {self._name}", f"'{self.elastic}'")
         if self._name == NEURAL and self._rest != "design":
@@ -221,7 +229,7 @@ class DrapeCommand:
         if self._name == GROOMGEN and self.weights is not None:
             draper: Draper = load_groomgen(self.weights)[0]
         else:
-            draper = load_model(self.weights).under(Loading(self.stiffness, self._acceleration)).draper
+            draper = load_model(self.weights or self.model).under(Loading(self.stiffness, self._acceleration)).draper
         material = draper.material
         if self._elastic == MODIFIED_COSSERAT:
             material = replace(material, k_cosserat=self.stiffness * material.k_cosserat)

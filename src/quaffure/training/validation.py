@@ -72,8 +72,8 @@ def validation_metrics(draper: Draper, scenes: Iterable[tuple[Scene, HairEnergy]
 
     Returns:
         Every energy term in `loss_unit`, zero for grooms without it, their sum `energy`, the mean logarithm
-        `log_energy` that a training descends (`energy_above_offset`), `body_intersection_percent` (of `MEASURED_STRANDS` strands
-        of a groom), `orientation_error_deg` and `length_error_percent`.
+        `log_energy` that a training descends (`energy_above_offset`), `body_intersection_percent` (of
+        `MEASURED_STRANDS` strands of a groom), `orientation_error_deg` and `length_error_percent`.
     """
     rows = [_groom_metrics(draper.drape(scene), scene, energy) for scene, energy in scenes]
     names = dict.fromkeys(name for row in rows for name in row)

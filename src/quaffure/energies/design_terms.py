@@ -12,7 +12,8 @@ from quaffure.hair.groom import Groom
 def terms_of_design(
     groom: Groom, body: BodyModel, material: HairMaterial, loading: Loading = STANDARD_LOADING
 ) -> Terms:
-    """The sag-free rod of a groom that was designed on a body, and Eqs. 7, 9, 10 and 11, under a loading.
+    """The sag-free rod of a groom that was designed on a body, Eqs. 7, 9, 10 and 11, and the cohesion of its tails, under a
+    loading.
 
     Raises:
         InputError: see `sag_free_rest`.

@@ -81,7 +81,7 @@ class StrandNewtonDraper:
             terms: of the energy; where none are given, those of the sag-free rest shape of every groom (`design_of`).
 
         Raises:
-            InputError: terms other than the rod and Eqs. 7, 9, 10 and 11.
+            InputError: terms other than the rod, Eqs. 7, 9, 10 and 11, and the cohesion of tails.
         """
         refuse_other_terms(self.name, terms, ROD)
         self.material = material or HairMaterial()

@@ -94,6 +94,15 @@ def test_strands_pressed_together_part_until_forces_balance(draper: DescentDrape
     assert float(after) < 0.05
 
 
+@pytest.mark.parametrize("kind", [AdamDraper, AdamPositionsDraper])
+def test_a_solver_starts_from_the_drape_that_it_is_given(kind: type[AdamDraper]) -> None:
+    scene = posed_scene(sphere_groom(strands=8))
+    rest_length = scene.groom.rest_lengths
+    directions = torch.nn.functional.normalize(scene.director + torch.tensor([0.0, 0.0, -1.0]), dim=-1)
+    start = integrate_directions(scene.posed[:, :, 0], directions, rest_length)
+    torch.testing.assert_close(kind(steps=0).drape_from(scene, start), start, atol=1e-5, rtol=0)
+
+
 def test_every_name_makes_a_draper_that_knows_its_name() -> None:
     for name in SOLVERS:
         draper = solver(name, FREE)

@@ -9,17 +9,19 @@ import torch
 
 from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body import BodyModel, bundled_clip
-from quaffure.config import STANDARD_GRAVITY
+from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.drape_motion import drape_motion
 from quaffure.energies import HairEnergy, sag_free_rest
 from quaffure.energies.gravity import NO_ACCELERATION
 from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import Groom
 from quaffure.scene import PosedScene, Scene
 from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, energy_and_gradient
 from quaffure.solvers.coherent_clip import CoherentSetting
+from quaffure.solvers.design_solver import DesignSolver
 from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonSetting
 from quaffure.solvers.strand_recursion import LEAST_ALIGNMENT, StrandModel, newton_rotations
@@ -217,6 +219,19 @@ def test_a_tail_stays_a_tail_and_out_of_the_head(body: BodyModel, surface: Surfa
     assert float(energy.metrics(draped, scene)["cohesion"]) < 2e-3
     apart = StrandNewtonDraper(terms=energy.without("cohesion").terms).drape(scene)
     assert float(energy.metrics(apart, scene)["cohesion"]) > 1e-2
+
+
+def test_a_design_solver_reads_loading_and_start(body: BodyModel, surface: Surface) -> None:
+    """From a settled drape Newton's method stays near it; under another loading hair hangs elsewhere."""
+    scene = clip_scene(few_strands(body, surface, "bob"), body, "neck_turn", slice(20, 21))
+    own = DesignSolver("strand_newton", HairMaterial())
+    settled = own.drape(scene)
+    again = DesignSolver("strand_newton", HairMaterial(), start=StrandNewtonDraper()).drape(scene)
+    assert float((again - settled).norm(dim=-1).mean()) < 5e-4
+    leaning = own.under(Loading(1.0, (0.0, -5.0, -8.0))).drape(scene)
+    assert float((leaning - settled)[..., 1].mean()) < -2e-3
+    with pytest.raises(InputError, match="start from a drape"):
+        DesignSolver("posed", HairMaterial(), start=StrandNewtonDraper()).drape(scene)
 
 
 def test_more_passes_never_raise_the_energy(body: BodyModel, surface: Surface) -> None:

@@ -12,8 +12,10 @@ from quaffure.hair.groom import Groom
 def terms_of_design(
     groom: Groom, body: BodyModel, material: HairMaterial, loading: Loading = STANDARD_LOADING
 ) -> Terms:
-    """The sag-free rod of a groom that was designed on a body, Eqs. 7, 9, 10 and 11, and the cohesion of its tails, under a
-    loading.
+    """The sag-free rod of a groom that was designed on a body, Eqs. 7, 9, 10 and 11, and the cohesion of its tails.
+
+    Args:
+        loading: stiffness, gravity and wind.
 
     Raises:
         InputError: see `sag_free_rest`.

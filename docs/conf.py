@@ -1,0 +1,23 @@
+"""The documentation site: `make docs` builds it into out/docs, offline, any warning an error."""
+
+from importlib.metadata import version as version_of
+
+project = "quaffure"
+author = "the quaffure authors"
+release = version_of("quaffure")
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["Makefile"]
+html_theme = "furo"
+html_title = f"quaffure {release}"
+html_show_sphinx = False
+
+myst_heading_anchors = 4
+myst_enable_extensions = ["colon_fence"]
+
+napoleon_use_ivar = True
+autodoc_typehints = "signature"
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+# Entries of every member in the side bar take minutes.
+toc_object_entries = False

@@ -1,7 +1,7 @@
 """`quaffure drape`: drape a groom on a moving body, and write draped hair, pictures, video or USD."""
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,7 +12,7 @@ from quaffure.apps.cli.console import console, progress_bar
 from quaffure.apps.cli.drape_report import Stopwatch, frames_text, print_drape_json, report_drape
 from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, motion_of
 from quaffure.apps.cli.kernel_cache import is_cached
-from quaffure.apps.cli.outputs import PICTURES, check_outputs, write_output
+from quaffure.apps.cli.outputs import PICTURES, check_outputs, files_of, is_export, write_output
 from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
 from quaffure.benchmark.drape_checks import DrapeChecks
 from quaffure.benchmark.metrics import DrapeMetrics
@@ -27,7 +27,9 @@ from quaffure.energies.loading import Loading
 from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
 from quaffure.geometry.cell_list import sort_into_cells
+from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.groom import Groom
+from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.guide_interpolation import interpolation_of
 from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
@@ -56,7 +58,8 @@ class DrapeCommand:
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")]
     """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
-    """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .png, .mp4."""
+    """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .abc, .png,
+    .mp4. An .abc, for Unreal a groom cache, comes with its groom asset: walk_groom.abc beside walk.abc."""
     motion: str = "neck_turn"
     """A bundled clip, or a .bvh or .npz file."""
     frames: str = ":"
@@ -97,8 +100,9 @@ class DrapeCommand:
     strict: bool = False
     """Exit with 3 where a tip jumps or hair is inside the body; the files are written all the same."""
     strands: int | None = None
-    """Strands to interpolate between the draped ones for .png, .mp4 and .usd*: 10,000 to 100,000 make a full head
+    """Strands to interpolate between the draped ones for .png, .mp4, .usd* and .abc: 10,000 to 100,000 make a full head
     of hair. Without it, the draped strands are shown. An .npz always holds the draped strands."""
+    export: ExportSettings = field(default_factory=ExportSettings)
     json: bool = False
     """Print as JSON, frame by frame."""
 
@@ -141,12 +145,14 @@ class DrapeCommand:
             sequence = drape_motion(draper, groom, body, motion, body_shape, on_frames)
         self._describe(sequence.meta)
         times.lap("draping")
+        binding = groom_binding(groom, body, body_shape) if is_export(self.out) else None
+        clip = ExportClip(sequence, interpolation, binding, self.export)
         for path in self.out:
             console.print(f"writing {path}")
-            write_output(path, sequence, interpolation)
+            write_output(path, clip)
             times.lap("pictures" if path.suffix.lower() in PICTURES else "files")
         (print_drape_json if self.json else report_drape)(sequence, checks, measured, times)
-        console.print(f"written: {', '.join(map(str, self.out))}")
+        console.print(f"written: {', '.join(map(str, files_of(self.out)))}")
         if self.strict and checks.findings():
             sys.exit(FAULTS_FOUND)
 

@@ -44,7 +44,7 @@ def pair(clip: ExportClip, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
 
 
 def curves_of(path: Path, name: str) -> "AbcGeom.ICurvesSchema":
-    return AbcGeom.ICurves(Abc.IArchive(str(path)).getTop().getChild("groom"), name).getSchema()
+    return AbcGeom.ICurves(Abc.IArchive(str(path)).getTop().getChild("groom").getChild(name), "curves").getSchema()
 
 
 def points_of(path: Path, name: str, frame: int) -> np.ndarray:

@@ -24,6 +24,7 @@ from imath import (
 
 FAILED = 3
 """Exit code where the file is not what was written."""
+CURVES = "curves"
 WIDTH = "groom_width"
 """The attribute that is the curves' width, too, for programs that do not know it."""
 
@@ -136,7 +137,9 @@ class _Curves:
     def __init__(
         self, parent: Any, description: CurvesDescription, sampling: int, attributes: Iterator[np.ndarray]
     ) -> None:
-        self._schema = AbcGeom.OCurves(parent, description["name"], sampling).getSchema()
+        # Blender and Maya show the name of the transform above the curves.
+        node = AbcGeom.OXform(parent, description["name"])
+        self._schema = AbcGeom.OCurves(node, CURVES, sampling).getSchema()
         self._counts = np.full(description["count"], description["points"], np.int32)
         self._width = AbcGeom.OFloatGeomParamSample()
         for attribute in description["attributes"]:
@@ -172,7 +175,7 @@ class _Curves:
 def _holds(path: Path, description: Description, last: np.ndarray) -> bool:
     """Whether the last sample of a file is what was written: not every failure ends the process."""
     top = Abc.IArchive(str(path)).getTop().getChild(description["top"])
-    schema = AbcGeom.ICurves(top, description["curves"][-1]["name"]).getSchema()
+    schema = AbcGeom.ICurves(top.getChild(description["curves"][-1]["name"]), CURVES).getSchema()
     # Of an integer the library makes a time.
     time = schema.getTimeSampling().getSampleTime(schema.getNumSamples() - 1)
     sample = schema.getValue(Abc.ISampleSelector(time))

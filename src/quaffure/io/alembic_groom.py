@@ -9,7 +9,7 @@ cache of its animation have the same curves in the same order.
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
@@ -41,15 +41,24 @@ class _Attribute(NamedTuple):
     values: np.ndarray
 
 
-def write_groom_cache(path: Path, clip: ExportClip) -> None:
+def write_groom_cache(path: Path, clip: ExportClip, on_frame: Callable[[], object] = lambda: None) -> None:
     """Write the frames of a drape, for Unreal a groom cache; `write_groom_asset` writes its asset.
 
     Memory does not grow with the number of frames.
 
+    Args:
+        on_frame: called after each frame.
+
     Raises:
         InputError: another suffix than .abc, or not writable.
     """
-    _write(path, clip, ((clip.guides(frame), clip.strands(frame)) for frame in clip.frames), "groom cache")
+
+    def frames() -> Iterator[tuple[np.ndarray, ...]]:
+        for frame in clip.frames:
+            yield clip.guides(frame), clip.strands(frame)
+            on_frame()
+
+    _write(path, clip, frames(), "groom cache")
 
 
 def write_groom_asset(path: Path, clip: ExportClip) -> None:

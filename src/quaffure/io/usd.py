@@ -8,7 +8,7 @@ that viewers hide.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -30,12 +30,15 @@ UNSAVED_BYTES = 64e6
 """Frames in memory until they are written. A text file is kept whole."""
 
 
-def write_usd(path: Path, drape: DrapeSequence | ExportClip) -> None:
+def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[[], object] = lambda: None) -> None:
     """Write the drape as a stage: z up, metres, time codes that count the frames of the drape, at its rate.
 
     `/Drape/Body` is a mesh, `/Drape/Hair/Strands` and `/Drape/Hair/Guides` are curves through the strands' vertices
     (pinned Catmull-Rom, so that no vertex is added). `primvars:rest` holds the strands at rest, or where the clip has
     no binding the posed strands of the first frame. Memory does not grow with the number of frames, but in .usda.
+
+    Args:
+        on_frame: called after each frame.
 
     Raises:
         InputError: another suffix than .usd (binary), .usda or .usdc, or not writable.
@@ -54,7 +57,7 @@ def write_usd(path: Path, drape: DrapeSequence | ExportClip) -> None:
         _Curves(stage, STRANDS, clip, is_guide=False).describe()
         if clip.settings.guides:
             _Curves(stage, GUIDES, clip, is_guide=True).describe()
-        _animate(layer, stage, clip)
+        _animate(layer, stage, clip, on_frame)
 
 
 @contextmanager
@@ -168,8 +171,8 @@ class _Curves:
         self.primvars.CreatePrimvar(name, kind, interpolation).Set(values)
 
 
-def _animate(layer: Sdf.Layer, stage: Usd.Stage, clip: ExportClip) -> None:
-    """Write points and extents, frame by frame; the first of those that are written is time code 0."""
+def _animate(layer: Sdf.Layer, stage: Usd.Stage, clip: ExportClip, on_frame: Callable[[], object]) -> None:
+    """Write points and extents, frame by frame."""
     body, strands = UsdGeom.Mesh.Get(stage, BODY), UsdGeom.BasisCurves.Get(stage, STRANDS)
     width, unsaved = float(clip.strand_width.max()), 0.0
     for frame in clip.frames:
@@ -182,6 +185,7 @@ def _animate(layer: Sdf.Layer, stage: Usd.Stage, clip: ExportClip) -> None:
         if unsaved > UNSAVED_BYTES and layer.GetFileFormat().formatId != "usda":
             _save(layer)
             unsaved = 0.0
+        on_frame()
     _save(layer)
 
 

@@ -1,10 +1,12 @@
 """Output files of a drape; the suffix selects the format."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
 
+from quaffure.apps.cli.console import progress_bar
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.extras import require_extra
@@ -19,6 +21,7 @@ USD = (".usd", ".usda", ".usdc")
 EXPORTS = (*USD, ".abc")
 SUFFIXES = (".npz", *EXPORTS, *PICTURES)
 EXTRA_OF = {**dict.fromkeys(PICTURES, "render"), **dict.fromkeys(USD, "usd"), ".abc": "alembic"}
+SHOWN_BYTES = 2e8
 MOST_BYTES = 4e9
 """Limit of the frames that a format keeps in memory until they are written."""
 
@@ -97,13 +100,23 @@ def write_output(path: Path, clip: ExportClip) -> None:
         from quaffure.io.alembic_groom import write_groom_asset, write_groom_cache
 
         write_groom_asset(asset_path(path), clip)
-        write_groom_cache(path, clip)
+        with _progress(path, clip) as on_frame:
+            write_groom_cache(path, clip, on_frame)
     else:
         from quaffure.io.usd import write_usd
 
         if suffix == ".usda":
             _check_size(path, clip)
-        write_usd(path, clip)
+        with _progress(path, clip) as on_frame:
+            write_usd(path, clip, on_frame)
+
+
+@contextmanager
+def _progress(path: Path, clip: ExportClip) -> Iterator[Callable[[], None]]:
+    """Show the frames that are written, of a file that takes a while; yields what to call after each."""
+    disable = _size(clip) < SHOWN_BYTES
+    with progress_bar(f"writing {path.name}", len(clip.frames), transient=True, disable=disable) as update:
+        yield lambda: update(advance=1)
 
 
 def _is_alembic(path: Path) -> bool:
@@ -114,6 +127,11 @@ def _check_size(path: Path, clip: ExportClip) -> None:
     """Raises:
     InputError: more than a format may keep in memory.
     """
-    needed = 12 * len(clip.frames) * clip.strand_count * clip.point_count
+    needed = _size(clip)
     if needed > MOST_BYTES:
         raise InputError(path, f"at most {MOST_BYTES / 1e9:g} GB of strands in a text file", f"{needed / 1e9:.1f} GB")
+
+
+def _size(clip: ExportClip) -> int:
+    """Bytes of the strands of all frames."""
+    return 12 * len(clip.frames) * clip.strand_count * clip.point_count

@@ -21,7 +21,9 @@ from quaffure.apps.render.video import encode_video
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip
 from quaffure.io import atomic, replacing, write_drape, write_usd
+from quaffure.io.glb import write_glb
 from quaffure.io.output_path import check_output, check_output_folder, made_folder
+from quaffure.io.ply import write_ply
 from quaffure.io.temporary_file import HOST, OLDEST, PREFIX
 from quaffure.model.weights_file import save_weights
 from quaffure.training import RunFolder
@@ -56,6 +58,8 @@ WRITERS: dict[str, Callable[[Path], None]] = {
     "drape.usda": lambda path: write_usd(path, SEQUENCE),
     "drape.usdc": lambda path: write_usd(path, SEQUENCE),
     "drape.abc": write_alembic,
+    "drape.glb": lambda path: write_glb(path, ExportClip(SEQUENCE)),
+    "drape.ply": lambda path: write_ply(path, ExportClip(drape(SEQUENCE.strands[0], frames=1))),
     "drape.png": lambda path: save_png(path, Image.fromarray(NOISE)),
     "drape.mp4": lambda path: encode_video(path, [NOISE] * 9, 30.0),
     "results.json": lambda path: atomic.write_json(path, list(range(20_000))),

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Float32, Int, Int32
@@ -36,6 +36,8 @@ class ExportSettings:
     drape."""
     every: int = 1
     """Write every Nth frame of the drape to exported files; the time between them grows by as much."""
+    mesh: Literal["ribbons", "tubes"] = "ribbons"
+    """Shape of strands in .glb, which has no curves: flat ribbons, or tubes of three sides."""
     guides: bool = False
     """Write the guides to .usd*, too: curves that viewers hide, and that strands are interpolated between."""
 

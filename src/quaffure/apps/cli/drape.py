@@ -15,7 +15,7 @@ from quaffure.apps.cli.drape_report import Stopwatch, frames_text, print_drape_j
 from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, motion_of
 from quaffure.apps.cli.kept_frames import kept_frames
 from quaffure.apps.cli.kernel_cache import is_cached
-from quaffure.apps.cli.outputs import PICTURES, check_outputs, files_of, is_export, write_output
+from quaffure.apps.cli.outputs import PICTURES, check_frames, check_outputs, files_of, is_export, write_output
 from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
 from quaffure.benchmark.drape_checks import DrapeChecks
 from quaffure.benchmark.metrics import DrapeMetrics
@@ -63,8 +63,9 @@ class DrapeCommand:
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")]
     """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
-    """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .abc, .png,
-    .mp4. An .abc, for Unreal a groom cache, comes with its groom asset: walk_groom.abc beside walk.abc."""
+    """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .abc, .glb,
+    .ply (of one frame), .png, .mp4. An .abc, for Unreal a groom cache, comes with its groom asset: walk_groom.abc
+    beside walk.abc."""
     motion: str = "neck_turn"
     """A bundled clip, or a .bvh or .npz file."""
     frames: str = ":"
@@ -105,7 +106,7 @@ class DrapeCommand:
     strict: bool = False
     """Exit with 3 where a tip jumps or hair is inside the body; the files are written all the same."""
     strands: int | None = None
-    """Strands to interpolate between the draped ones for .png, .mp4, .usd* and .abc: 10,000 to 100,000 make a full head
+    """Strands to interpolate between the draped ones for all files but .npz: 10,000 to 100,000 make a full head
     of hair. Without it, the draped strands are shown. An .npz always holds the draped strands."""
     export: ExportSettings = field(default_factory=ExportSettings)
     resume: bool = False
@@ -119,6 +120,7 @@ class DrapeCommand:
         times = Stopwatch()
         body = load_body()
         motion = motion_of(self.motion, body, self.in_place).frames(self.frames)
+        check_frames(self.out, len(range(0, len(motion), self.export.every)))
         body_shape = body_shape_of(self.shape)
         if float(body_shape.abs().max()) > LARGEST_COEFFICIENT:
             console.print(f"shape: beyond the trained and measured +-{LARGEST_COEFFICIENT:g} standard deviations")

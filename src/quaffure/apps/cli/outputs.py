@@ -19,7 +19,8 @@ from quaffure.io.output_path import check_distinct, check_output
 PICTURES = (".png", ".mp4")
 USD = (".usd", ".usda", ".usdc")
 EXPORTS = (*USD, ".abc")
-SUFFIXES = (".npz", *EXPORTS, *PICTURES)
+PLAIN = (".glb", ".ply")
+SUFFIXES = (".npz", *EXPORTS, *PLAIN, *PICTURES)
 EXTRA_OF = {**dict.fromkeys(PICTURES, "render"), **dict.fromkeys(USD, "usd"), ".abc": "alembic"}
 SHOWN_BYTES = 2e8
 MOST_BYTES = 4e9
@@ -43,6 +44,17 @@ def check_outputs(paths: Sequence[Path], inputs: Iterable[str | Path | None]) ->
         check_output(path, *SUFFIXES, inputs=inputs)
         check_packages(path)
     check_distinct(files_of(paths))
+
+
+def check_frames(paths: Iterable[Path], frames: int) -> None:
+    """Refuse more frames than a format takes, before the work for them.
+
+    Raises:
+        InputError: more than one for .ply.
+    """
+    for path in paths:
+        if path.suffix.lower() == ".ply" and frames > 1:
+            raise InputError(path, "a drape of one frame (--frames 30, --every)", f"{frames}")
 
 
 def files_of(paths: Iterable[Path]) -> list[Path]:
@@ -102,6 +114,15 @@ def write_output(path: Path, clip: ExportClip) -> None:
         write_groom_asset(asset_path(path), clip)
         with _progress(path, clip) as on_frame:
             write_groom_cache(path, clip, on_frame)
+    elif suffix == ".glb":
+        from quaffure.io.glb import write_glb
+
+        with _progress(path, clip) as on_frame:
+            write_glb(path, clip, on_frame)
+    elif suffix == ".ply":
+        from quaffure.io.ply import write_ply
+
+        write_ply(path, clip)
     else:
         from quaffure.io.usd import write_usd
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from quaffure.apps.cli.console import console
-from quaffure.apps.cli.outputs import binding_of, check_outputs, is_export, write_output
+from quaffure.apps.cli.outputs import binding_of, check_frames, check_outputs, is_export, write_output
 from quaffure.body.body_model import load_body
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip, ExportSettings
@@ -22,8 +22,8 @@ class RenderCommand:
     drape: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRAPE")]
     """A drape file (.npz)."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
-    """Where to write; may be given several times. The suffix picks the format: .png, .mp4, .usd, .usda, .usdc, .abc
-    (with its groom asset beside it, walk_groom.abc beside walk.abc)."""
+    """Where to write; may be given several times. The suffix picks the format: .png, .mp4, .usd, .usda, .usdc, .glb,
+    .ply (of one frame), .abc (with its groom asset beside it, walk_groom.abc beside walk.abc)."""
     strands: int | None = None
     """Strands to interpolate between the draped ones: 10,000 to 100,000 are a full head of hair. Without it, the draped
     strands are drawn."""
@@ -33,8 +33,9 @@ class RenderCommand:
         check_outputs(self.out, (self.drape,))
         for path in self.out:
             if path.suffix.lower() == ".npz":
-                raise InputError(path, "a picture, a video, USD or Alembic", "a drape file")
+                raise InputError(path, "a picture, a video or a file for another program", "a drape file")
         sequence = read_drape(self.drape)
+        check_frames(self.out, len(range(0, len(sequence), self.export.every)))
         body, interpolation, binding = load_body(), None, None
         if self.strands is not None:
             interpolation = interpolation_of(groom_of_drape(sequence, body), body, self.strands)

@@ -10,6 +10,7 @@ EXTRAS = {
     "render": ("av", "moderngl", "PIL"),
     "usd": ("pxr",),
     "docs": ("matplotlib",),
+    "onnx": ("onnx", "onnxruntime", "onnxscript"),
 }
 """Modules that each extra of the package brings (`pip install 'quaffure[view]'`)."""
 

@@ -14,6 +14,7 @@ from quaffure.apps.cli.benchmark import BenchmarkCommand
 from quaffure.apps.cli.console import console
 from quaffure.apps.cli.drape import DrapeCommand
 from quaffure.apps.cli.evaluate import EvaluateCommand, ScoreCommand
+from quaffure.apps.cli.export_onnx import ExportOnnxCommand
 from quaffure.apps.cli.groom import GroomCommand, GroomsCommand
 from quaffure.apps.cli.groomgen import GroomgenDataCommand, TrainGroomgenCommand
 from quaffure.apps.cli.info import InfoCommand
@@ -30,6 +31,7 @@ Command = (
     | Annotated[GroomgenDataCommand, tyro.conf.subcommand("groomgen-data")]
     | Annotated[TrainGroomgenCommand, tyro.conf.subcommand("train-groomgen")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
+    | Annotated[ExportOnnxCommand, tyro.conf.subcommand("export-onnx")]
     | Annotated[ViewCommand, tyro.conf.subcommand("view")]
     | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
     | Annotated[ScoreCommand, tyro.conf.subcommand("score")]

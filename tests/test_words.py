@@ -24,7 +24,7 @@ GUIDE = [
 ]
 COMMANDS = (
     *("drape", "train", "train-code", "groomgen-data", "train-groomgen", "render", "view", "evaluate", "score"),
-    *("benchmark inference", "benchmark solvers", "grooms", "groom new", "groom import", "info", "export-onnx"),
+    *("benchmark inference", "benchmark solvers", "grooms", "groom new", "groom import", "info", "export-onnx", "rig"),
 )
 
 WORDS = {

@@ -19,6 +19,7 @@ from quaffure.apps.cli.groom import GroomCommand, GroomsCommand
 from quaffure.apps.cli.groomgen import GroomgenDataCommand, TrainGroomgenCommand
 from quaffure.apps.cli.info import InfoCommand
 from quaffure.apps.cli.render import RenderCommand
+from quaffure.apps.cli.rig import RigCommand
 from quaffure.apps.cli.train import TrainCommand
 from quaffure.apps.cli.train_code import TrainCodeCommand
 from quaffure.apps.cli.view import ViewCommand
@@ -32,6 +33,7 @@ Command = (
     | Annotated[TrainGroomgenCommand, tyro.conf.subcommand("train-groomgen")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
     | Annotated[ExportOnnxCommand, tyro.conf.subcommand("export-onnx")]
+    | Annotated[RigCommand, tyro.conf.subcommand("rig")]
     | Annotated[ViewCommand, tyro.conf.subcommand("view")]
     | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
     | Annotated[ScoreCommand, tyro.conf.subcommand("score")]

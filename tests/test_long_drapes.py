@@ -41,10 +41,13 @@ def filled(path: Path, count: int) -> FrameFolder:
 
 def test_frames_are_kept(tmp_path: Path) -> None:
     store = filled(tmp_path / "frames", 3)
+    with pytest.raises(InputError, match="expected an output that no other run is making"):
+        folder(tmp_path / "frames", resume=True)
     assert (len(store), store.milliseconds) == (TOTAL, [0.0, 1.0, 2.0])
     for expected, found in zip(WHOLE, store.frames()):
         assert isinstance(found, np.memmap)
         np.testing.assert_array_equal(expected, found)
+    store.close()
     again = folder(tmp_path / "frames", resume=True)
     assert (len(again), again.milliseconds) == (TOTAL, store.milliseconds)
     assert again.direction is not None
@@ -55,7 +58,7 @@ def test_frames_are_kept(tmp_path: Path) -> None:
 def test_what_a_killed_run_left_of_a_batch_is_cut_off(tmp_path: Path, name: str) -> None:
     """At any byte of any file of the second batch."""
     for lost in (1, 100):
-        filled(tmp_path / "frames", 2)
+        filled(tmp_path / "frames", 2).close()
         file = tmp_path / "frames" / f"{name}.f32"
         file.write_bytes(file.read_bytes()[:-lost])
         np.save(tmp_path / "frames" / "direction-4.npy", DIRECTION)  # removed after a batch is whole
@@ -67,18 +70,19 @@ def test_what_a_killed_run_left_of_a_batch_is_cut_off(tmp_path: Path, name: str)
             again.append(batch, BatchState(float(number)))
         for expected, found in zip(WHOLE, again.frames()):
             np.testing.assert_array_equal(expected, found)
+        again.discard()
 
 
 def test_other_settings_and_damage_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "frames"
-    filled(path, 1)
+    filled(path, 1).close()
     with pytest.raises(InputError, match=r"--resume: expected the settings of .*, found other draper"):
         folder(path, resume=True, draper="posed")
     (path / "settings.json").write_text("{")
     with pytest.raises(InputError, match="frames of an interrupted drape"):
         folder(path, resume=True)
-    assert len(folder(path, resume=False)) == 0
-    assert path.is_dir()  # until the first batch
+    store = folder(path, resume=False)
+    assert (len(store), store.holds_frames, (path / "strands.f32").exists()) == (0, True, True)  # until its first batch
     assert len(folder(tmp_path / "none", resume=True)) == 0
 
 

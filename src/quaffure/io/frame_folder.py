@@ -24,18 +24,39 @@ def frames_path(output: Path) -> Path:
     return output.with_name(f".{output.name}.frames")
 
 
+def _locked(path: Path) -> int | None:
+    """Make a folder and lock it; the descriptor that holds the lock, where the system has such locks.
+
+    Raises:
+        InputError: another process holds it, or it cannot be made.
+    """
+    with refused(path, WRITABLE, OSError):
+        path.mkdir(exist_ok=True)
+        try:
+            import fcntl
+        except ImportError:
+            return None
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            os.close(descriptor)
+            raise InputError(path, "an output that no other run is making", "one that is being made") from error
+        return descriptor
+
+
 class FrameFolder:
     """Keeps frames in files to which batches are appended. Only whole batches count: what a killed run left of one is
     cut off.
 
     Args:
-        path: the folder; made with the first batch.
+        path: the folder; made where there is none, and locked until it is closed or discarded.
         settings: of the run; a folder of other settings is not continued. Anything that JSON holds.
         batch: frames of a batch; only the last one may be shorter.
         resume: continue what is in the folder; otherwise the first batch replaces it.
 
     Raises:
-        InputError: to continue, but the folder holds frames of other settings, or is damaged.
+        InputError: another run uses the folder, or to continue, but it holds frames of other settings, or is damaged.
     """
 
     def __init__(self, path: Path, settings: dict[str, Any], batch: int, resume: bool) -> None:
@@ -43,17 +64,21 @@ class FrameFolder:
         self._shapes: dict[str, list[int]] = {}
         self._count = 0
         self.milliseconds: list[float] = []
-        if resume and path.is_dir():
-            with refused(path, "frames of an interrupted drape (remove the folder to start anew)", OSError, ValueError):
-                self._continue()
+        self._lock = _locked(path)
+        self.holds_frames = (path / SETTINGS).exists()
+        """Whether there are frames, of an earlier run or of this one."""
+        if resume and self.holds_frames:
+            try:
+                with refused(
+                    path, "frames of an interrupted drape (remove the folder to start anew)", OSError, ValueError
+                ):
+                    self._continue()
+            except InputError:
+                self.close()
+                raise
 
     def __len__(self) -> int:
         return self._count
-
-    @property
-    def is_there(self) -> bool:
-        """Whether there is a folder of an earlier run, or of this one."""
-        return self.path.is_dir()
 
     @property
     def direction(self) -> Float32[np.ndarray, "s e 3"] | None:
@@ -91,10 +116,18 @@ class FrameFolder:
     def discard(self) -> None:
         """Remove the folder."""
         shutil.rmtree(self.path, ignore_errors=True)
+        self.close()
+
+    def close(self) -> None:
+        """Leave the folder to other runs."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
 
     def _start(self, frames: Frames) -> None:
-        self.discard()
-        self.path.mkdir()
+        for file in self.path.iterdir():
+            file.unlink()
+        self.holds_frames = True
         self._shapes = {name: list(array.shape[1:]) for name, array in frames._asdict().items()}
         write_json(self.path / SETTINGS, {"settings": self._settings, "shapes": self._shapes})
 
@@ -102,10 +135,7 @@ class FrameFolder:
         """Raises:
         InputError: other settings.
         """
-        settings = self.path / SETTINGS
-        if not settings.exists():  # killed before its first batch
-            return
-        found = json.loads(settings.read_text(encoding="utf-8"))
+        found = json.loads((self.path / SETTINGS).read_text(encoding="utf-8"))
         before, now = found["settings"], json.loads(json.dumps(self._settings))
         if before != now:
             other = ", ".join(sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key)))

@@ -28,15 +28,16 @@ def kept_frames(output: Path, settings: dict[str, Any], resume: bool) -> Iterato
     before, start = len(folder), time.monotonic()
     if before:
         console.print(f"continuing after {before} frames of an interrupted run")
-    elif folder.is_there and not resume:
+    elif folder.holds_frames:
         console.print(f"starting anew: --resume would have continued the frames in {folder.path}")
     try:
         yield folder
     except BaseException:
-        if before or time.monotonic() - start >= KEPT_SECONDS:
-            if len(folder):
-                console.print(f"{len(folder)} frames kept in {folder.path}; the same command with --resume continues")
-        elif len(folder):
+        is_new = len(folder) > before
+        if len(folder) and (before or time.monotonic() - start >= KEPT_SECONDS):
+            console.print(f"{len(folder)} frames kept in {folder.path}; the same command with --resume continues")
+        elif is_new or not folder.holds_frames:
             folder.discard()
+        folder.close()
         raise
     folder.discard()

@@ -2,16 +2,19 @@
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.io.glb import write_glb
+from quaffure.io.glb_asset import in_gltf
 from quaffure.io.ply import write_ply
 from quaffure.io.strand_mesh import strand_mesh_faces, strand_mesh_normals, strand_mesh_positions
 from tests.export_clips import FRAMES, export_clip
@@ -95,6 +98,51 @@ def test_the_ends_of_a_clip_load_in_another_library(tmp_path: Path, body: BodyMo
     }
     document, _ = read_glb(tmp_path / "hair.glb")
     assert len(document["meshes"][1]["weights"]) == len(range(0, FRAMES, 3)) - 1
+
+
+def test_a_skeleton_moves_body_and_hair_to_where_they_are(tmp_path: Path, body: BodyModel) -> None:
+    """The file, posed by hand as glTF says, gives the body and the strands of the last frame."""
+    clip = export_clip(tiny_groom(body), body, settings=ExportSettings(skinned=True))
+    path = np.linspace((0, 0, 0), (0.3, -0.2, 0.1), FRAMES).astype(np.float32)
+    clip = replace(clip, sequence=clip.sequence.moved(path))
+    write_glb(tmp_path / "hair.glb", clip)
+    document, binary = read_glb(tmp_path / "hair.glb")
+    nodes = [{"translation": [0, 0, 0], "rotation": [0, 0, 0, 1], **node} for node in document["nodes"]]
+    (animation,) = document["animations"]
+    for channel in animation["channels"]:
+        sampler, target = animation["samplers"][channel["sampler"]], channel["target"]
+        nodes[target["node"]][target["path"]] = array_of(document, binary, sampler["output"])[-1]
+    world: dict[int, np.ndarray] = {}
+
+    def place(node: int, parent: np.ndarray) -> None:
+        own = np.eye(4)
+        own[:3, :3] = Rotation.from_quat(nodes[node]["rotation"]).as_matrix()
+        own[:3, 3] = nodes[node]["translation"]
+        world[node] = parent @ own
+        for child in nodes[node].get("children", []):
+            place(child, world[node])
+
+    for root in document["scenes"][0]["nodes"]:
+        place(root, np.eye(4))
+    skin, (body_mesh, hair_mesh) = document["skins"][0], (one["primitives"][0] for one in document["meshes"])
+    inverse = array_of(document, binary, skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+    bones = np.stack([world[node] for node in skin["joints"]]) @ inverse
+    about, joints = document["accessors"], body_mesh["attributes"]["JOINTS_0"]
+    view = document["bufferViews"][about[joints]["bufferView"]]
+    index = np.frombuffer(binary, "<u2", 4 * about[joints]["count"], view["byteOffset"]).reshape(-1, 4)
+    weights = array_of(document, binary, body_mesh["attributes"]["WEIGHTS_0"])
+    rest = np.pad(array_of(document, binary, body_mesh["attributes"]["POSITION"]), ((0, 0), (0, 1)), constant_values=1)
+    found = np.einsum("vk,vkij,vj->vi", weights, bones[index], rest)[:, :3]
+    expected = in_gltf(clip.sequence.body_vertices[-1])
+    assert np.linalg.norm(found - expected, axis=1).max() < 5e-3  # four of up to seven joints a vertex
+    hair = array_of(document, binary, hair_mesh["attributes"]["POSITION"])
+    hair = hair + array_of(document, binary, hair_mesh["targets"][-1]["POSITION"])
+    (node,) = (index for index, one in enumerate(nodes) if one["name"] == "Hair")
+    moved = hair @ world[node][:3, :3].T + world[node][:3, 3]
+    middles = moved.reshape(-1, 2, 3).mean(axis=1)
+    np.testing.assert_allclose(middles, in_gltf(clip.strands(FRAMES - 1).reshape(-1, 3)), atol=2e-6)
+    with pytest.raises(InputError, match="--skinned"):
+        write_glb(tmp_path / "none.glb", replace(clip, binding=None))
 
 
 def test_ply_is_vertices_and_edges(tmp_path: Path) -> None:

@@ -38,6 +38,8 @@ class ExportSettings:
     """Write every Nth frame of the drape to exported files; the time between them grows by as much."""
     mesh: Literal["ribbons", "tubes"] = "ribbons"
     """Shape of strands in .glb, which has no curves: flat ribbons, or tubes of three sides."""
+    skinned: bool = False
+    """Write .glb with the body's skeleton: the body is skinned, and hair is attached to the head."""
     guides: bool = False
     """Write the guides to .usd*, too: curves that viewers hide, and that strands are interpolated between."""
 
@@ -78,6 +80,11 @@ class ExportClip:
     def frames(self) -> range:
         """Frames of the drape that are written."""
         return range(0, len(self.sequence), self.settings.every)
+
+    @property
+    def times(self) -> Float32[np.ndarray, " f"]:
+        """Times of these frames [s]."""
+        return (np.array(self.frames) / self.sequence.fps).astype(np.float32)
 
     @property
     def point_count(self) -> int:

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 
 from quaffure.body.body_model import BodyModel
 from quaffure.hair.groom import Groom
@@ -13,6 +14,39 @@ from quaffure.types import Tensor
 
 BODY_TILE = 1.0
 """First u of the tile (UDIM 1002) of the skin off the scalp, whose own chart fills the tile from 0 to 1 (1001)."""
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """Joints of a shaped body in the rest pose, whose frames are the world's, and how they move the skin.
+
+    Attributes:
+        names: parents come first.
+        parents: index of each joint's parent, -1 for the root.
+        rest_joints: positions [m].
+        skin_joints, skin_weights: joints that move each vertex of the body, and their shares, which sum to 1.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    rest_joints: Float[np.ndarray, "j 3"]
+    skin_joints: Int[np.ndarray, "v w"]
+    skin_weights: Float[np.ndarray, "v w"]
+
+    def posed(
+        self, body_pose: Float[np.ndarray, "j 3"], translation: Float[np.ndarray, "3"]
+    ) -> tuple[Float[np.ndarray, "j 3 3"], Float[np.ndarray, "j 3"]]:
+        """`world_from_joint` rotations and positions of the joints in a pose [rad] of a body that has moved [m]."""
+        local = Rotation.from_rotvec(body_pose).as_matrix()
+        rotations, positions = np.empty_like(local), np.empty_like(self.rest_joints)
+        for joint, parent in enumerate(self.parents):
+            if parent < 0:
+                rotations[joint], positions[joint] = local[joint], self.rest_joints[joint] + translation
+                continue
+            bone = self.rest_joints[joint] - self.rest_joints[parent]
+            rotations[joint] = rotations[parent] @ local[joint]
+            positions[joint] = positions[parent] + rotations[parent] @ bone
+        return rotations, positions
 
 
 @dataclass(frozen=True)
@@ -25,12 +59,14 @@ class GroomBinding:
         root_uv: position of every root on the scalp chart.
         body_uv: texture coordinates of every corner of the body's faces: the scalp chart on the scalp, where they agree
             with `root_uv`, and a cylinder around the body in the next tile elsewhere.
+        skeleton: of the body.
     """
 
     strands: Float[np.ndarray, "s n 3"]
     body_vertices: Float[np.ndarray, "v 3"]
     root_uv: Float[np.ndarray, "s 2"]
     body_uv: Float[np.ndarray, "k 3 2"]
+    skeleton: Skeleton
 
 
 def groom_binding(groom: Groom, body: BodyModel, body_shape: Float[Tensor, "10"]) -> GroomBinding:
@@ -45,6 +81,13 @@ def groom_binding(groom: Groom, body: BodyModel, body_shape: Float[Tensor, "10"]
         body_vertices=rest.vertices[0].numpy(),
         root_uv=groom.root_uv.numpy(),
         body_uv=body_uv(body),
+        skeleton=Skeleton(
+            body.joint_names,
+            body.joint_parents,
+            body.shaped_joints(body_shape[None].to(body.rest_joints))[0].double().numpy(),
+            body.skin_joints.numpy(),
+            body.skin_weights.numpy(),
+        ),
     )
 
 

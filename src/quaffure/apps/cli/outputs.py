@@ -78,7 +78,7 @@ def check_packages(path: Path) -> None:
 
 def is_export(paths: Iterable[Path]) -> bool:
     """Whether one of them is written for other programs, which take groom and body at rest, too."""
-    return any(path.suffix.lower() in EXPORTS for path in paths)
+    return any(path.suffix.lower() in (*EXPORTS, ".glb") for path in paths)
 
 
 def binding_of(sequence: DrapeSequence, body: BodyModel) -> GroomBinding | None:

@@ -141,6 +141,34 @@ def test_the_checker_finds_faults(tmp_path: Path, clip: ExportClip, factor: floa
     assert fault in " ".join(faults)
 
 
+def test_the_checker_finds_what_another_exporter_gets_wrong(tmp_path: Path) -> None:
+    """Another version, texture coordinates of each vertex instead of each curve, three numbers for one, no width."""
+    import imath
+
+    archive = Abc.OArchive(str(tmp_path / "other.abc"))
+    schema = AbcGeom.OCurves(archive.getTop(), "hair").getSchema()
+    Abc.OInt16Property(schema.getUserProperties(), "groom_version_major").setValue(2)
+    points = imath.V3fArrayFromBuffer(np.linspace(0, 50, 12).reshape(4, 3).astype(np.float32))
+    counts = imath.IntArrayFromBuffer(np.array([2, 2], np.int32))
+    schema.set(AbcGeom.OCurvesSchemaSample(points, counts))
+    vertex = AbcGeom.GeometryScope.kVertexScope
+    uv = AbcGeom.OV2fGeomParam(schema.getArbGeomParams(), "groom_root_uv", False, vertex, 1)
+    uv.set(AbcGeom.OV2fGeomParamSample(imath.V2fArrayFromBuffer(np.zeros((4, 2), np.float32)), vertex))
+    uniform = AbcGeom.GeometryScope.kUniformScope
+    identifier = AbcGeom.OV3iGeomParam(schema.getArbGeomParams(), "groom_id", False, uniform, 1)
+    identifier.set(AbcGeom.OV3iGeomParamSample(imath.V3iArrayFromBuffer(np.zeros((2, 3), np.int32)), uniform))
+    del uv, identifier, schema, archive  # the file is written as they go
+    faults = "\n".join(check_unreal_groom.check(str(tmp_path / "other.abc"))[0])
+    for fault in (
+        "groom_version_major: expected the scalar int16 1, found kInt16POD 2",
+        "no property groom_version_minor",
+        "groom_root_uv: expected scope ('uni',), found 'vtx'",
+        "groom_id: expected an array of ('kInt32POD',)[1], found kInt32POD[3]",
+        "without groom_width its hair is 1 cm wide",
+    ):
+        assert fault in faults
+
+
 def test_the_checker_finds_a_pair_that_does_not_fit(
     pair: tuple[Path, Path], tmp_path: Path, groom: Groom, body: BodyModel
 ) -> None:

@@ -1,4 +1,4 @@
-"""Strands as meshes (.glb) and as vertices with edges (.ply)."""
+"""Strands as meshes (.glb), as vertices with edges (.ply) and as polylines (.hair)."""
 
 import json
 import struct
@@ -15,7 +15,9 @@ from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.io.glb import write_glb
 from quaffure.io.glb_asset import in_gltf
+from quaffure.io.hair_writer import write_hair
 from quaffure.io.ply import write_ply
+from quaffure.io.read_strands import read_strands
 from quaffure.io.strand_mesh import strand_mesh_faces, strand_mesh_normals, strand_mesh_positions
 from tests.export_clips import FRAMES, export_clip
 from tests.synthetic_drape import drape, patch_of_strands
@@ -156,6 +158,17 @@ def test_ply_is_vertices_and_edges(tmp_path: Path) -> None:
     np.testing.assert_array_equal(vertices["position"].reshape(150, 8, 3), sequence.strands[0])
     np.testing.assert_array_equal(vertices["strand"], np.repeat(np.arange(150), 8))
     np.testing.assert_array_equal(edges.reshape(150, 7, 2)[1], np.stack([np.arange(8, 15), np.arange(9, 16)], 1))
+
+
+def test_a_written_hair_file_is_read(tmp_path: Path) -> None:
+    sequence = drape(patch_of_strands((0.0, 1.0, 0.0)), frames=1)
+    clip = ExportClip(sequence)
+    write_hair(tmp_path / "drape.hair", clip)
+    strands = read_strands(tmp_path / "drape.hair")
+    assert strands.counts.tolist() == [8] * 150
+    np.testing.assert_array_equal(strands.points.reshape(150, 8, 3), sequence.strands[0])
+    thickness = np.frombuffer((tmp_path / "drape.hair").read_bytes(), "<f4", 1200, 128 + 12 * 1200)
+    np.testing.assert_array_equal(thickness.reshape(150, 8)[3], clip.strand_width)
 
 
 def test_the_command_refuses_many_frames_before_the_work(

@@ -64,8 +64,8 @@ class DrapeCommand:
     """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
     """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .abc, .glb,
-    .ply (of one frame), .png, .mp4. An .abc, for Unreal a groom cache, comes with its groom asset: walk_groom.abc
-    beside walk.abc."""
+    .hair and .ply (of one frame), .png, .mp4. An .abc, for Unreal a groom cache, comes with its groom asset:
+    walk_groom.abc beside walk.abc."""
     motion: str = "neck_turn"
     """A bundled clip, or a .bvh or .npz file."""
     frames: str = ":"

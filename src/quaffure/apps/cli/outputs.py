@@ -19,8 +19,8 @@ from quaffure.io.output_path import check_distinct, check_output
 PICTURES = (".png", ".mp4")
 USD = (".usd", ".usda", ".usdc")
 EXPORTS = (*USD, ".abc")
-PLAIN = (".glb", ".ply")
-SUFFIXES = (".npz", *EXPORTS, *PLAIN, *PICTURES)
+ONE_FRAME = (".hair", ".ply")
+SUFFIXES = (".npz", *EXPORTS, ".glb", *ONE_FRAME, *PICTURES)
 EXTRA_OF = {**dict.fromkeys(PICTURES, "render"), **dict.fromkeys(USD, "usd"), ".abc": "alembic"}
 SHOWN_BYTES = 2e8
 MOST_BYTES = 4e9
@@ -50,10 +50,10 @@ def check_frames(paths: Iterable[Path], frames: int) -> None:
     """Refuse more frames than a format takes, before the work for them.
 
     Raises:
-        InputError: more than one for .ply.
+        InputError: more than one for .hair or .ply.
     """
     for path in paths:
-        if path.suffix.lower() == ".ply" and frames > 1:
+        if path.suffix.lower() in ONE_FRAME and frames > 1:
             raise InputError(path, "a drape of one frame (--frames 30, --every)", f"{frames}")
 
 
@@ -123,6 +123,10 @@ def write_output(path: Path, clip: ExportClip) -> None:
         from quaffure.io.ply import write_ply
 
         write_ply(path, clip)
+    elif suffix == ".hair":
+        from quaffure.io.hair_writer import write_hair
+
+        write_hair(path, clip)
     else:
         from quaffure.io.usd import write_usd
 

@@ -178,13 +178,15 @@ def test_the_checker_finds_a_pair_that_does_not_fit(
     assert "other numbers of points" in " ".join(check_unreal_groom.check_pair(first, second))
 
 
-def test_points_and_frames_out_of_range_are_refused() -> None:
+def test_points_and_frames_out_of_range_are_refused(tmp_path: Path) -> None:
     for settings, expected in (({"points": 256}, "2 to 255 vertices"), ({"points": 1}, "2 to"), ({"every": 0}, "1 or")):
         with pytest.raises(InputError, match=expected):
             ExportSettings(**settings)
     strands = patch_of_strands((0.0, 1.0, 0.0), vertices=300)
-    with pytest.raises(InputError, match=r"at most 255 vertices \(--points\), found 300"):
-        ExportClip(drape(strands))
+    with pytest.raises(InputError, match=r"at most 255 vertices a strand \(--points\), found 300"):
+        write_groom_asset(tmp_path / "hair.abc", ExportClip(drape(strands)))
+    write_groom_asset(tmp_path / "hair.abc", ExportClip(drape(strands), settings=ExportSettings(points=255)))
+    assert check_unreal_groom.check(str(tmp_path / "hair.abc"))[0] == []
 
 
 def test_the_command_writes_a_pair(tmp_path: Path, tiny_groom_file: Path) -> None:

@@ -62,19 +62,12 @@ class ExportClip:
         interpolation: of strands between the draped ones.
         binding: groom and body at rest; without it, rest is the first frame's posed groom.
         settings: how to write it.
-
-    Raises:
-        InputError: strands of more than 255 vertices.
     """
 
     sequence: DrapeSequence
     interpolation: GuideInterpolation | None = None
     binding: GroomBinding | None = None
     settings: ExportSettings = ExportSettings()
-
-    def __post_init__(self) -> None:
-        if self.point_count > MOST_POINTS:
-            raise InputError("strands", f"at most {MOST_POINTS} vertices (--points)", f"{self.point_count}")
 
     @property
     def frames(self) -> range:

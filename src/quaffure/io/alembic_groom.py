@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from quaffure.errors import InputError
-from quaffure.hair.export_clip import HAIR_COLOUR, ExportClip
+from quaffure.hair.export_clip import HAIR_COLOUR, MOST_POINTS, ExportClip
 from quaffure.io.atomic import replacing
 from quaffure.io.library_process import library_environment
 
@@ -50,7 +50,7 @@ def write_groom_cache(path: Path, clip: ExportClip, on_frame: Callable[[], objec
         on_frame: called after each frame.
 
     Raises:
-        InputError: another suffix than .abc, or not writable.
+        InputError: another suffix than .abc, strands of more than 255 vertices, or not writable.
     """
 
     def frames() -> Iterator[tuple[np.ndarray, ...]]:
@@ -73,6 +73,8 @@ def write_groom_asset(path: Path, clip: ExportClip) -> None:
 def _write(path: Path, clip: ExportClip, frames: Iterable[tuple[np.ndarray, ...]], what: str) -> None:
     if path.suffix.lower() != ALEMBIC_SUFFIX:
         raise InputError(path, f"a name ending in {ALEMBIC_SUFFIX}", f"{path.suffix or 'no suffix'}")
+    if clip.point_count > MOST_POINTS:
+        raise InputError(path, f"at most {MOST_POINTS} vertices a strand (--points)", f"{clip.point_count}")
     attributes = {GUIDES: _guide_attributes(clip), STRANDS: _strand_attributes(clip)}
     with replacing(path) as temporary:
         command = [sys.executable, "-P", "-m", "quaffure.io.alembic_archive", str(temporary.absolute())]

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from pxr import Sdf
 
 from quaffure.apps.cli.drape_report import Stopwatch, duration, with_preparation
 from quaffure.apps.cli.kernel_cache import is_cached
@@ -518,11 +519,11 @@ def test_bad_outputs(refusal: Refusal, inputs: Path) -> None:
 
 
 def test_a_writer_that_fails_leaves_nothing(refusal: Refusal, inputs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def half_written(self: object, path: str) -> bool:
-        Path(path).write_bytes(b"PXR-USDC")
+    def half_written(self: Sdf.Layer) -> bool:
+        Path(self.realPath).write_bytes(b"PXR-USDC")
         return False
 
-    monkeypatch.setattr("pxr.Sdf.Layer.Export", half_written)
+    monkeypatch.setattr("pxr.Sdf.Layer.Save", half_written)
     out = ["--out", refusal.out / "hair.usd"]
     line = refusal(*posed(inputs / "tiny.npz", "--frames", "0:1"), *out, without_out=True)
     assert "hair.usd: expected a file that can be written" in line

@@ -19,8 +19,12 @@ from quaffure.apps.cli.main import main
 from quaffure.apps.render.pictures import save_png
 from quaffure.apps.render.video import encode_video
 from quaffure.errors import InputError
+from quaffure.hair.export_clip import ExportClip
 from quaffure.io import atomic, replacing, write_drape, write_usd
+from quaffure.io.glb import write_glb
+from quaffure.io.hair_writer import write_hair
 from quaffure.io.output_path import check_output, check_output_folder, made_folder
+from quaffure.io.ply import write_ply
 from quaffure.io.temporary_file import HOST, OLDEST, PREFIX
 from quaffure.model.weights_file import save_weights
 from quaffure.training import RunFolder
@@ -42,11 +46,22 @@ def save_half(path: Path) -> None:
         save_weights(temporary, torch.nn.Linear(200, 200), {})
 
 
+def write_alembic(path: Path) -> None:
+    pytest.importorskip("alembic3d")
+    from quaffure.io.alembic_groom import write_groom_cache
+
+    write_groom_cache(path, ExportClip(SEQUENCE))
+
+
 WRITERS: dict[str, Callable[[Path], None]] = {
     "drape.npz": lambda path: write_drape(path, SEQUENCE),
     "drape.usd": lambda path: write_usd(path, SEQUENCE),
     "drape.usda": lambda path: write_usd(path, SEQUENCE),
     "drape.usdc": lambda path: write_usd(path, SEQUENCE),
+    "drape.abc": write_alembic,
+    "drape.glb": lambda path: write_glb(path, ExportClip(SEQUENCE)),
+    "drape.ply": lambda path: write_ply(path, ExportClip(drape(SEQUENCE.strands[0], frames=1))),
+    "drape.hair": lambda path: write_hair(path, ExportClip(drape(np.repeat(SEQUENCE.strands[0], 2, axis=0), 1))),
     "drape.png": lambda path: save_png(path, Image.fromarray(NOISE)),
     "drape.mp4": lambda path: encode_video(path, [NOISE] * 9, 30.0),
     "results.json": lambda path: atomic.write_json(path, list(range(20_000))),

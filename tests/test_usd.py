@@ -6,6 +6,7 @@ from pxr import Usd, UsdGeom, UsdValidation
 
 from quaffure.errors import InputError
 from quaffure.geometry import spread_subset
+from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.io import read_usd_strands, write_usd
 from tests.synthetic_drape import drape, patch_of_strands
 
@@ -15,7 +16,7 @@ STRANDS = patch_of_strands((0.0, 1.0, 0.0))
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Usd.Stage:
     path = tmp_path_factory.mktemp("usd") / "drape.usd"
-    write_usd(path, drape(STRANDS))
+    write_usd(path, ExportClip(drape(STRANDS), settings=ExportSettings(guides=True)))
     return Usd.Stage.Open(str(path))
 
 
@@ -53,7 +54,9 @@ def test_groom_attributes(stage: Usd.Stage) -> None:
         curves = UsdGeom.BasisCurves.Get(stage, f"/Drape/Hair/{name}")
         primvars = UsdGeom.PrimvarsAPI(curves)
         assert set(primvars.GetPrimvar("groom_guide").Get()) == {guide}
-        np.testing.assert_array_equal(primvars.GetPrimvar("groom_id").Get(), chosen)
+        np.testing.assert_array_equal(
+            primvars.GetPrimvar("groom_id").Get(), np.arange(len(chosen)) + (0 if guide else 128)
+        )
         np.testing.assert_array_equal(primvars.GetPrimvar("rest").Get(), expected.posed[0, chosen].reshape(-1, 3))
         assert len(curves.GetWidthsAttr().Get()) == 8 * len(chosen)
         assert curves.GetPurposeAttr().Get() == ("guide" if guide else "default")

@@ -18,13 +18,16 @@ SOURCE = ROOT / "src" / "quaffure"
 MODULES = sorted(SOURCE.rglob("*.py"))
 GUIDE = [
     ROOT / "README.md",
-    *(ROOT / "docs" / f"{page}.md" for page in ("guides", "grooms", "view", "evaluation", "metrics", "inference")),
+    *(
+        ROOT / "docs" / f"{page}.md"
+        for page in ("guides", "grooms", "export", "view", "evaluation", "metrics", "inference")
+    ),
     *(ROOT / "docs" / f"{page}.md" for page in ("groom_code", "groomgen")),
     *(ROOT / "docs").glob("extend.md"),
 ]
 COMMANDS = (
     *("drape", "train", "train-code", "groomgen-data", "train-groomgen", "render", "view", "evaluate", "score"),
-    *("benchmark inference", "benchmark solvers", "grooms", "groom new", "groom import", "info"),
+    *("benchmark inference", "benchmark solvers", "grooms", "groom new", "groom import", "info", "export-onnx", "rig"),
 )
 
 WORDS = {

@@ -1,19 +1,22 @@
-"""A motion draped a few frames at a time; the drapes of all frames are kept."""
+"""A motion draped a few frames at a time."""
 
 import time
 from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
+from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float32, Int32
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.motion import Motion
 from quaffure.config import HairMaterial
-from quaffure.draper import ClipDraper, Draper
+from quaffure.draper import ClipDraper, Draper, ResumableDraper
 from quaffure.errors import refused
 from quaffure.file_values import material_from
+from quaffure.frame_store import BatchState, Frames, FramesInMemory, FrameStore
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.hair.strands import held_parts_of
@@ -31,6 +34,7 @@ def drape_motion(
     body_shape: Float[Tensor, "10"],
     on_frames: Callable[[Positions, Scene], None] = lambda draped, scene: None,
     follows: bool = False,
+    store: FrameStore | None = None,
 ) -> DrapeSequence:
     """Drape the frames in their order, each by itself unless the draper follows from frame to frame.
 
@@ -39,44 +43,79 @@ def drape_motion(
     Args:
         on_frames: called with each batch of frames' drapes and scene, in place.
         follows: the frames follow those that the draper draped last, at its rate; otherwise the first is settled anew.
+        store: keeps the frames, along the path of the motion; those that it holds already are not draped again, but
+            passed to `on_frames`. In memory, where none is given.
 
     Returns:
         The drapes. `meta` says what made them, and `milliseconds`, the median wall time of one drape, from pose in to
         strands out, in batches of `FRAMES_AT_ONCE`, the first batch left out where there are others.
     """
+    store = FramesInMemory() if store is None else store
     if isinstance(draper, ClipDraper) and not follows:
         draper.restart()
         draper.frame_seconds = 1 / motion.fps
-    strands, posed, vertices, times = [], [], [], []
-    for body_pose in motion.body_pose.split(FRAMES_AT_ONCE):
+    stored = len(store)
+    for first in range(0, len(motion), FRAMES_AT_ONCE):
+        rows = slice(first, min(first + FRAMES_AT_ONCE, len(motion)))
         start = time.perf_counter()
+        body_pose = motion.body_pose[rows]
         scene = Scene(groom, BodyBatch(body, body_pose, body_shape.expand(len(body_pose), -1)))
-        strands.append(draper.drape(scene).detach())
-        times.append(1000 * (time.perf_counter() - start) / len(body_pose))
-        posed.append(scene.posed)
-        vertices.append(scene.bodies.posed.vertices)
-        on_frames(strands[-1], scene)
-    sequence = DrapeSequence(
-        strands=_frames(strands),
-        posed=_frames(posed),
+        path = _path(motion, rows)
+        if rows.stop <= stored:
+            draped = torch.from_numpy(store.frames().strands[rows] - path[:, None, None])
+            if rows.stop == stored and isinstance(draper, ResumableDraper) and store.direction is not None:
+                draper.follow(scene, torch.from_numpy(store.direction))
+        else:
+            draped = draper.drape(scene).detach()
+            milliseconds = 1000 * (time.perf_counter() - start) / len(body_pose)
+            direction = draper.direction if isinstance(draper, ResumableDraper) else None
+            store.append(
+                _along_path(draped, scene, path),
+                BatchState(milliseconds, None if direction is None else direction.numpy().astype(np.float32)),
+            )
+        on_frames(draped, scene)
+    times = store.milliseconds[1:] or store.milliseconds
+    made_by = {"draper": draper.name, "material": asdict(draper.material), "milliseconds": float(np.median(times))}
+    return _sequence(store.frames(), groom, motion, body_shape, body.faces.numpy().astype(np.int32), made_by)
+
+
+def _along_path(draped: Positions, scene: Scene, path: Float32[np.ndarray, "f 3"]) -> Frames:
+    """Frames of a batch, moved from their place along the path of the motion."""
+    strands, posed, vertices = (
+        positions.detach().cpu().numpy() for positions in (draped, scene.posed, scene.bodies.posed.vertices)
+    )
+    return Frames(strands + path[:, None, None], posed + path[:, None, None], vertices + path[:, None])
+
+
+def _sequence(
+    frames: Frames,
+    groom: Groom,
+    motion: Motion,
+    body_shape: Float[Tensor, "10"],
+    body_faces: Int32[np.ndarray, "k 3"],
+    made_by: dict[str, Any],
+) -> DrapeSequence:
+    meta = {"groom": groom.name, "licence": groom.licence, "motion": motion.name, "version": version("quaffure")}
+    return DrapeSequence(
+        strands=frames.strands,
+        posed=frames.posed,
         rest_lengths=groom.rest_lengths.numpy(),
-        body_vertices=_frames(vertices),
-        body_faces=body.faces.numpy().astype(np.int32),
+        body_vertices=frames.body_vertices,
+        body_faces=body_faces,
         body_pose=motion.body_pose.numpy(),
         body_shape=body_shape.numpy(),
         fps=motion.fps,
-        meta={
-            "groom": groom.name,
-            "licence": groom.licence,
-            "motion": motion.name,
-            "draper": draper.name,
-            "version": version("quaffure"),
-            "material": asdict(draper.material),
-            "milliseconds": float(np.median(times[1:] or times)),
-        },
+        meta=meta | made_by,
+        body_translation=None if motion.translation is None else motion.translation.numpy().astype(np.float32),
         **{name: values.cpu().numpy() for name, values in held_parts_of(groom).items()},
     )
-    return sequence if motion.translation is None else sequence.moved(motion.translation.numpy())
+
+
+def _path(motion: Motion, rows: slice) -> Float32[np.ndarray, "f 3"]:
+    """Translation of the body in some frames [m]."""
+    if motion.translation is None:
+        return np.zeros((rows.stop - rows.start, 3), np.float32)
+    return motion.translation[rows].numpy().astype(np.float32)
 
 
 def bodies_of(sequence: DrapeSequence, body: BodyModel, frames: slice = slice(None)) -> BodyBatch:
@@ -93,7 +132,3 @@ def material_of(sequence: DrapeSequence) -> HairMaterial:
     """
     with refused("meta of the drape", "the material of its hair", ValueError):
         return material_from(sequence.meta.get("material", {}))
-
-
-def _frames(parts: list[torch.Tensor]) -> np.ndarray:
-    return np.concatenate([part.detach().cpu().numpy() for part in parts])

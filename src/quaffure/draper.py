@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 from quaffure.config import HairMaterial
 from quaffure.energies.loading import Loading
 from quaffure.scene import Scene
-from quaffure.types import Positions
+from quaffure.types import Float, Positions, Tensor
 
 
 @runtime_checkable
@@ -54,6 +54,22 @@ class ClipDraper(Draper, Protocol):
 
     def restart(self) -> None:
         """Settle the next frame anew."""
+        ...
+
+
+@runtime_checkable
+class ResumableDraper(ClipDraper, Protocol):
+    """One that can go on after frames that another process draped.
+
+    Attributes:
+        direction: unit direction of every edge in the last frame, from which the next one follows.
+    """
+
+    @property
+    def direction(self) -> Float[Tensor, "s e 3"] | None: ...
+
+    def follow(self, scene: Scene, direction: Float[Tensor, "s e 3"]) -> None:
+        """Continue from the last of these frames, whose edges have these directions, as if it had been draped here."""
         ...
 
 

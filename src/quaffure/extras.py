@@ -5,10 +5,12 @@ import importlib.util
 from quaffure.errors import InputError
 
 EXTRAS = {
+    "alembic": ("alembic3d", "imath"),
     "view": ("viser", "msgspec", "websockets"),
     "render": ("av", "moderngl", "PIL"),
     "usd": ("pxr",),
     "docs": ("matplotlib",),
+    "onnx": ("onnx", "onnxruntime", "onnxscript"),
 }
 """Modules that each extra of the package brings (`pip install 'quaffure[view]'`)."""
 

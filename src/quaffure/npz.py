@@ -24,6 +24,8 @@ FREE_BYTES = 2**24
 """What the arrays of any file may take [bytes]; beyond it at most `MOST_COMPRESSION` times the size of the file."""
 MOST_COMPRESSION = 32
 """Arrays of hair and motion shrink by less than 4, but zeros by 1000: a small file must not fill the memory."""
+PART_SIZE = 2**20
+"""Numbers that are checked at once."""
 IS_ENCRYPTED = 0x1
 """Bit of a member's flags."""
 
@@ -162,9 +164,20 @@ def _check_finite(arrays: Mapping[str, np.ndarray], source: Path, what: str) -> 
     for name, array in arrays.items():
         # As float32, in which arrays are used: 1e300 is infinite there.
         with np.errstate(over="ignore"):
-            is_finite = array.dtype.kind != "f" or np.isfinite(array.astype(np.float32, copy=False)).all()
+            is_finite = array.dtype.kind != "f" or all(
+                np.isfinite(part.astype(np.float32, copy=False)).all() for part in parts_of(array)
+            )
         if not is_finite:
             raise InputError(source, f"{what} with finite {name}", "NaN or infinity")
+
+
+def parts_of(array: np.ndarray) -> Iterator[np.ndarray]:
+    """Consecutive rows of an array in parts of a few megabytes: it may be a file larger than the memory."""
+    if not array.ndim:
+        yield array
+        return
+    rows = max(1, PART_SIZE // max(1, math.prod(array.shape[1:])))
+    yield from (array[first : first + rows] for first in range(0, len(array), rows))
 
 
 def _is_any(dtype: np.dtype[Any], types: tuple[NumberType, ...]) -> bool:

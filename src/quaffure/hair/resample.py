@@ -51,6 +51,18 @@ def resample_by_arc_length(strands: Strands, vertices: int = VERTICES_PER_STRAND
     Raises:
         InputError: a strand has no length.
     """
+    right, weight = arc_length_places(strands, vertices)
+    points, weight = strands.points.astype(np.float64), weight[..., None]
+    return ((1 - weight) * points[right - 1] + weight * points[right]).astype(np.float32)
+
+
+def arc_length_places(strands: Strands, vertices: int) -> tuple[Int[np.ndarray, "s n"], Float[np.ndarray, "s n"]]:
+    """Evenly spaced places along each polyline: the point that follows each place, and its share of the mean with the
+    point before it. The first and the last place are the ends of the polyline.
+
+    Raises:
+        InputError: a strand has no length.
+    """
     local, strand = _positions(strands)
     wanted = np.linspace(0.0, 1.0, vertices)
     ends = strands.starts + strands.counts - 1
@@ -58,11 +70,10 @@ def resample_by_arc_length(strands: Strands, vertices: int = VERTICES_PER_STRAND
     right = np.searchsorted(strand * 2.0 + local, targets.ravel(), side="left").reshape(targets.shape)
     right = np.clip(right, strands.starts[:, None] + 1, ends[:, None])
     span = local[right] - local[right - 1]
-    weight = np.where(span > 0, (wanted - local[right - 1]) / np.where(span > 0, span, 1.0), 1.0)[..., None]
-    points = strands.points.astype(np.float64)
-    result = (1 - weight) * points[right - 1] + weight * points[right]
-    result[:, 0], result[:, -1] = points[strands.starts], points[ends]
-    return result.astype(np.float32)
+    weight = np.where(span > 0, (wanted - local[right - 1]) / np.where(span > 0, span, 1.0), 1.0)
+    right[:, 0], weight[:, 0] = strands.starts + 1, 0.0
+    right[:, -1], weight[:, -1] = ends, 1.0
+    return right, weight
 
 
 def resample_held_parts(strands: Strands, vertices: int = VERTICES_PER_STRAND) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.strands import held_parts_of
 from quaffure.io.atomic import replacing
 from quaffure.io.held_parts import HELD_PARTS_SPEC, checked_held_parts
-from quaffure.npz import INTEGER, NUMBER, TEXT, Spec, check_arrays, read_arrays
+from quaffure.npz import INTEGER, NUMBER, TEXT, Spec, check_arrays, parts_of, read_arrays
 
 # F frames, S strands, N vertices of a strand, E = N - 1, V body vertices, K body faces.
 SPEC: Spec = {
@@ -97,7 +97,7 @@ def _check_meaning(arrays: dict[str, np.ndarray], sizes: dict[str, int], path: P
     check_body_pose(torch.from_numpy(arrays["body_pose"]), str(path))
     check_body_shape(torch.from_numpy(arrays["body_shape"]), str(path))
     for name in ("strands", "posed", "body_vertices"):
-        farthest = float(np.abs(arrays[name]).max())
+        farthest = max((float(np.abs(part).max()) for part in parts_of(arrays[name])), default=0.0)
         if farthest > LARGEST_POSITION:
             raise InputError(path, f"positions within {LARGEST_POSITION:g} m in {name}", f"{farthest:.3g} m")
     if arrays["fps"] <= 0:

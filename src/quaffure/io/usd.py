@@ -1,136 +1,206 @@
 """OpenUSD: a drape, as animated curves on an animated body.
 
 The layout follows what hair tools expect. Blender makes hair curves of every `BasisCurves`; Unreal makes a groom of
-all curves below a prim with `GroomAPI` and reads the `groom_*` primvars of its Alembic convention, where `groom_guide`
-is 1 for simulation guides and 0 for rendered strands; guides alone would show no hair. So the strands are written
-once as strands, and a few of them once more as guides, with the purpose `guide` that viewers hide.
+all curves below a prim with `GroomAPI`, reads the `groom_*` primvars of its Alembic convention, where `groom_guide`
+is 1 for simulation guides and 0 for rendered strands, and binds it to the mesh with `GroomBindingAPI`. Guides alone
+would show no hair. So the strands are written as strands, and on request guides once more, with the purpose `guide`
+that viewers hide.
 """
 
 import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
+from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 
 from quaffure.errors import InputError
-from quaffure.geometry.sampling import spread_subset
 from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.hair.strands import TIE_VERTEX, held_parts_of
+from quaffure.hair.export_clip import HAIR_COLOUR, ExportClip
+from quaffure.hair.strands import TIE_VERTEX
 from quaffure.io.atomic import replacing
+from quaffure.io.usd_materials import BODY_COLOUR, add_materials, bind_material
 from quaffure.io.usd_process import PREFIX
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc")
-STRAND_WIDTH = 1.0e-4  # m: a real hair, a little thickened; tapers to its tip
-# Hsu et al. 2024 interpolate a full head from 128 guides.
-MOST_GUIDES = 128
-HAIR_COLOUR, BODY_COLOUR = (0.15, 0.062, 0.025), (0.62, 0.50, 0.435)
+ROOT, BODY, HAIR, STRANDS, GUIDES = "/Drape", "/Drape/Body", "/Drape/Hair", "/Drape/Hair/Strands", "/Drape/Hair/Guides"
+BINDING = "unreal:groomBinding:groom"
+UNSAVED_BYTES = 64e6
+"""Frames in memory until they are written. A text file is kept whole."""
 
 
-def write_usd(path: Path, seq: DrapeSequence) -> None:
-    """Write the drape as a stage: z up, metres, one time code a frame from 0 on.
+def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[[], object] = lambda: None) -> None:
+    """Write the drape as a stage: z up, metres, time codes that count the frames of the drape, at its rate.
 
     `/Drape/Body` is a mesh, `/Drape/Hair/Strands` and `/Drape/Hair/Guides` are curves through the strands' vertices
-    (pinned Catmull-Rom, so that no vertex is added). `primvars:rest` holds the posed strands of the first frame.
+    (pinned Catmull-Rom, so that no vertex is added). `primvars:rest` holds the strands at rest, or where the clip has
+    no binding the posed strands of the first frame. Memory does not grow with the number of frames, but in .usda.
+
+    Args:
+        on_frame: called after each frame.
 
     Raises:
         InputError: another suffix than .usd (binary), .usda or .usdc, or not writable.
     """
     if path.suffix.lower() not in USD_SUFFIXES:
         raise InputError(path, f"a name ending in {', '.join(USD_SUFFIXES)}", f"{path.suffix or 'no suffix'}")
-    with replacing(path) as temporary:
-        stage = Usd.Stage.CreateInMemory()
-        _set_stage(stage, seq)
-        _add_body(stage, seq)
-        hair = UsdGeom.Xform.Define(stage, "/Drape/Hair").GetPrim()
+    clip = drape if isinstance(drape, ExportClip) else ExportClip(drape)
+    with replacing(path) as temporary, _system_errors():
+        layer = Sdf.Layer.CreateNew(str(temporary.absolute()))
+        stage = Usd.Stage.Open(layer)
+        _set_stage(stage, clip)
+        add_materials(stage, f"{ROOT}/Materials")
+        _add_body(stage, clip)
+        hair = UsdGeom.Xform.Define(stage, HAIR).GetPrim()
         hair.AddAppliedSchema("GroomAPI")
-        every = np.arange(seq.strands.shape[1])
-        _add_curves(stage, "/Drape/Hair/Strands", seq, every, guide=False)
-        _add_curves(stage, "/Drape/Hair/Guides", seq, spread_subset(seq.posed[0, :, 0], MOST_GUIDES), guide=True)
-        _export(stage, temporary)
+        _Curves(stage, STRANDS, clip, is_guide=False).describe()
+        if clip.settings.guides:
+            _Curves(stage, GUIDES, clip, is_guide=True).describe()
+        _animate(layer, stage, clip, on_frame)
 
 
-def _export(stage: Usd.Stage, path: Path) -> None:
-    """Write a stage.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+@contextmanager
+def _system_errors() -> Iterator[None]:
+    """Raise errors of the library as an `OSError` that holds what the system said."""
     try:
-        written = stage.GetRootLayer().Export(str(path))
+        yield
     except Tf.ErrorException as error:
         said = re.search(r"writing file: (.+?)'", str(error))
         raise OSError(said[1] if said else "USD could not write it") from error
-    if not written:
-        raise OSError("USD could not write it")
 
 
-def _set_stage(stage: Usd.Stage, seq: DrapeSequence) -> None:
+def _set_stage(stage: Usd.Stage, clip: ExportClip) -> None:
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.meters)
-    stage.SetTimeCodesPerSecond(seq.fps)
-    stage.SetFramesPerSecond(seq.fps)
+    stage.SetTimeCodesPerSecond(clip.sequence.fps)
+    stage.SetFramesPerSecond(clip.sequence.fps)
     stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(len(seq) - 1)
-    root = UsdGeom.Xform.Define(stage, "/Drape").GetPrim()
+    stage.SetEndTimeCode(clip.frames[-1])
+    root = UsdGeom.Xform.Define(stage, ROOT).GetPrim()
     Usd.ModelAPI(root).SetKind("component")
     stage.SetDefaultPrim(root)
     stage.GetRootLayer().documentation = "Hair draped by quaffure"
 
 
-def _add_body(stage: Usd.Stage, seq: DrapeSequence) -> None:
-    mesh = UsdGeom.Mesh.Define(stage, "/Drape/Body")
+def _add_body(stage: Usd.Stage, clip: ExportClip) -> None:
+    faces = clip.sequence.body_faces
+    mesh = UsdGeom.Mesh.Define(stage, BODY)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
-    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(seq.body_faces), 3, np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(seq.body_faces.reshape(-1))))
-    mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set([Gf.Vec3f(*BODY_COLOUR)])
-    _animate(mesh, seq.body_vertices, margin=0.0)
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
+    mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set([BODY_COLOUR])
+    if clip.binding is not None:
+        texture = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+            "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
+        )
+        texture.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(clip.binding.body_uv.reshape(-1, 2))))
+    prim = mesh.GetPrim()
+    bind_material(prim, f"{ROOT}/Materials/Body")
+    prim.AddAppliedSchema("GroomBindingAPI")
+    prim.CreateRelationship(BINDING, custom=False).SetTargets([HAIR])
 
 
-def _add_curves(stage: Usd.Stage, name: str, seq: DrapeSequence, chosen: np.ndarray, guide: bool) -> None:
-    curves = UsdGeom.BasisCurves.Define(stage, name)
-    curves.CreateTypeAttr(UsdGeom.Tokens.cubic)
-    curves.CreateBasisAttr(UsdGeom.Tokens.catmullRom)
-    curves.CreateWrapAttr(UsdGeom.Tokens.pinned)
-    vertices = seq.strands.shape[2]
-    curves.CreateCurveVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(chosen), vertices, np.int32)))
-    taper = STRAND_WIDTH * np.linspace(1.0, 0.35, vertices, dtype=np.float32)
-    curves.CreateWidthsAttr(Vt.FloatArray.FromNumpy(np.tile(taper, len(chosen))))
-    curves.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
-    curves.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set([Gf.Vec3f(*HAIR_COLOUR)])
-    if guide:
-        curves.CreatePurposeAttr(UsdGeom.Tokens.guide)
-    primvars = UsdGeom.PrimvarsAPI(curves)
-    for attribute, values in (
-        ("groom_id", chosen),
-        ("groom_guide", np.full(len(chosen), guide)),
-        ("groom_group_id", np.zeros(len(chosen))),
-    ):
-        primvar = primvars.CreatePrimvar(attribute, Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.uniform)
-        primvar.Set(Vt.IntArray.FromNumpy(values.astype(np.int32)))
-    _add_held_parts(primvars, seq, chosen)
-    rest = primvars.CreatePrimvar("rest", Sdf.ValueTypeNames.Point3fArray, UsdGeom.Tokens.vertex)
-    rest.Set(_points(seq.posed[0, chosen]))
-    _animate(curves, seq.strands[:, chosen], margin=STRAND_WIDTH)
+class _Curves:
+    """Strands or guides of a stage."""
+
+    def __init__(self, stage: Usd.Stage, name: str, clip: ExportClip, is_guide: bool) -> None:
+        self.curves, self.clip, self.is_guide = UsdGeom.BasisCurves.Define(stage, name), clip, is_guide
+        self.primvars = UsdGeom.PrimvarsAPI(self.curves)
+        self.count = len(clip.guide_index) if is_guide else clip.strand_count
+
+    def describe(self) -> None:
+        """Write what is the same in every frame."""
+        curves, clip = self.curves, self.clip
+        curves.CreateTypeAttr(UsdGeom.Tokens.cubic)
+        curves.CreateBasisAttr(UsdGeom.Tokens.catmullRom)
+        curves.CreateWrapAttr(UsdGeom.Tokens.pinned)
+        curves.CreateCurveVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(self.count, clip.point_count, np.int32)))
+        curves.CreateWidthsAttr(Vt.FloatArray.FromNumpy(np.tile(clip.strand_width, self.count)))
+        curves.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
+        curves.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set([HAIR_COLOUR])
+        if self.is_guide:
+            curves.CreatePurposeAttr(UsdGeom.Tokens.guide)
+        bind_material(curves.GetPrim(), f"{ROOT}/Materials/Hair")
+        self._add_groom_attributes()
+        self._add_held_parts(clip.guide_held_parts if self.is_guide else clip.held_parts)
+        rest = clip.rest_guides if self.is_guide else clip.rest_strands
+        self._add("rest", Sdf.ValueTypeNames.Point3fArray, UsdGeom.Tokens.vertex, _points(rest))
+
+    def _add_groom_attributes(self) -> None:
+        """Attributes of Unreal's Alembic convention; ids of strands continue those of guides, where there are any."""
+        clip = self.clip
+        first = len(clip.guide_index) if clip.settings.guides and not self.is_guide else 0
+        self._add_integers("groom_id", np.arange(self.count) + first)
+        self._add_integers("groom_guide", np.full(self.count, self.is_guide))
+        self._add_integers("groom_group_id", np.zeros(self.count))
+        colour = Vt.Vec3fArray(self.count * clip.point_count, HAIR_COLOUR)
+        self._add("groom_color", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex, colour)
+        root_uv = clip.guide_root_uv if self.is_guide else clip.root_uv
+        if root_uv is not None:
+            kind = Sdf.ValueTypeNames.TexCoord2fArray
+            self._add("groom_root_uv", kind, UsdGeom.Tokens.uniform, Vt.Vec2fArray.FromNumpy(root_uv))
+        if clip.settings.guides and not self.is_guide:
+            guides, weights = clip.closest_guides
+            self._add(
+                "groom_closest_guides",
+                Sdf.ValueTypeNames.Int3Array,
+                UsdGeom.Tokens.uniform,
+                Vt.Vec3iArray.FromNumpy(guides),
+            )
+            self._add(
+                "groom_guide_weights",
+                Sdf.ValueTypeNames.Float3Array,
+                UsdGeom.Tokens.uniform,
+                Vt.Vec3fArray.FromNumpy(weights),
+            )
+
+    def _add_held_parts(self, parts: dict[str, np.ndarray]) -> None:
+        for name, values in parts.items():
+            if name == TIE_VERTEX:
+                self._add_integers(PREFIX + name, values)
+            else:
+                at_vertices = Vt.FloatArray.FromNumpy(np.ascontiguousarray(values.ravel(), dtype=np.float32))
+                self._add(PREFIX + name, Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex, at_vertices)
+
+    def _add_integers(self, name: str, values: np.ndarray) -> None:
+        array = Vt.IntArray.FromNumpy(values.astype(np.int32))
+        self._add(name, Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.uniform, array)
+
+    def _add(self, name: str, kind: Sdf.ValueTypeName, interpolation: str, values: object) -> None:
+        self.primvars.CreatePrimvar(name, kind, interpolation).Set(values)
 
 
-def _add_held_parts(primvars: UsdGeom.PrimvarsAPI, seq: DrapeSequence, chosen: np.ndarray) -> None:
-    """Values of edges at their first vertices; the tip repeats the last edge."""
-    for name, values in held_parts_of(seq).items():
-        if name == TIE_VERTEX:
-            primvar = primvars.CreatePrimvar(PREFIX + name, Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.uniform)
-            primvar.Set(Vt.IntArray.FromNumpy(values[chosen].astype(np.int32)))
-        else:
-            primvar = primvars.CreatePrimvar(PREFIX + name, Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex)
-            at_vertices = np.pad(values[chosen], ((0, 0), (0, 1)), mode="edge")
-            primvar.Set(Vt.FloatArray.FromNumpy(at_vertices.ravel().astype(np.float32)))
+def _animate(layer: Sdf.Layer, stage: Usd.Stage, clip: ExportClip, on_frame: Callable[[], object]) -> None:
+    """Write points and extents, frame by frame."""
+    body, strands = UsdGeom.Mesh.Get(stage, BODY), UsdGeom.BasisCurves.Get(stage, STRANDS)
+    width, unsaved = float(clip.strand_width.max()), 0.0
+    for frame in clip.frames:
+        points = clip.strands(frame)
+        _set_points(body, np.asarray(clip.sequence.body_vertices[frame]), frame, margin=0.0)
+        _set_points(strands, points, frame, margin=width)
+        if clip.settings.guides:
+            _set_points(UsdGeom.BasisCurves.Get(stage, GUIDES), clip.guides(frame), frame, margin=width)
+        unsaved += points.nbytes
+        if unsaved > UNSAVED_BYTES and layer.GetFileFormat().formatId != "usda":
+            _save(layer)
+            unsaved = 0.0
+        on_frame()
+    _save(layer)
 
 
-def _animate(gprim: UsdGeom.PointBased, positions: np.ndarray, margin: float) -> None:
-    points, extent = gprim.CreatePointsAttr(), gprim.CreateExtentAttr()
-    for frame, vertices in enumerate(positions):
-        flat = vertices.reshape(-1, 3)
-        points.Set(_points(flat), frame)
-        extent.Set(_points(np.stack([flat.min(axis=0) - margin, flat.max(axis=0) + margin])), frame)
+def _save(layer: Sdf.Layer) -> None:
+    """Raises:
+    OSError: the layer cannot be written.
+    """
+    if not layer.Save():
+        raise OSError("USD could not write it")
+
+
+def _set_points(gprim: UsdGeom.PointBased, positions: np.ndarray, frame: int, margin: float) -> None:
+    flat = positions.reshape(-1, 3)
+    gprim.CreatePointsAttr().Set(_points(flat), frame)
+    gprim.CreateExtentAttr().Set(_points(np.stack([flat.min(axis=0) - margin, flat.max(axis=0) + margin])), frame)
 
 
 def _points(positions: np.ndarray) -> Vt.Vec3fArray:

@@ -1,7 +1,6 @@
 """Strands of an OpenUSD file, which a process of its own reads (`quaffure.io.usd_curves`)."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from quaffure.errors import InputError
 from quaffure.extras import require_extra
 from quaffure.hair.strands import Strands
 from quaffure.input_file import check_input_file
+from quaffure.io.library_process import library_environment
 
 PREFIX = "quaffure:"
 """Prefix of the primvars of held parts."""
@@ -44,7 +44,7 @@ def read_usd_strands(path: Path) -> Strands:
     command = [sys.executable, "-P", "-m", "quaffure.io.usd_curves", str(path.absolute())]
     try:
         ended = subprocess.run(
-            command, capture_output=True, check=False, timeout=WALL_TIME * seconds, env=_environment()
+            command, capture_output=True, check=False, timeout=WALL_TIME * seconds, env=library_environment()
         )
     except subprocess.TimeoutExpired as error:
         raise InputError(path, expected, f"one that is not read within {WALL_TIME * seconds:.0f} s") from error
@@ -54,12 +54,6 @@ def read_usd_strands(path: Path) -> Strands:
         raise InputError(path, expected, _how_it_ended(ended.returncode, ended.stderr))
     with np.load(BytesIO(ended.stdout), allow_pickle=False) as arrays:
         return Strands(source=str(path), **arrays)
-
-
-def _environment() -> dict[str, str]:
-    """Modules are found where this process finds them; threads of numpy would each reserve memory."""
-    folders = os.pathsep.join(folder for folder in sys.path if folder)
-    return os.environ | {"PYTHONPATH": folders, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
 def _how_it_ended(code: int, said: bytes) -> str:

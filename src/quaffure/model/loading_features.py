@@ -18,6 +18,6 @@ def loading_features(loading: Loading, world_from_head: Float[Tensor, "b 3 3"]) 
     The rod's shape depends on stiffness over acceleration, contact and density on one over acceleration.
     """
     pull = torch.tensor(loading.in_gravities).to(world_from_head)
-    size = math.log(max(float(pull.norm()), _LEAST))
+    size = math.log(max(math.hypot(*loading.in_gravities), _LEAST))
     logarithms = pull.new_tensor([size, math.log(loading.mean_stiffness) - size])
     return torch.cat([pull @ world_from_head, logarithms.expand(len(world_from_head), 2)], dim=1)

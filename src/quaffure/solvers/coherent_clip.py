@@ -90,6 +90,16 @@ class CoherentDraper:
         """Settle the next frame anew."""
         self._last = None
 
+    @property
+    def direction(self) -> Float[Tensor, "s e 3"] | None:
+        """Unit direction of every edge in the last frame; None before the first one."""
+        return None if self._last is None else self._last.direction
+
+    def follow(self, scene: Scene, direction: Float[Tensor, "s e 3"]) -> None:
+        """Continue from the last of these frames, whose edges have these directions, as if it had been draped here."""
+        last = scene.sample(len(scene.posed) - 1)
+        self._last = _Frame(GroomCopy(scene.groom), last.posed[0, :, 0], last.root_rotation[0], direction)
+
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of the next frames, which follow those of the last call [m, world]."""
         energy = self.draper.energy_of(scene)

@@ -1,7 +1,9 @@
 """`quaffure drape`: drape a groom on a moving body, and write draped hair, pictures, video or USD."""
 
+import hashlib
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,13 +13,16 @@ import tyro
 from quaffure.apps.cli.console import console, progress_bar
 from quaffure.apps.cli.drape_report import Stopwatch, frames_text, print_drape_json, report_drape
 from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, motion_of
+from quaffure.apps.cli.kept_frames import kept_frames
 from quaffure.apps.cli.kernel_cache import is_cached
-from quaffure.apps.cli.outputs import PICTURES, check_outputs, write_output
+from quaffure.apps.cli.outputs import PICTURES, check_frames, check_outputs, files_of, is_export, write_output
 from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
 from quaffure.benchmark.drape_checks import DrapeChecks
 from quaffure.benchmark.metrics import DrapeMetrics
 from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.motion import Motion
 from quaffure.config import HairMaterial
+from quaffure.digest import array_digest
 from quaffure.drape_motion import drape_motion
 from quaffure.draper import Draper
 from quaffure.energies.energy_term import Terms
@@ -27,7 +32,9 @@ from quaffure.energies.loading import Loading
 from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
 from quaffure.geometry.cell_list import sort_into_cells
+from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.groom import Groom
+from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.guide_interpolation import interpolation_of
 from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
@@ -39,7 +46,7 @@ from quaffure.solvers.coherent_clip import CoherentDraper
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
 from quaffure.solvers.strand_recursion import newton_rotations
 from quaffure.training.pose_sampler import LARGEST_COEFFICIENT
-from quaffure.types import Positions
+from quaffure.types import Float, Positions, Tensor
 
 NEURAL, GROOMGEN = "neural", GroomGenDraper.name
 DRAPERS = (*SOLVERS, NEURAL, GROOMGEN)
@@ -56,7 +63,9 @@ class DrapeCommand:
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")]
     """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
-    """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .png, .mp4."""
+    """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .abc, .glb,
+    .hair and .ply (of one frame), .png, .mp4. An .abc, for Unreal a groom cache, comes with its groom asset:
+    walk_groom.abc beside walk.abc."""
     motion: str = "neck_turn"
     """A bundled clip, or a .bvh or .npz file."""
     frames: str = ":"
@@ -99,8 +108,11 @@ class DrapeCommand:
     strict: bool = False
     """Exit with 3 where a tip jumps or hair is inside the body; the files are written all the same."""
     strands: int | None = None
-    """Strands to interpolate between the draped ones for .png, .mp4 and .usd*: 10,000 to 100,000 make a full head
+    """Strands to interpolate between the draped ones for all files but .npz: 10,000 to 100,000 make a full head
     of hair. Without it, the draped strands are shown. An .npz always holds the draped strands."""
+    export: ExportSettings = field(default_factory=ExportSettings)
+    resume: bool = False
+    """Continue an interrupted run of the same command after its last frames, which are kept beside the first output."""
     json: bool = False
     """Print as JSON, frame by frame."""
 
@@ -110,6 +122,7 @@ class DrapeCommand:
         times = Stopwatch()
         body = load_body()
         motion = motion_of(self.motion, body, self.in_place).frames(self.frames)
+        check_frames(self.out, len(range(0, len(motion), self.export.every)))
         body_shape = body_shape_of(self.shape)
         if float(body_shape.abs().max()) > LARGEST_COEFFICIENT:
             console.print(f"shape: beyond the trained and measured +-{LARGEST_COEFFICIENT:g} standard deviations")
@@ -129,28 +142,57 @@ class DrapeCommand:
         if self._measures:
             measured = DrapeMetrics(groom, draper.material, reference, terms, motion.fps)
         times.lap("loading")
-        with progress_bar("draping", len(motion), transient=True) as update:
 
-            def on_frames(draped: Positions, scene: Scene) -> None:
-                times.lap("draping")
-                checks.add(draped, scene)
-                times.lap("checks")
-                if measured is not None:
-                    measured.add(draped, scene)
-                    times.lap("metrics")
-                update(advance=len(draped))
+        def on_frames(draped: Positions, scene: Scene) -> None:
+            times.lap("draping")
+            checks.add(draped, scene)
+            times.lap("checks")
+            if measured is not None:
+                measured.add(draped, scene)
+                times.lap("metrics")
 
-            sequence = drape_motion(draper, groom, body, motion, body_shape, on_frames)
-        self._describe(sequence.meta)
-        times.lap("draping")
-        for path in self.out:
-            console.print(f"writing {path}")
-            write_output(path, sequence, interpolation)
-            times.lap("pictures" if path.suffix.lower() in PICTURES else "files")
+        with kept_frames(self.out[0], self._settings(groom, motion, body_shape), self.resume) as frames:
+            with progress_bar("draping", len(motion), transient=True) as update:
+
+                def on_batch(draped: Positions, scene: Scene) -> None:
+                    on_frames(draped, scene)
+                    update(advance=len(draped))
+
+                sequence = drape_motion(draper, groom, body, motion, body_shape, on_batch, store=frames)
+            self._describe(sequence.meta)
+            times.lap("draping")
+            binding = groom_binding(groom, body, body_shape) if is_export(self.out) else None
+            self._write(ExportClip(sequence, interpolation, binding, self.export), times)
         (print_drape_json if self.json else report_drape)(sequence, checks, measured, times)
-        console.print(f"written: {', '.join(map(str, self.out))}")
+        console.print(f"written: {', '.join(map(str, files_of(self.out)))}")
         if self.strict and checks.findings():
             sys.exit(FAULTS_FOUND)
+
+    def _write(self, clip: ExportClip, times: Stopwatch) -> None:
+        for path in self.out:
+            console.print(f"writing {path}")
+            write_output(path, clip)
+            times.lap("pictures" if path.suffix.lower() in PICTURES else "files")
+
+    def _settings(self, groom: Groom, motion: Motion, body_shape: Float[Tensor, "10"]) -> dict[str, Any]:
+        """All that the frames depend on."""
+        path = () if motion.translation is None else (motion.translation,)
+        return {
+            "frames": len(motion),
+            "groom": array_digest(*groom.arrays().values()),
+            "motion": array_digest(motion.body_pose, *path),
+            "fps": motion.fps,
+            "shape": body_shape.tolist(),
+            "draper": self._name,
+            "weights": None if self.weights is None else hashlib.sha256(self.weights.read_bytes()).hexdigest(),
+            "coherent": self.coherent,
+            "settle": self.settle,
+            "elastic": self._elastic,
+            "rest": self._rest,
+            "stiffness": self.stiffness,
+            "acceleration": list(self._acceleration),
+            "version": version("quaffure"),
+        }
 
     @property
     def _measures(self) -> bool:

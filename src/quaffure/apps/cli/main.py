@@ -14,10 +14,12 @@ from quaffure.apps.cli.benchmark import BenchmarkCommand
 from quaffure.apps.cli.console import console
 from quaffure.apps.cli.drape import DrapeCommand
 from quaffure.apps.cli.evaluate import EvaluateCommand, ScoreCommand
+from quaffure.apps.cli.export_onnx import ExportOnnxCommand
 from quaffure.apps.cli.groom import GroomCommand, GroomsCommand
 from quaffure.apps.cli.groomgen import GroomgenDataCommand, TrainGroomgenCommand
 from quaffure.apps.cli.info import InfoCommand
 from quaffure.apps.cli.render import RenderCommand
+from quaffure.apps.cli.rig import RigCommand
 from quaffure.apps.cli.train import TrainCommand
 from quaffure.apps.cli.train_code import TrainCodeCommand
 from quaffure.apps.cli.view import ViewCommand
@@ -30,6 +32,8 @@ Command = (
     | Annotated[GroomgenDataCommand, tyro.conf.subcommand("groomgen-data")]
     | Annotated[TrainGroomgenCommand, tyro.conf.subcommand("train-groomgen")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
+    | Annotated[ExportOnnxCommand, tyro.conf.subcommand("export-onnx")]
+    | Annotated[RigCommand, tyro.conf.subcommand("rig")]
     | Annotated[ViewCommand, tyro.conf.subcommand("view")]
     | Annotated[EvaluateCommand, tyro.conf.subcommand("evaluate")]
     | Annotated[ScoreCommand, tyro.conf.subcommand("score")]

@@ -1,18 +1,30 @@
 """Output files of a drape; the suffix selects the format."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
+import torch
+
+from quaffure.apps.cli.console import progress_bar
+from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.extras import require_extra
 from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.hair.guide_interpolation import GuideInterpolation, with_strands
+from quaffure.hair.export_clip import ExportClip
+from quaffure.hair.groom_binding import GroomBinding, groom_binding
+from quaffure.hair.guide_interpolation import groom_of_drape
 from quaffure.io.output_path import check_distinct, check_output
 
 PICTURES = (".png", ".mp4")
-SUFFIXES = (".npz", ".usd", ".usda", ".usdc", *PICTURES)
+USD = (".usd", ".usda", ".usdc")
+EXPORTS = (*USD, ".abc")
+ONE_FRAME = (".hair", ".ply")
+SUFFIXES = (".npz", *EXPORTS, ".glb", *ONE_FRAME, *PICTURES)
+EXTRA_OF = {**dict.fromkeys(PICTURES, "render"), **dict.fromkeys(USD, "usd"), ".abc": "alembic"}
+SHOWN_BYTES = 2e8
 MOST_BYTES = 4e9
-"""Limit of the strands in memory that a file is written from."""
+"""Limit of the frames that a format keeps in memory until they are written."""
 
 
 def check_outputs(paths: Sequence[Path], inputs: Iterable[str | Path | None]) -> None:
@@ -27,24 +39,58 @@ def check_outputs(paths: Sequence[Path], inputs: Iterable[str | Path | None]) ->
     """
     if not paths:
         raise InputError("--out", "at least one file to write", "none")
-    for path in paths:
+    inputs = [*inputs]
+    for path in files_of(paths):
         check_output(path, *SUFFIXES, inputs=inputs)
         check_packages(path)
-    check_distinct(paths)
+    check_distinct(files_of(paths))
+
+
+def check_frames(paths: Iterable[Path], frames: int) -> None:
+    """Refuse more frames than a format takes, before the work for them.
+
+    Raises:
+        InputError: more than one for .hair or .ply.
+    """
+    for path in paths:
+        if path.suffix.lower() in ONE_FRAME and frames > 1:
+            raise InputError(path, "a drape of one frame (--frames 30, --every)", f"{frames}")
+
+
+def files_of(paths: Iterable[Path]) -> list[Path]:
+    """All files that are written for these outputs: an Alembic groom cache comes with its groom asset."""
+    return [file for path in paths for file in ((path, asset_path(path)) if _is_alembic(path) else (path,))]
+
+
+def asset_path(path: Path) -> Path:
+    """The file of the groom at rest beside an Alembic file of its animation: `walk_groom.abc` beside `walk.abc`."""
+    return path.with_name(f"{path.stem}_groom{path.suffix}")
 
 
 def check_packages(path: Path) -> None:
     """Raises:
     InputError: the packages that write the format of the suffix are not installed.
     """
-    suffix = path.suffix.lower()
-    if suffix in PICTURES:
-        require_extra("render", path)
-    elif suffix != ".npz":
-        require_extra("usd", path)
+    extra = EXTRA_OF.get(path.suffix.lower())
+    if extra is not None:
+        require_extra(extra, path)
 
 
-def write_output(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:
+def is_export(paths: Iterable[Path]) -> bool:
+    """Whether one of them is written for other programs, which take groom and body at rest, too."""
+    return any(path.suffix.lower() in (*EXPORTS, ".glb") for path in paths)
+
+
+def binding_of(sequence: DrapeSequence, body: BodyModel) -> GroomBinding | None:
+    """Groom and body of a drape file at rest; None where it is that of another body."""
+    try:
+        groom = groom_of_drape(sequence, body)
+    except InputError:
+        return None
+    return groom_binding(groom, body, torch.from_numpy(sequence.body_shape))
+
+
+def write_output(path: Path, clip: ExportClip) -> None:
     """Write a drape in the format of the suffix: with an interpolation the strands between its guides, without one the
     guides. An .npz, which other commands read, always holds the guides. Each format's library is imported on first use.
     """
@@ -53,23 +99,64 @@ def write_output(path: Path, sequence: DrapeSequence, interpolation: GuideInterp
     if suffix == ".npz":
         from quaffure.io.drape_file import write_drape
 
-        write_drape(path, sequence)
+        write_drape(path, clip.sequence)
     elif suffix == ".png":
         from quaffure.apps.render.pictures import write_picture
 
-        write_picture(path, sequence, interpolation)
+        write_picture(path, clip.sequence, clip.interpolation)
     elif suffix == ".mp4":
         from quaffure.apps.render.video import write_video
 
-        write_video(path, sequence, interpolation)
+        write_video(path, clip.sequence, clip.interpolation)
+    elif suffix == ".abc":
+        from quaffure.io.alembic_groom import write_groom_asset, write_groom_cache
+
+        write_groom_asset(asset_path(path), clip)
+        with _progress(path, clip) as on_frame:
+            write_groom_cache(path, clip, on_frame)
+    elif suffix == ".glb":
+        from quaffure.io.glb import write_glb
+
+        with _progress(path, clip) as on_frame:
+            write_glb(path, clip, on_frame)
+    elif suffix == ".ply":
+        from quaffure.io.ply import write_ply
+
+        write_ply(path, clip)
+    elif suffix == ".hair":
+        from quaffure.io.hair_writer import write_hair
+
+        write_hair(path, clip)
     else:
         from quaffure.io.usd import write_usd
 
-        write_usd(path, sequence if interpolation is None else _interpolated(sequence, interpolation))
+        if suffix == ".usda":
+            _check_size(path, clip)
+        with _progress(path, clip) as on_frame:
+            write_usd(path, clip, on_frame)
 
 
-def _interpolated(sequence: DrapeSequence, interpolation: GuideInterpolation) -> DrapeSequence:
-    most = int(MOST_BYTES / (2 * 12 * len(sequence) * interpolation.vertex_count))
-    if len(interpolation) > most:
-        raise InputError("--strands", f"at most {most} for {len(sequence)} frames of USD", f"{len(interpolation)}")
-    return with_strands(sequence, interpolation)
+@contextmanager
+def _progress(path: Path, clip: ExportClip) -> Iterator[Callable[[], None]]:
+    """Show the frames that are written, of a file that takes a while; yields what to call after each."""
+    disable = _size(clip) < SHOWN_BYTES
+    with progress_bar(f"writing {path.name}", len(clip.frames), transient=True, disable=disable) as update:
+        yield lambda: update(advance=1)
+
+
+def _is_alembic(path: Path) -> bool:
+    return path.suffix.lower() == ".abc"
+
+
+def _check_size(path: Path, clip: ExportClip) -> None:
+    """Raises:
+    InputError: more than a format may keep in memory.
+    """
+    needed = _size(clip)
+    if needed > MOST_BYTES:
+        raise InputError(path, f"at most {MOST_BYTES / 1e9:g} GB of strands in a text file", f"{needed / 1e9:.1f} GB")
+
+
+def _size(clip: ExportClip) -> int:
+    """Bytes of the strands of all frames."""
+    return 12 * len(clip.frames) * clip.strand_count * clip.point_count

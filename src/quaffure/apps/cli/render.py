@@ -1,15 +1,16 @@
 """`quaffure render`: pictures, video and USD of a drape file."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from quaffure.apps.cli.console import console
-from quaffure.apps.cli.outputs import check_outputs, write_output
+from quaffure.apps.cli.outputs import binding_of, check_frames, check_outputs, is_export, write_output
 from quaffure.body.body_model import load_body
 from quaffure.errors import InputError
+from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.guide_interpolation import groom_of_drape, interpolation_of
 from quaffure.io.drape_file import read_drape
 
@@ -21,21 +22,26 @@ class RenderCommand:
     drape: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRAPE")]
     """A drape file (.npz)."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
-    """Where to write; may be given several times. The suffix picks the format: .png, .mp4, .usd, .usda, .usdc."""
+    """Where to write; may be given several times. The suffix picks the format: .png, .mp4, .usd, .usda, .usdc, .glb,
+    .hair and .ply (of one frame), .abc (with its groom asset beside it, walk_groom.abc beside walk.abc)."""
     strands: int | None = None
     """Strands to interpolate between the draped ones: 10,000 to 100,000 are a full head of hair. Without it, the draped
     strands are drawn."""
+    export: ExportSettings = field(default_factory=ExportSettings)
 
     def run(self) -> None:
         check_outputs(self.out, (self.drape,))
         for path in self.out:
             if path.suffix.lower() == ".npz":
-                raise InputError(path, "a picture, a video or USD", "a drape file")
+                raise InputError(path, "a picture, a video or a file for another program", "a drape file")
         sequence = read_drape(self.drape)
-        interpolation = None
+        check_frames(self.out, len(range(0, len(sequence), self.export.every)))
+        body, interpolation, binding = load_body(), None, None
         if self.strands is not None:
-            body = load_body()
             interpolation = interpolation_of(groom_of_drape(sequence, body), body, self.strands)
+        if is_export(self.out):
+            binding = binding_of(sequence, body)
+        clip = ExportClip(sequence, interpolation, binding, self.export)
         for path in self.out:
             console.print(f"writing {path}")
-            write_output(path, sequence, interpolation)
+            write_output(path, clip)

@@ -12,6 +12,9 @@ from quaffure.apps.cli.outputs import write_output
 from quaffure.body.clips import CLIP_NAMES
 from quaffure.errors import InputError
 from quaffure.extras import require_extra
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.export_clip import ExportClip
+from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.io.load_groom import load_groom
 from quaffure.model.quaffure_model import load_model
 from quaffure.procedural.hair_style import STYLES
@@ -69,4 +72,8 @@ class ViewCommand:
             self.groom if groom is None else catalogue.groom_names[0],
             self.motion if motion is None else catalogue.motion_names[0],
         )
-        return Page(catalogue, start, (self.host, self.port), self.folder, write_output)
+        return Page(catalogue, start, (self.host, self.port), self.folder, _write_picture)
+
+
+def _write_picture(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:
+    write_output(path, ExportClip(sequence, interpolation))

@@ -14,6 +14,7 @@ from quaffure.apps.render.framing import hair_box
 from quaffure.apps.render.key_light import KeyLight
 from quaffure.apps.render.shaders import Uniforms, assign, build_program
 from quaffure.errors import InputError
+from quaffure.hair.strand_width import width_of
 
 CHESTNUT = (0.15, 0.062, 0.025)
 CLAY = (0.64, 0.475, 0.385)
@@ -21,9 +22,6 @@ SCALP_RADIUS = 0.012  # m, around a root
 SHADOW_MARGIN = 0.1  # m, around hair and head: shadow falls on the body up to there
 MOST_SAMPLES = 3  # of a segment, where strands are curly
 ANGLE_OF_SAMPLE = math.radians(9.0)
-# Up to this many strands are drawn with this width [m].
-WIDEST_COUNT, WIDEST_STRAND = 2400, 0.8e-3
-HAIR_WIDTH = 0.7e-4  # m
 LEAST_SAMPLES_ACROSS = 0.8
 POINTS_PER_ROW = 2048
 # Directions towards the lights in the camera's frame: right, up, towards the viewer.
@@ -171,11 +169,6 @@ def samples_of(strands: Float[np.ndarray, "s n 3"]) -> int:
     angles = np.arccos(np.clip((edges[:, 1:] * edges[:, :-1]).sum(-1), -1.0, 1.0))
     largest = float(np.quantile(angles, 0.9)) if angles.size else 0.0
     return int(np.clip(math.ceil(largest / ANGLE_OF_SAMPLE), 1, MOST_SAMPLES))
-
-
-def width_of(strands: int) -> float:
-    """Width to draw each of this many strands with [m]: few stand for many, and are wider than a hair of 0.07 mm."""
-    return max(min(WIDEST_STRAND, WIDEST_STRAND * math.sqrt(WIDEST_COUNT / strands)), HAIR_WIDTH)
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, "v 3"]:

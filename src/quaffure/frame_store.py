@@ -1,0 +1,87 @@
+"""Where the frames of a drape are kept while it is made."""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float32
+
+
+class Frames(NamedTuple):
+    """Consecutive frames.
+
+    Attributes:
+        strands: draped vertices [m].
+        posed: posed vertices [m].
+        body_vertices: [m].
+    """
+
+    strands: Float32[np.ndarray, "f s n 3"]
+    posed: Float32[np.ndarray, "f s n 3"]
+    body_vertices: Float32[np.ndarray, "f v 3"]
+
+
+@dataclass(frozen=True)
+class BatchState:
+    """What is known of a batch but its frames.
+
+    Attributes:
+        milliseconds: wall time of one of its drapes.
+        direction: of every edge in its last frame, from which the next frame follows; None where frames are alone.
+    """
+
+    milliseconds: float
+    direction: Float32[np.ndarray, "s e 3"] | None = None
+
+
+@runtime_checkable
+class FrameStore(Protocol):
+    """Keeps frames in the order in which they come."""
+
+    def __len__(self) -> int:
+        """Number of frames, of whole batches."""
+        ...
+
+    @property
+    def milliseconds(self) -> list[float]:
+        """Wall time of a drape in every batch."""
+        ...
+
+    @property
+    def direction(self) -> Float32[np.ndarray, "s e 3"] | None:
+        """`BatchState.direction` of the last batch."""
+        ...
+
+    def append(self, frames: Frames, state: BatchState) -> None:
+        """Keep the next batch."""
+        ...
+
+    def frames(self) -> Frames:
+        """All frames; arrays may be files, which are read as they are used."""
+        ...
+
+
+class FramesInMemory:
+    """Keeps all frames in memory."""
+
+    def __init__(self) -> None:
+        self._batches: list[Frames] = []
+        self._states: list[BatchState] = []
+
+    def __len__(self) -> int:
+        return sum(len(batch.strands) for batch in self._batches)
+
+    @property
+    def milliseconds(self) -> list[float]:
+        return [state.milliseconds for state in self._states]
+
+    @property
+    def direction(self) -> Float32[np.ndarray, "s e 3"] | None:
+        return self._states[-1].direction if self._states else None
+
+    def append(self, frames: Frames, state: BatchState) -> None:
+        self._batches.append(frames)
+        self._states.append(state)
+
+    def frames(self) -> Frames:
+        return Frames(*map(np.concatenate, zip(*self._batches)))

@@ -1,0 +1,227 @@
+"""Strands of a drape as other programs take them, computed one frame at a time."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, Float32, Int, Int32
+from scipy.spatial import cKDTree
+
+from quaffure.errors import InputError
+from quaffure.geometry.sampling import spread_subset
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.groom_binding import GroomBinding
+from quaffure.hair.guide_interpolation import GuideInterpolation
+from quaffure.hair.resample import arc_length_places, resample_held_parts
+from quaffure.hair.strand_width import width_of
+from quaffure.hair.strands import GOAL_WEIGHT, STIFFNESS_SCALE, TIE_VERTEX, Strands, held_parts_of
+
+# Hsu et al. 2024 interpolate a full head from 128 guides.
+MOST_GUIDES = 128
+FEWEST_POINTS, MOST_POINTS = 2, 255
+"""Vertices of a strand; Unreal takes no more."""
+TIP_WIDTH = 0.35
+"""Width of a tip, in widths of its root."""
+HAIR_COLOUR = (0.15, 0.062, 0.025)
+"""Linear RGB."""
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """How strands are written for other programs."""
+
+    points: int | None = None
+    """Vertices of every strand in exported files, evenly spaced by arc length: 2 to 255. Without it, those of the
+    drape."""
+    every: int = 1
+    """Write every Nth frame of the drape to exported files; the time between them grows by as much."""
+    mesh: Literal["ribbons", "tubes"] = "ribbons"
+    """Shape of strands in .glb, which has no curves: flat ribbons, or tubes of three sides."""
+    skinned: bool = False
+    """Write .glb with the body's skeleton: the body is skinned, and hair is attached to the head."""
+    guides: bool = False
+    """Write the guides to .usd*, too: curves that viewers hide, and that strands are interpolated between."""
+
+    def __post_init__(self) -> None:
+        if self.points is not None and not FEWEST_POINTS <= self.points <= MOST_POINTS:
+            raise InputError("--points", f"{FEWEST_POINTS} to {MOST_POINTS} vertices of a strand", f"{self.points}")
+        if self.every < 1:
+            raise InputError("--every", "1 or more", f"{self.every}")
+
+
+@dataclass(frozen=True)
+class ExportClip:
+    """A drape, and how to write it.
+
+    A strand is a draped one, or, with an interpolation, one between them. Guides are a few of the draped strands, or,
+    with an interpolation, all of them.
+
+    Attributes:
+        sequence: the drape; its arrays may be files that are read as they are used.
+        interpolation: of strands between the draped ones.
+        binding: groom and body at rest; without it, rest is the first frame's posed groom.
+        settings: how to write it.
+    """
+
+    sequence: DrapeSequence
+    interpolation: GuideInterpolation | None = None
+    binding: GroomBinding | None = None
+    settings: ExportSettings = ExportSettings()
+
+    @property
+    def frames(self) -> range:
+        """Frames of the drape that are written."""
+        return range(0, len(self.sequence), self.settings.every)
+
+    @property
+    def times(self) -> Float32[np.ndarray, " f"]:
+        """Times of these frames [s]."""
+        return (np.array(self.frames) / self.sequence.fps).astype(np.float32)
+
+    @property
+    def point_count(self) -> int:
+        """Vertices of a strand."""
+        return self.settings.points or self.sequence.strands.shape[2]
+
+    @property
+    def strand_count(self) -> int:
+        return self.sequence.strands.shape[1] if self.interpolation is None else len(self.interpolation)
+
+    @cached_property
+    def guide_index(self) -> Int[np.ndarray, " g"]:
+        """The draped strands that are guides."""
+        if self.interpolation is not None:
+            return np.arange(self.sequence.strands.shape[1])
+        return np.asarray(spread_subset(self._rest_guides[:, 0], MOST_GUIDES))
+
+    def strands(self, frame: int) -> Float32[np.ndarray, "m p 3"]:
+        """Strands of a frame [m, world]."""
+        return self._resampled(self._between(self.sequence.strands[frame], self.sequence.body_vertices[frame]), False)
+
+    def guides(self, frame: int) -> Float32[np.ndarray, "g p 3"]:
+        """Guides of a frame [m, world]."""
+        return self._resampled(np.asarray(self.sequence.strands[frame])[self.guide_index], True)
+
+    @cached_property
+    def rest_strands(self) -> Float32[np.ndarray, "m p 3"]:
+        """Strands at rest [m, world]."""
+        return self._resampled(self._dense_rest, False)
+
+    @property
+    def rest_guides(self) -> Float32[np.ndarray, "g p 3"]:
+        """Guides at rest [m, world]."""
+        return self._resampled(self._rest_guides[self.guide_index], True)
+
+    @cached_property
+    def root_uv(self) -> Float32[np.ndarray, "m 2"] | None:
+        """Texture coordinates of the body at the strands' roots, where a binding tells them."""
+        if self.binding is None:
+            return None
+        if self.interpolation is None:
+            return self.binding.root_uv.astype(np.float32)
+        return _uv_at(self.binding, self.sequence.body_faces, self.interpolation)
+
+    @property
+    def guide_root_uv(self) -> Float32[np.ndarray, "g 2"] | None:
+        """The same of the guides."""
+        return None if self.binding is None else self.binding.root_uv[self.guide_index].astype(np.float32)
+
+    @cached_property
+    def closest_guides(self) -> tuple[Int32[np.ndarray, "m 3"], Float32[np.ndarray, "m 3"]]:
+        """Three guides of every strand, counted among the guides, and their weights, which sum to 1."""
+        if self.interpolation is not None:
+            return self.interpolation.guides, self.interpolation.weights
+        roots = self._rest_guides[:, 0]
+        nearest = min(3, len(self.guide_index))
+        distance, guides = cKDTree(roots[self.guide_index]).query(roots, k=[*range(1, nearest + 1)])
+        weights = 1 / np.maximum(distance, 1e-6)
+        missing = ((0, 0), (0, 3 - nearest))
+        guides, weights = np.pad(guides, missing, mode="edge"), np.pad(weights, missing)
+        return guides.astype(np.int32), (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+
+    @property
+    def strand_width(self) -> Float32[np.ndarray, " p"]:
+        """Width of a strand at each of its vertices [m]: as many as there are, they cover the head."""
+        return (width_of(self.strand_count) * np.linspace(1.0, TIP_WIDTH, self.point_count)).astype(np.float32)
+
+    @cached_property
+    def held_parts(self) -> dict[str, np.ndarray]:
+        """Those of `HELD_PARTS` that the drape has, of every strand: edges at their first vertices, the tip repeats the
+        last."""
+        return self._held_parts(None if self.interpolation is None else self.interpolation.guides[:, 0], False)
+
+    @property
+    def guide_held_parts(self) -> dict[str, np.ndarray]:
+        """The same of the guides."""
+        return self._held_parts(self.guide_index, True)
+
+    @property
+    def _rest_guides(self) -> Float[np.ndarray, "s n 3"]:
+        return np.asarray(self.sequence.posed[0]) if self.binding is None else self.binding.strands
+
+    @cached_property
+    def _dense_rest(self) -> Float32[np.ndarray, "m n 3"]:
+        body = self.sequence.body_vertices[0] if self.binding is None else self.binding.body_vertices
+        return self._between(self._rest_guides, body)
+
+    def _between(self, guides: np.ndarray, body_vertices: np.ndarray) -> Float32[np.ndarray, "m n 3"]:
+        guides = np.ascontiguousarray(guides, dtype=np.float32)
+        if self.interpolation is None:
+            return guides
+        return self.interpolation.strands(guides, np.ascontiguousarray(body_vertices, dtype=np.float32))
+
+    def _resampled(self, strands: np.ndarray, are_guides: bool) -> Float32[np.ndarray, "c p 3"]:
+        if self.point_count == self.sequence.strands.shape[2]:
+            return np.ascontiguousarray(strands, dtype=np.float32)
+        right, weight = self._guide_places if are_guides else self._places
+        points = strands.reshape(-1, 3)
+        return (1 - weight) * points[right - 1] + weight * points[right]
+
+    @cached_property
+    def _places(self) -> tuple[Int[np.ndarray, "m p"], Float32[np.ndarray, "m p 1"]]:
+        """Along strands at rest: drapes keep their lengths."""
+        return _places(self._dense_rest, self.point_count)
+
+    @cached_property
+    def _guide_places(self) -> tuple[Int[np.ndarray, "g p"], Float32[np.ndarray, "g p 1"]]:
+        return _places(self._rest_guides[self.guide_index], self.point_count)
+
+    def _held_parts(self, chosen: np.ndarray | None, are_guides: bool) -> dict[str, np.ndarray]:
+        parts: dict[str, Any] = held_parts_of(self.sequence)
+        if chosen is not None:
+            parts = {name: values[chosen] for name, values in parts.items()}
+        if parts and self.point_count != self.sequence.strands.shape[2]:
+            rest = self._rest_guides[self.guide_index] if are_guides else self._dense_rest
+            of_points: dict[str, Any] = {
+                name: values if name == TIE_VERTEX else _at_vertices(values) for name, values in parts.items()
+            }
+            parts = resample_held_parts(replace(_as_strands(rest), **of_points), self.point_count)
+        for name in {STIFFNESS_SCALE, GOAL_WEIGHT} & {*parts}:
+            parts[name] = _at_vertices(parts[name]).reshape(-1, self.point_count)
+        return parts
+
+
+def _at_vertices(of_edges: np.ndarray) -> np.ndarray:
+    return np.pad(of_edges, ((0, 0), (0, 1)), mode="edge").ravel()
+
+
+def _as_strands(rest: np.ndarray) -> Strands:
+    return Strands(rest.reshape(-1, 3), np.full(len(rest), rest.shape[1]), "strands")
+
+
+def _places(rest: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    right, weight = arc_length_places(_as_strands(rest), count)
+    return right, weight[..., None].astype(np.float32)
+
+
+def _uv_at(
+    binding: GroomBinding, faces: Int[np.ndarray, "k 3"], interpolation: GuideInterpolation
+) -> Float32[np.ndarray, "m 2"]:
+    """Texture coordinates of the body at the roots of strands between guides."""
+    base = int(faces.max()) + 1
+    place = np.array([base * base, base, 1], dtype=np.int64)
+    keys, wanted = faces @ place, interpolation.carriers @ place
+    order = keys.argsort()
+    face = order[np.searchsorted(keys, wanted, sorter=order)]
+    return (interpolation.root_weights[..., None] * binding.body_uv[face]).sum(axis=1).astype(np.float32)

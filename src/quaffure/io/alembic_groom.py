@@ -1,0 +1,172 @@
+"""Alembic: strands and guides as Unreal imports them, a groom asset or a groom cache.
+
+Attributes, their types and scopes are those of schema 1.5 of Epic's "Alembic for Grooms Specification". Unreal's
+importer reads coordinates as they are, in centimetres and in its own axes: left-handed, z up. So (x, y, z) in metres is
+written as (100 x, -100 y, 100 z): a body that faces -y here faces +y there, as in an FBX file of it. An asset and the
+cache of its animation have the same curves in the same order.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from importlib.metadata import version
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float32
+
+from quaffure.errors import InputError
+from quaffure.hair.export_clip import HAIR_COLOUR, MOST_POINTS, ExportClip
+from quaffure.io.atomic import replacing
+from quaffure.io.library_process import library_environment
+
+if TYPE_CHECKING:
+    from quaffure.io.alembic_archive import CurvesDescription, Description
+
+ALEMBIC_SUFFIX = ".abc"
+VERSION = {"groom_version_major": 1, "groom_version_minor": 5}
+TOOL = f"quaffure {version('quaffure')}"
+CENTIMETRES = 100.0
+UNREAL_FROM_WORLD = np.array([CENTIMETRES, -CENTIMETRES, CENTIMETRES], dtype=np.float32)
+CONVENTIONS = "centimetres, left-handed axes, z up, as in Unreal: (x, y, z) m of the drape is (100 x, -100 y, 100 z)"
+TOP, STRANDS, GUIDES = "groom", "strands", "guides"
+
+
+class _Attribute(NamedTuple):
+    name: str
+    kind: str
+    scope: str
+    values: np.ndarray
+
+
+def write_groom_cache(path: Path, clip: ExportClip, on_frame: Callable[[], object] = lambda: None) -> None:
+    """Write the frames of a drape, for Unreal a groom cache; `write_groom_asset` writes its asset.
+
+    Memory does not grow with the number of frames.
+
+    Args:
+        on_frame: called after each frame.
+
+    Raises:
+        InputError: another suffix than .abc, strands of more than 255 vertices, or not writable.
+    """
+
+    def frames() -> Iterator[tuple[np.ndarray, ...]]:
+        for frame in clip.frames:
+            yield clip.guides(frame), clip.strands(frame)
+            on_frame()
+
+    _write(path, clip, frames(), "groom cache")
+
+
+def write_groom_asset(path: Path, clip: ExportClip) -> None:
+    """Write the hair at rest, for Unreal a groom asset.
+
+    Raises:
+        InputError: as `write_groom_cache`.
+    """
+    _write(path, clip, [(clip.rest_guides, clip.rest_strands)], "groom asset")
+
+
+def _write(path: Path, clip: ExportClip, frames: Iterable[tuple[np.ndarray, ...]], what: str) -> None:
+    if path.suffix.lower() != ALEMBIC_SUFFIX:
+        raise InputError(path, f"a name ending in {ALEMBIC_SUFFIX}", f"{path.suffix or 'no suffix'}")
+    if clip.point_count > MOST_POINTS:
+        raise InputError(path, f"at most {MOST_POINTS} vertices a strand (--points)", f"{clip.point_count}")
+    attributes = {GUIDES: _guide_attributes(clip), STRANDS: _strand_attributes(clip)}
+    with replacing(path) as temporary:
+        command = [sys.executable, "-P", "-m", "quaffure.io.alembic_archive", str(temporary.absolute())]
+        streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+        with subprocess.Popen(command, **streams, env=library_environment()) as process:
+            assert process.stdin is not None
+            try:
+                _send(process.stdin, np.array(json.dumps(_description(clip, attributes, what))))
+                for attribute in (one for curves in attributes.values() for one in curves):
+                    _send(process.stdin, attribute.values)
+                for curves in (one for frame in frames for one in frame):
+                    _send(process.stdin, _in_unreal(curves))
+            except BrokenPipeError:  # it has ended, which its exit code explains
+                pass
+            except BaseException:
+                process.kill()
+                raise
+            _, said = process.communicate()
+        if process.returncode:
+            last = said.decode(errors="replace").strip().splitlines()[-1:] or [f"exit code {process.returncode}"]
+            raise OSError(f"the disk may be full: the Alembic library ended ({last[0]})")
+
+
+class _Writer(NamedTuple):
+    """Numpy asks a file for its position, which a pipe does not have."""
+
+    write: Callable[[bytes], object]
+
+
+def _send(stream: IO[bytes], array: np.ndarray) -> None:
+    np.lib.format.write_array(_Writer(stream.write), np.asarray(array, order="C"), allow_pickle=False)
+
+
+def _description(clip: ExportClip, attributes: dict[str, list[_Attribute]], what: str) -> "Description":
+    meta = {key: clip.sequence.meta.get(key, "") for key in ("groom", "licence", "motion", "draper")}
+    counts = {GUIDES: len(clip.guide_index), STRANDS: clip.strand_count}
+    curves: list[CurvesDescription] = [
+        {
+            "name": name,
+            "count": counts[name],
+            "points": clip.point_count,
+            "attributes": [{"name": one.name, "kind": one.kind, "scope": one.scope} for one in own],
+        }
+        for name, own in attributes.items()
+    ]
+    return {
+        "rate": clip.sequence.fps / clip.settings.every,
+        "tool": TOOL,
+        "about": f"{what}: {CONVENTIONS}",
+        "top": TOP,
+        "integers": VERSION,
+        "texts": {
+            "groom_tool": TOOL,
+            "groom_properties": json.dumps({"file": what, "conventions": CONVENTIONS, **meta}, ensure_ascii=False),
+        },
+        "curves": curves,
+    }
+
+
+def _guide_attributes(clip: ExportClip) -> list[_Attribute]:
+    count = len(clip.guide_index)
+    return [*_common_attributes(clip, count, 0, True), *_root_uv(clip.guide_root_uv)]
+
+
+def _strand_attributes(clip: ExportClip) -> list[_Attribute]:
+    """Ids continue those of the guides, so that every curve has its own."""
+    guides, weights = clip.closest_guides
+    return [
+        *_common_attributes(clip, clip.strand_count, len(clip.guide_index), False),
+        *_root_uv(clip.root_uv),
+        _Attribute("groom_closest_guides", "int3", "uniform", guides),
+        _Attribute("groom_guide_weights", "float3", "uniform", weights),
+    ]
+
+
+def _common_attributes(clip: ExportClip, count: int, first_id: int, are_guides: bool) -> list[_Attribute]:
+    width = np.tile(CENTIMETRES * clip.strand_width, count)
+    colour = np.tile(np.array(HAIR_COLOUR, np.float32), (count * clip.point_count, 1))
+    group = np.array(str(clip.sequence.meta.get("groom", "hair")))
+    return [
+        _Attribute("groom_id", "int", "uniform", np.arange(first_id, first_id + count)),
+        _Attribute("groom_guide", "int", "uniform", np.full(count, int(are_guides))),
+        _Attribute("groom_group_id", "int", "uniform", np.zeros(count, np.int32)),
+        _Attribute("groom_group_name", "text", "uniform", group),
+        _Attribute("groom_width", "float", "vertex", width),
+        _Attribute("groom_color", "float3", "vertex", colour),
+    ]
+
+
+def _root_uv(values: np.ndarray | None) -> list[_Attribute]:
+    return [] if values is None else [_Attribute("groom_root_uv", "float2", "uniform", values)]
+
+
+def _in_unreal(strands: np.ndarray) -> Float32[np.ndarray, "p 3"]:
+    return np.ascontiguousarray(strands.reshape(-1, 3) * UNREAL_FROM_WORLD, dtype=np.float32)

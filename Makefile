@@ -1,4 +1,5 @@
 # make demo: drapes a bundled groom on a bundled motion, into out/.   make test: all checks, as in CI.
+# make docs: the documentation site, into out/docs.
 # make fuzz: damaged files against every reader; MUTANTS of each format, SEED.
 # All make .venv first: some minutes and 2 GB the first time, nothing after that.
 
@@ -9,7 +10,7 @@ MUTANTS ?= 1000
 SEED ?= 0
 SETUP := .venv/setup-done
 
-.PHONY: demo test fuzz setup clean
+.PHONY: demo test docs fuzz setup clean
 .DEFAULT_GOAL := demo
 
 demo: $(SETUP)
@@ -24,7 +25,12 @@ test: $(SETUP)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/sphinx-build -q -W -b html docs out/docs
 	$(BIN)/pytest
+
+docs: $(SETUP)
+	$(BIN)/sphinx-build -q -W -b html docs out/docs
+	@echo "written: out/docs/index.html"
 
 fuzz: $(SETUP)
 	$(BIN)/python -m tests.fuzzing.fuzz --mutants $(MUTANTS) --seed $(SEED) --keep out/faults

@@ -75,6 +75,8 @@ def initial_shape_reference(
     deflection = torch.nn.functional.pad(edges - free, (0, 0, 1, 0)).diff(dim=2).norm(dim=-1)
     disturbance = (edges - posed).square().sum(-1).amax(dim=2, keepdim=True)
     fading = disturbance / (disturbance + config.least_disturbance**2 + 1e-12)
+    tied = groom.strands.ties.strands
+    fading = fading.index_copy(1, tied, config.tied_share * fading[:, tied])
     compliance = fading * (rods.compliance * size + deflection).clamp(max=1)
     positions = roots[:, :, None] + (rest_length[..., None] * edges).cumsum(dim=2)
     return InitialShape(roots, edges, compliance, torch.cat([positions.flatten(2), local.flatten(2)], dim=2))
@@ -126,6 +128,7 @@ def fill_initial_shape(
         np.float32(1.0 if isinstance(loading.stiffness, Tensor) else loading.stiffness),
         np.float32(config.least_disturbance**2 + 1e-12),
         np.float32(config.decay_length),
+        np.float32(config.tied_share),
     )
     roots, edges, compliance, features = shape
     initial_shape_kernel(

@@ -26,6 +26,7 @@ class BodyArrays(NamedTuple):
         stiffness: of all joints.
         least_disturbance: squared rotation at which strands comply by half.
         decay_length: see `resolve_contact_reference` [m].
+        tied_share: of the compliance of tied strands.
     """
 
     scalp: np.ndarray
@@ -37,6 +38,7 @@ class BodyArrays(NamedTuple):
     stiffness: np.float32
     least_disturbance: np.float32
     decay_length: np.float32
+    tied_share: np.float32
 
 
 class ShapeArrays(NamedTuple):
@@ -102,4 +104,4 @@ def initial_shape_kernel(
                     for axis in range(3):
                         edges[own_rows[i], edge, axis] = rows[lane.DIRECTION + axis * LANES + i]
                 lane.write_features(rows, own_rows, edge, count, features)
-            lane.fade(own_rows, body.least_disturbance, rows, compliance)
+            lane.fade(own_rows, anchor, body.least_disturbance, body.tied_share, rows, compliance)

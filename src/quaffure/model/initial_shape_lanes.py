@@ -259,17 +259,22 @@ def comply(compliance: np.ndarray, inputs: np.ndarray, pull: np.ndarray, stiffne
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def fade(row_of: np.ndarray, least: float, rows: np.ndarray, compliance: np.ndarray) -> None:
-    """Lower the compliance of strands that rest near their design.
+def fade(
+    row_of: np.ndarray, anchor: np.ndarray, least: float, tied_share: float, rows: np.ndarray, compliance: np.ndarray
+) -> None:
+    """Lower the compliance of strands that rest near their design, and of tied ones.
 
     Args:
+        anchor: see `StrandBlocks`.
         least: squared rotation at which it is halved.
+        tied_share: what is left of a tied strand's.
         compliance: of all rows.
     """
     for i in range(LANES):
         square = rows[_DISTURBANCE + i]
         if i == 0 or row_of[i] != row_of[i - 1]:  # the last strand may be repeated
-            compliance[row_of[i]] *= square / (square + least)
+            share = tied_share if anchor[i] >= 0 else np.float32(1.0)
+            compliance[row_of[i]] *= share * square / (square + least)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -31,6 +31,8 @@ class InitialShapeConfig:
     """Rotation of an edge from the posed design at which the network moves its strand half as far as others [rad]."""
     decay_length: float = 0.05
     """Length along a strand over which edges return to their own directions after a contact [m]."""
+    tied_share: float = 0.1
+    """How far the network moves tied strands, relative to free ones: those of a tail hold each other."""
     margin_slope: float = 0.6
     """Largest growth of the distance from the skin at which hair starts, for each length along a strand."""
     depth_share: float = 0.25
@@ -46,8 +48,8 @@ class InitialShapeConfig:
     def __post_init__(self) -> None:
         if not (isinstance(self.passes, int) and 0 <= self.passes <= 16) or self.min_weight_share <= 0:
             raise ValueError(f"expected 0 to 16 passes and a weight share above 0, found {self}")
-        rest = (self.least_disturbance, self.decay_length, self.margin_slope, self.depth_share, self.load_share)
-        if min(*rest, self.max_depth) < 0:
+        rest = (self.least_disturbance, self.decay_length, self.tied_share, self.margin_slope, self.depth_share)
+        if min(*rest, self.load_share, self.max_depth) < 0:
             raise ValueError(f"expected no length, share or slope below 0, found {self}")
 
 

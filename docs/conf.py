@@ -8,6 +8,7 @@ release = version_of("quaffure")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["Makefile"]
+default_role = "code"
 html_theme = "furo"
 html_title = f"quaffure {release}"
 html_show_sphinx = False

@@ -142,9 +142,9 @@ def test_two_vertices_in_one_place_stay_there(model: Quaffure, groom: Groom, bod
     torch.testing.assert_close(draped[:, 7, 12], draped[:, 7, 11])
 
 
-@pytest.mark.parametrize("every", [30, 8])
-def test_compiled_start_is_that_of_the_twin(bodies: BodyBatch, every: int) -> None:
-    groom = make_groom("bob", bodies.body).select(torch.arange(0, 2400, every))
+@pytest.mark.parametrize(("style", "every"), [("bob", 30), ("bob", 8), ("half_up", 30)])
+def test_compiled_start_is_that_of_the_twin(bodies: BodyBatch, style: str, every: int) -> None:
+    groom = make_groom(style, bodies.body).select(torch.arange(0, 2400, every))
     ready = prepared(groom, bodies.body)
     compiled, expected = initial_shape(ready, bodies), expected_shape(ready, bodies)
     torch.testing.assert_close(compiled.roots, expected.roots, atol=2e-6, rtol=0)

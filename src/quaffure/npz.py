@@ -44,6 +44,22 @@ def array_names(path: Path) -> frozenset[str]:
         return frozenset()
 
 
+def array_headers(path: Path) -> dict[str, Header]:
+    """Shape and type of every array in a file, of pickled objects too; none of them is loaded.
+
+    Raises:
+        InputError: the file is missing, no `.npz` or damaged.
+    """
+    with _opened(path, "an undamaged .npz file") as archive:
+        names = [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
+        return {name: _header(archive, name, path) for name in names}
+
+
+def is_number(header: Header) -> bool:
+    """Whether an array holds plain numbers that `read_numbers` reads."""
+    return _is_any(header.dtype, NUMBER)
+
+
 def read_numbers(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Those of the named arrays that an `.npz` file has, of any shape.
 

@@ -58,7 +58,9 @@ class DrapeCommand:
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
     """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .png, .mp4."""
     motion: str = "neck_turn"
-    """A bundled clip, or a .bvh or .npz file."""
+    """A bundled clip, or a file: .bvh of any skeleton, .npz of AMASS, SMPL-X or poses of this body."""
+    joints: Path | None = None
+    """A joint map (.toml) for a .bvh motion whose joint names are not known; `quaffure inspect` writes one to edit."""
     frames: str = ":"
     """Frames A:B:STEP of the motion at 30 frames per second."""
     in_place: bool = False
@@ -104,10 +106,12 @@ class DrapeCommand:
 
     def run(self) -> None:
         console.quiet = self.json
-        check_outputs(self.out, (self.groom, self.motion, self.shape, self.head, self.weights, self.reference))
+        check_outputs(
+            self.out, (self.groom, self.motion, self.shape, self.head, self.joints, self.weights, self.reference)
+        )
         times = Stopwatch()
         body = load_body()
-        motion = motion_of(self.motion, body, self.in_place).frames(self.frames)
+        motion = motion_of(self.motion, body, self.in_place, self.joints).frames(self.frames)
         body_shape = body_shape_of(self.shape)
         if float(body_shape.abs().max()) > LARGEST_COEFFICIENT:
             console.print(f"shape: beyond the trained and measured +-{LARGEST_COEFFICIENT:g} standard deviations")

@@ -63,8 +63,8 @@ def read_amass(path: Path, body: BodyModel) -> Motion:
     rotations = next((keys for keys in ROTATION_KEYS if {*keys} <= {*numeric}), None)
     if rotations is None:
         expected = "arrays of numbers poses [frames, 66 or more], as in AMASS, or root_orient and pose_body, or "
-        pickled = [f"{name} (pickled objects are never loaded)" for name in headers if headers[name].dtype.hasobject]
-        found = ", ".join([*sorted(numeric), *pickled]) or "none"
+        others = [f"{name} of type {headers[name].dtype}, not plain numbers" for name in headers if name not in numeric]
+        found = ", ".join([*sorted(numeric), *others]) or "none"
         raise InputError(path, f"{expected}global_orient and body_pose", found)
     wanted = (*rotations, *PATH_KEYS, *FRAME_RATE_KEYS)
     arrays = read_numbers(path, tuple(name for name in wanted if name in numeric))

@@ -21,6 +21,7 @@ STRAND_READERS: dict[str, Callable[[Path], Strands]] = {
     ".usd": read_usd_strands,
     ".usda": read_usd_strands,
     ".usdc": read_usd_strands,
+    ".usdz": read_usd_strands,
 }
 
 

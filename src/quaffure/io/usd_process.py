@@ -31,7 +31,8 @@ REFUSED = 3
 def read_usd_strands(path: Path) -> Strands:
     """All curves of a stage in world space, at each one's first time sample; the file's units and up axis are kept.
 
-    Curves of purpose `guide` are left out where there are others.
+    Cubic bases and NURBS are evaluated, instances are read, and hidden curves, proxies and guides are left out where
+    there are others.
 
     Raises:
         InputError: the USD library is not installed; not a USD file, one that takes more time or memory than its size

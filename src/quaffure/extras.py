@@ -5,6 +5,7 @@ import importlib.util
 from quaffure.errors import InputError
 
 EXTRAS = {
+    "alembic": ("alembic3d", "imath"),
     "view": ("viser", "msgspec", "websockets"),
     "render": ("av", "moderngl", "PIL"),
     "usd": ("pxr",),

@@ -52,6 +52,7 @@ def array_headers(path: Path) -> dict[str, Header]:
     """
     with _opened(path, "an undamaged .npz file") as archive:
         names = [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
+        _check_compression(archive, names, path)
         return {name: _header(archive, name, path) for name in names}
 
 
@@ -125,15 +126,21 @@ def _opened(path: Path, what: str) -> Iterator[ZipFile]:
 
 def _check_members(archive: ZipFile, names: Iterable[str], path: Path) -> None:
     """Refuse members that numpy does not write, and more bytes than a file of this size should hold."""
-    members: list[ZipInfo] = [archive.getinfo(f"{name}.npy") for name in names]
-    for member in members:
-        if member.flag_bits & IS_ENCRYPTED or member.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
-            found = f"{member.filename} encrypted or compressed in another way"
-            raise InputError(path, "arrays as numpy.savez writes them", found)
+    members = _check_compression(archive, names, path)
     total = sum(member.file_size for member in members)
     most = max(FREE_BYTES, MOST_COMPRESSION * path.stat().st_size)
     if total > most:
         raise InputError(path, f"arrays of at most {most} bytes in a file of its size", f"{total} bytes")
+
+
+def _check_compression(archive: ZipFile, names: Iterable[str], path: Path) -> list[ZipInfo]:
+    """The members, which are as numpy writes them."""
+    members = [archive.getinfo(f"{name}.npy") for name in names]
+    for member in members:
+        if member.flag_bits & IS_ENCRYPTED or member.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+            found = f"{member.filename} encrypted or compressed in another way"
+            raise InputError(path, "arrays as numpy.savez writes them", found)
+    return members
 
 
 def _header(archive: ZipFile, name: str, path: Path) -> Header:

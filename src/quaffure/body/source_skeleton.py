@@ -21,6 +21,7 @@ AXIS_ANGLE, LEG_ANGLE = np.radians(30.0), np.radians(50.0)
 """Standing: the trunk and the line from right to left are this close to axes of the file, and legs to down."""
 MOST_TILT = np.radians(40.0)  # of trunk and legs in the frame that is taken for a rest pose, in the mean
 FRAMES_TRIED = 400
+LARGEST_NUMBER = 1e9  # of any file, in its units or in degrees: products stay far from overflow
 END_ANGLE = np.radians(45.0)
 """Largest angle between an End Site and the bone before: beyond it the End Site was made up."""
 WORLD_UP_COSINE = 0.8
@@ -60,10 +61,11 @@ def source_skeleton(clip: BvhClip, joint_map: JointMap) -> SourceSkeleton:
     Raises:
         InputError: a figure that stands neither in the pose of zero rotations nor in a frame; a limb without length.
     """
+    _check_size(clip)
     rotations = clip.world_rotations()
     rest, reference, notes = _rest_pose(clip, joint_map, rotations)
     body_from_rest = _body_axes(rest, joint_map, snapped=not notes)
-    ends = {} if clip.ends is None else dict(zip(clip.joint_names, np.einsum("jab,jb->ja", reference, clip.ends)))
+    ends = _ends(clip, reference)
     up = body_from_rest[2]
     world_from_file = body_from_rest
     if notes:
@@ -90,6 +92,12 @@ def source_skeleton(clip: BvhClip, joint_map: JointMap) -> SourceSkeleton:
     hips_path = None if path is None else torch.from_numpy(path @ world_from_file.T)
     bones = _bones(clip.source, rest, {name: body_from_rest @ end for name, end in ends.items()}, joint_map)
     return SourceSkeleton(rest, bones, world, hips_path, leg, notes)
+
+
+def _check_size(clip: BvhClip) -> None:
+    for what, numbers in (("offsets", clip.offsets), ("channel values", clip.values)):
+        if np.abs(numbers).max(initial=0.0) > LARGEST_NUMBER:
+            raise InputError(clip.source, f"{what} within {LARGEST_NUMBER:g}", f"{np.abs(numbers).max():.3g}")
 
 
 def _rest_pose(
@@ -165,6 +173,14 @@ def _turned_world(
     return axis if is_standing else None
 
 
+def _ends(clip: BvhClip, reference: Float[np.ndarray, "j 3 3"]) -> dict[str, Vector]:
+    """End Sites at rest, of the joints that have a sensible one."""
+    if clip.ends is None:
+        return {}
+    known = (np.abs(clip.ends) <= LARGEST_NUMBER).all(1) & clip.ends.any(1)  # NaN where there is none
+    return {clip.joint_names[joint]: reference[joint] @ clip.ends[joint] for joint in np.flatnonzero(known)}
+
+
 def _bones(source: str, rest: dict[str, Vector], ends: dict[str, Vector], joint_map: JointMap) -> dict[str, Vector]:
     """Unit direction of every mapped limb bone; a bone without an end has its End Site, or the direction of the bone
     before it."""
@@ -183,8 +199,8 @@ def _bones(source: str, rest: dict[str, Vector], ends: dict[str, Vector], joint_
         elif before is None:
             continue
         else:
-            site = ends.get(name, np.full(3, np.nan))
-            bone = site if site.any() and _angle(site, before) < END_ANGLE else before
+            site = ends.get(name)
+            bone = site if site is not None and _angle(site, before) < END_ANGLE else before
         bones[joint] = before = bone / np.linalg.norm(bone)
     return bones
 

@@ -5,14 +5,11 @@ nested tens of thousands deep, and references that double with every level. No c
 because one file may name others.
 """
 
-import json
-import os
 import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from pxr import Usd, UsdGeom, Work
@@ -30,51 +27,14 @@ from quaffure.hair.curve_bases import (
 from quaffure.hair.resample import concatenate_strands
 from quaffure.hair.strands import HELD_PARTS, TIE_VERTEX, Strands, checked_strands, held_parts_of
 from quaffure.io.held_parts import checked_held_parts
-from quaffure.io.usd_process import BYTES_PER_BYTE, FREE_BYTES, FREE_SECONDS, PREFIX, REFUSED, SECONDS_PER_BYTE
+from quaffure.io.strand_process import serve
+from quaffure.io.usd_process import PREFIX
 
 
 def main(path: Path) -> int:
-    """Write the curves of a stage to the standard output as `.npz`, or as JSON what was expected and what was found.
-
-    Returns:
-        0, or `REFUSED`.
-    """
+    """Read a stage for the process that started this one."""
     Work.SetConcurrencyLimit(1)
-    with _results() as output:
-        _limit_this_process(path.stat().st_size)
-        try:
-            strands = _read_stage(path)
-        except InputError as error:
-            output.write(json.dumps([error.expected, error.found]).encode())
-            return REFUSED
-        np.savez(output, points=strands.points, counts=strands.counts, **held_parts_of(strands))
-    return 0
-
-
-@contextmanager
-def _results() -> Iterator[BinaryIO]:
-    """The standard output; what the USD library prints there goes to the error stream."""
-    sys.stdout.flush()
-    with os.fdopen(os.dup(1), "wb") as output:
-        os.dup2(2, 1)
-        yield output
-
-
-def _limit_this_process(file_size: int) -> None:
-    """Limit memory and processor time to what a stage of this size [bytes] may need, where the system can."""
-    try:
-        import resource
-    except ImportError:
-        return
-    memory = FREE_BYTES + BYTES_PER_BYTE * file_size
-    seconds = round(FREE_SECONDS + SECONDS_PER_BYTE * file_size)
-    for limit, value in (
-        (resource.RLIMIT_AS, memory),
-        (resource.RLIMIT_CPU, seconds),
-        (resource.RLIMIT_CORE, 0),
-    ):
-        _, most = resource.getrlimit(limit)
-        resource.setrlimit(limit, (value if most == resource.RLIM_INFINITY else min(value, most), most))
+    return serve(path, _read_stage)
 
 
 def _read_stage(path: Path) -> Strands:

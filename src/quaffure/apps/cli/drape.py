@@ -54,7 +54,7 @@ class DrapeCommand:
     """Drape a groom on a moving body and write it; print frames with hair inside the body or tips that jump."""
 
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")]
-    """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
+    """A bundled groom (see `quaffure grooms`) or a file: .abc, .bin, .data, .hair, .npy, .npz, .ply, .tfx, .usd."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
     """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .png, .mp4."""
     motion: str = "neck_turn"
@@ -68,7 +68,7 @@ class DrapeCommand:
     shape: str = ""
     """Ten body shape coefficients separated by commas, or a file that holds them; without it, the mean body."""
     head: Path | None = None
-    """The head mesh (.obj) that a groom file was made on; helps to register it."""
+    """The head mesh (.obj, .ply) that a groom file was made on; helps to register it."""
     draper: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(DRAPERS)}}}")] = None
     """The method: one of the solvers (docs/solvers.md), the network, or the supervised baseline (docs/groomgen.md).
     Without it strand_newton, or with --weights the network."""

@@ -95,11 +95,11 @@ class ImportGroom:
     """Register a groom of another head, units and axes to our scalp, write it as a groom file, and report the fit."""
 
     files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE")]
-    """Strands: .hair, .data, .bin, .tfx, .usd, .npz. Several files are the parts of one groom."""
+    """Strands: .abc, .bin, .data, .hair, .npy, .npz, .ply, .tfx, .usd. Several files are the parts of one groom."""
     out: Path
     """Where to write (.npz)."""
     head: Path | None = None
-    """The head mesh (.obj) that the groom was made on, in its units and axes; helps to register it."""
+    """The head mesh (.obj, .ply) that the groom was made on, in its units and axes; helps to register it."""
     picture: Path | None = None
     """A picture (.png) of before and after: the strands as in the file, and on our body."""
     licence: str = ""

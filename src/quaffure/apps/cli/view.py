@@ -25,7 +25,7 @@ class ViewCommand:
     """Show drapes live in a browser, with controls for groom, clip, pose, body shape and draper."""
 
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")] = "long_straight"
-    """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
+    """A bundled groom (see `quaffure grooms`) or a file: .abc, .bin, .data, .hair, .npy, .npz, .ply, .tfx, .usd."""
     motion: str = "nod"
     """A bundled clip, `rest` for the rest pose, or a .bvh or .npz file."""
     joints: Path | None = None

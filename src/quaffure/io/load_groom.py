@@ -9,6 +9,7 @@ import numpy as np
 from quaffure.body.body_model import BodyModel, shipped_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
+from quaffure.hair.file_frame import UNKNOWN, FileFrame
 from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
 from quaffure.hair.registration import HeadMesh, register_groom
@@ -21,13 +22,16 @@ from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import STYLES
 
 
-def load_groom(groom: str | Path, body: BodyModel | None = None, head: Path | None = None) -> Groom:
+def load_groom(
+    groom: str | Path, body: BodyModel | None = None, head: Path | None = None, frame: FileFrame = UNKNOWN
+) -> Groom:
     """A groom on `body`, 24 vertices a strand, at most one strand in a texel of the scalp's texture.
 
     Args:
         groom: a bundled name (`STYLES`), or the path of a groom file or of a strand file.
         body: the shipped one where none is given.
-        head: the mesh (.obj) of the head that a strand file's hair belongs to, in the same units and axes.
+        head: the mesh (.obj, .ply) of the head that a strand file's hair belongs to, in the same units and axes.
+        frame: what is known of a strand file's axes and unit.
 
     Raises:
         InputError: no such name or file, a broken file, or strands that cannot be registered.
@@ -46,7 +50,7 @@ def load_groom(groom: str | Path, body: BodyModel | None = None, head: Path | No
             raise InputError(path, f"{VERTICES_PER_STRAND} vertices a strand", found)
         return _opened(select_guides(loaded))
     mesh = read_head(head) if head is not None else None
-    return _opened(select_guides(register_groom(read_strands(path), body, path.stem, mesh)[0]))
+    return _opened(select_guides(register_groom(read_strands(path), body, path.stem, mesh, frame=frame)[0]))
 
 
 def _opened(groom: Groom) -> Groom:

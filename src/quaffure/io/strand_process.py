@@ -60,7 +60,7 @@ def read_in_process(module: str, path: Path, extra: str, expected: str) -> Stran
     if ended.returncode:
         raise InputError(path, expected, _how_it_ended(ended.returncode, ended.stderr))
     with np.load(BytesIO(ended.stdout), allow_pickle=False) as arrays:
-        return Strands(source=str(path), **arrays)
+        return Strands(source=str(path), **{**arrays, "dropped": int(arrays["dropped"])})
 
 
 def _environment() -> dict[str, str]:
@@ -94,7 +94,8 @@ def serve(path: Path, read: Callable[[Path], Strands]) -> int:
         except InputError as error:
             output.write(json.dumps([error.expected, error.found]).encode())
             return REFUSED
-        np.savez(output, points=strands.points, counts=strands.counts, **held_parts_of(strands))
+        numbers = {"points": strands.points, "counts": strands.counts, "dropped": np.array(strands.dropped)}
+        np.savez(output, **numbers, **held_parts_of(strands))  # type: ignore[arg-type]  # taken for allow_pickle
     return 0
 
 

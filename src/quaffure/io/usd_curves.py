@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pxr import Usd, UsdGeom, Work
@@ -119,7 +120,7 @@ def _nurbs(
     return nurbs_polylines(points, counts, orders, knots, weights, str(curves.GetPath()))
 
 
-def _read_held_parts(curve: UsdGeom.Curves, counts: np.ndarray, path: Path) -> dict[str, np.ndarray]:
+def _read_held_parts(curve: UsdGeom.Curves, counts: np.ndarray, path: Path) -> dict[str, Any]:
     """Per-vertex values of edges, repeated where a curve has one for all of its edges."""
     found: dict[str, np.ndarray] = {}
     primvars = UsdGeom.PrimvarsAPI(curve)

@@ -24,7 +24,7 @@ GUIDE = [
 ]
 COMMANDS = (
     *("drape", "train", "train-code", "groomgen-data", "train-groomgen", "render", "view", "evaluate", "score"),
-    *("benchmark inference", "benchmark solvers", "grooms", "groom new", "groom import", "info"),
+    *("benchmark inference", "benchmark solvers", "grooms", "groom new", "groom import", "inspect", "info"),
 )
 
 WORDS = {

@@ -17,6 +17,7 @@ from quaffure.apps.cli.evaluate import EvaluateCommand, ScoreCommand
 from quaffure.apps.cli.groom import GroomCommand, GroomsCommand
 from quaffure.apps.cli.groomgen import GroomgenDataCommand, TrainGroomgenCommand
 from quaffure.apps.cli.info import InfoCommand
+from quaffure.apps.cli.inspect import InspectCommand
 from quaffure.apps.cli.render import RenderCommand
 from quaffure.apps.cli.train import TrainCommand
 from quaffure.apps.cli.train_code import TrainCodeCommand
@@ -36,6 +37,7 @@ Command = (
     | Annotated[BenchmarkCommand, tyro.conf.subcommand("benchmark")]
     | Annotated[GroomsCommand, tyro.conf.subcommand("grooms")]
     | Annotated[GroomCommand, tyro.conf.subcommand("groom")]
+    | Annotated[InspectCommand, tyro.conf.subcommand("inspect")]
     | Annotated[InfoCommand, tyro.conf.subcommand("info")]
 )
 

@@ -13,8 +13,8 @@ from quaffure.extras import EXTRAS, is_installed, require_extra
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-MODULE_OF = {"pillow": "PIL", "usd-core": "pxr"}
-"""Modules whose packages have other names."""
+MODULES_OF = {"alembic3d": {"alembic3d", "imath"}, "pillow": {"PIL"}, "usd-core": {"pxr"}}
+"""Modules of packages with other names, or with more than one."""
 OPTIONAL = {module: extra for extra, modules in EXTRAS.items() for module in modules}
 BODY_TOOLS = {"anny", "igl", "trimesh"}
 WITHOUT_EXTRAS = f"""
@@ -35,7 +35,7 @@ UPPER_BOUNDS = ("numba", "numpy", "scipy", "torch", "tyro", "viser", "moderngl",
 
 def modules_of(requirements: list[str]) -> set[str]:
     names = {requirement.partition(">")[0].partition("=")[0] for requirement in requirements}
-    return {MODULE_OF.get(name, name) for name in names}
+    return set().union(*(MODULES_OF.get(name, {name}) for name in names))
 
 
 def imported_modules(path: Path) -> set[str]:

@@ -18,7 +18,10 @@ SOURCE = ROOT / "src" / "quaffure"
 MODULES = sorted(SOURCE.rglob("*.py"))
 GUIDE = [
     ROOT / "README.md",
-    *(ROOT / "docs" / f"{page}.md" for page in ("guides", "grooms", "view", "evaluation", "metrics", "inference")),
+    *(
+        ROOT / "docs" / f"{page}.md"
+        for page in ("guides", "grooms", "own_files", "view", "evaluation", "metrics", "inference")
+    ),
     *(ROOT / "docs" / f"{page}.md" for page in ("groom_code", "groomgen")),
     *(ROOT / "docs").glob("extend.md"),
 ]

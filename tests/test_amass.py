@@ -83,13 +83,13 @@ def test_heading_is_kept(tmp_path: Path, body: BodyModel) -> None:
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
-        ({"mocap_framerate": 60.0}, "an array poses"),
+        ({"mocap_framerate": 60.0}, "arrays of numbers poses"),
         ({"poses": np.zeros((4, 63)), "mocap_framerate": 60.0}, r"66 or more\].*\[4, 63\]"),
         ({"poses": np.zeros((0, 66)), "mocap_framerate": 60.0}, "1 to 100000 frames"),
         ({"poses": np.full((4, 66), np.nan), "mocap_framerate": 60.0}, "NaN"),
-        ({"poses": np.zeros((4, 66))}, "mocap_framerate or mocap_frame_rate, found none"),
+        ({"poses": np.zeros((4, 66))}, "mocap_frame_rate or fps, found none"),
         ({"poses": np.zeros((4, 66)), "mocap_frame_rate": -1.0}, "above 0 fps"),
-        ({"poses": np.array([{}], dtype=object), "mocap_frame_rate": 30.0}, "never loaded|undamaged"),
+        ({"poses": np.array([{}], dtype=object), "mocap_frame_rate": 30.0}, "poses of type object, not plain numbers"),
     ],
 )
 def test_bad_files(tmp_path: Path, body: BodyModel, arrays: dict[str, np.ndarray], message: str) -> None:

@@ -417,7 +417,8 @@ def test_motion_without_the_needed_joints(refusal: Refusal) -> None:
     path = refusal.saved("arm.bvh", TWO_JOINTS.encode())
     line = refusal(*posed("bob", "--motion", str(path)))
     assert f"{path}: expected " in line
-    assert "chest" in line
+    assert "none for Spine1, Head, LeftArm" in line
+    assert 'Known: Hips = "hip"' in line
 
 
 def test_truncated_motion(refusal: Refusal) -> None:
@@ -438,7 +439,7 @@ def test_truncated_motion(refusal: Refusal) -> None:
         ({"poses": np.full((4, 66), np.inf), "mocap_framerate": 60.0}, "expected finite joint angles"),
         ({"poses": np.zeros((4, 9)), "mocap_framerate": 60.0}, "expected poses [1 to 100000 frames, 66 or more]"),
         ({"poses": np.zeros((4, 66))}, "expected one number mocap_framerate"),
-        ({"something": np.zeros(3)}, "expected an array poses"),
+        ({"something": np.zeros(3)}, "expected arrays of numbers poses"),
     ],
 )
 def test_bad_motion_arrays(refusal: Refusal, arrays: dict[str, np.ndarray], expected: str) -> None:

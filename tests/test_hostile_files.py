@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import asdict
@@ -148,7 +149,7 @@ def test_members_that_numpy_does_not_write_are_refused(tmp_path: Path) -> None:
 def test_types_that_torch_lacks_are_refused_and_foreign_byte_order_is_read(tmp_path: Path, body: BodyModel) -> None:
     for name, kind in (("wide", np.longdouble), ("times", "m8[s]"), ("complex", np.complex64)):
         np.savez(tmp_path / f"{name}.npz", poses=np.zeros((2, 66), kind), mocap_framerate=30.0)
-        with pytest.raises(InputError, match="plain numbers"):
+        with pytest.raises(InputError, match=re.escape(f"poses of type {np.dtype(kind)}, not plain numbers")):
             read_motion(tmp_path / f"{name}.npz", body)
     np.savez(tmp_path / "big.npz", body_pose=np.full((2, 81), 0.25, ">f4"), fps=np.array(30, ">i8"))
     assert read_motion(tmp_path / "big.npz", body).body_pose.eq(0.25).all()

@@ -10,7 +10,9 @@ from quaffure.body import BodyModel
 from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import Groom, HeadMesh, Strands, concatenate_strands, inside_share, register_groom, root_positions
-from quaffure.hair.registration import RegistrationReport, nearest_on_scalp
+from quaffure.hair.file_frame import FileFrame
+from quaffure.hair.registration import nearest_on_scalp
+from quaffure.hair.registration_report import RegistrationReport
 from quaffure.io import read_head
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom
@@ -272,3 +274,111 @@ def test_a_tip_beyond_all_measure_raises_no_warning(groom: Groom, body: BodyMode
     strands = Strands(few.reshape(-1, 3), np.full(len(few), few.shape[1]), "damaged")
     with pytest.raises(InputError):
         register_groom(strands, body, "damaged")
+
+
+@pytest.mark.shared_data
+def test_bald_roots_of_a_file_are_counted(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+    strands = read_strands(shared_data / "cases" / "one_point_strands.hair")
+    assert strands.dropped == 40
+    _, report = register_groom(strands, body, "one point", surface=surface)
+    assert (report.kept, report.dropped) == (360, 40)
+    assert "360 strands kept, 40 dropped" in str(report)
+    assert concatenate_strands([strands, strands]).dropped == 80
+
+
+@pytest.mark.shared_data
+def test_what_is_known_is_not_guessed(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+    strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
+    guessed, report = register_groom(strands, body, "base", surface=surface)
+    assert (report.unit, report.up_axis, report.forward_axis) == ("cm", "+y", "+z")
+    assert "guessed: unit, up axis, facing" in str(report)
+    known, report = register_groom(strands, body, "base", surface=surface, frame=FileFrame("y", "+z", "cm"))
+    assert torch.allclose(known.rest_strands, guessed.rest_strands, atol=2e-3)
+    assert "guessed" not in str(report)
+    # A known axis is taken, however badly it fits.
+    _, report = register_groom(strands, body, "base", surface=surface, frame=FileFrame("-y", "+z", "0.01"))
+    assert report.up_axis == "-y"
+    assert "units of 0.01 m" in str(report)
+    assert report.dropped > 0
+
+
+@pytest.mark.shared_data
+def test_a_left_handed_file_is_mirrored(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+    """Hair parted at the side shows which side it is."""
+    strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
+    one_sided = strands.select(strands.roots[:, 0] > -2)
+    expected, _ = register_groom(one_sided, body, "base", surface=surface, frame=FileFrame("y", "z", "cm"))
+    mirrored = replace(one_sided, points=one_sided.points * np.float32([1, 1, -1]))
+    frame = FileFrame("y", "-z", "cm", mirror=True)
+    found, report = register_groom(mirrored, body, "mirrored", surface=surface, frame=frame)
+    assert torch.allclose(found.rest_strands, expected.rest_strands, atol=1e-4)
+    assert (report.up_axis, report.forward_axis) == ("+y", "-z")
+    assert np.linalg.det(report.rotation) == pytest.approx(-1.0)
+    assert "left-handed" in str(report)
+
+
+def test_a_registered_groom_is_not_moved(groom: Groom, body: BodyModel, surface: Surface) -> None:
+    few, known = groom.rest_strands[::20], FileFrame(registered=True)
+    again, report = register_groom(as_file(few.numpy()), body, "again", surface=surface, frame=known)
+    assert torch.equal(again.rest_strands, few)
+    assert "on this body as it stands" in str(report)
+    frame = FileFrame("y", "z", "cm", registered=True)
+    again, _ = register_groom(as_file(100 * few.numpy() @ Y_UP.T), body, "again", surface=surface, frame=frame)
+    assert torch.allclose(again.rest_strands, few, atol=1e-5)
+    above = as_file(few.numpy() + np.float32([0, 0, 0.02]))
+    with pytest.raises(InputError, match="within 2 mm of this body's scalp, as --registered says, found 5 of 31 there"):
+        register_groom(above, body, "above", surface=surface, frame=known)
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        ({"up": "w"}, r"--up: expected one of \+x, .*found 'w'"),
+        ({"up": "y", "forward": "-y"}, "--forward: expected an axis across y"),
+        ({"units": "furlong"}, "--units: expected one of m, cm, mm, inch, or metres in a unit, found 'furlong'"),
+        ({"units": "-1"}, "--units"),
+    ],
+)
+def test_axes_and_units_that_are_none(frame: dict[str, str], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        FileFrame(**frame)
+
+
+@pytest.mark.shared_data
+def test_a_groom_inside_the_body_is_refused(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+    """Strands that all grow into the head."""
+    strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
+    points = strands.points.reshape(400, -1, 3)
+    centre = points[:, :1].mean(axis=0, keepdims=True)
+    share = np.linspace(0, 1, points.shape[1])[:, None]
+    inward = points[:, :1] + share * 0.9 * (centre - points[:, :1])
+    strands = as_file(inward.astype(np.float32))
+    with pytest.raises(InputError, match=r"at most 40 % of the vertices inside the body .*found 100 %"):
+        register_groom(strands, body, "inward", surface=surface, frame=FileFrame("y", "z", "cm"))
+
+
+@pytest.mark.shared_data
+def test_single_reversed_strands_are_turned_round(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+    strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
+    expected, report = register_groom(strands, body, "base", surface=surface)
+    assert report.turned_strands == 0
+    points = strands.points.reshape(400, -1, 3).copy()
+    points[::16] = points[::16, ::-1]
+    found, report = register_groom(as_file(points), body, "some reversed", surface=surface)
+    assert (report.kept, report.turned_strands, report.turned) == (400, 25, False)
+    assert "25 single strands turned round" in str(report)
+    assert 1e3 * (found.rest_strands - expected.rest_strands).norm(dim=-1).max() < 3.0
+
+
+@pytest.mark.shared_data
+def test_eyebrows_are_recognised_and_left_out(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+    strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
+    ear = body.rest_vertices[body.ear_vertices]
+    x, y, z = body.rest_vertices.unbind(1)
+    brow = (y < ear[:, 1].min() - 0.05) & ((z - ear[:, 2].max()).abs() < 0.012) & (x.abs() > 0.01) & (x.abs() < 0.05)
+    roots = body.rest_vertices[brow][:40].numpy() @ Y_UP.T * 100
+    hairs = roots[:, None] + np.linspace(0, 1, 24)[:, None] * np.float32([0.8, 0.2, 0.3])
+    points = np.concatenate([strands.points.reshape(400, 24, 3), hairs.astype(np.float32)])
+    _, report = register_groom(as_file(points), body, "brows", surface=surface)
+    assert (report.kept, report.eyebrows, report.beard, report.dropped) == (400, len(hairs), 0, 0)
+    assert f"{len(hairs)} of eyebrows left out" in str(report)

@@ -20,14 +20,24 @@ GUIDE = [
     ROOT / "README.md",
     *(
         ROOT / "docs" / f"{page}.md"
-        for page in ("guides", "grooms", "export", "view", "evaluation", "metrics", "inference")
+        for page in ("guides", "grooms", "export", "own_files", "view", "evaluation", "metrics", "inference")
     ),
     *(ROOT / "docs" / f"{page}.md" for page in ("groom_code", "groomgen")),
     *(ROOT / "docs").glob("extend.md"),
 ]
 COMMANDS = (
     *("drape", "train", "train-code", "groomgen-data", "train-groomgen", "render", "view", "evaluate", "score"),
-    *("benchmark inference", "benchmark solvers", "grooms", "groom new", "groom import", "info", "export-onnx", "rig"),
+    *(
+        "benchmark inference",
+        "benchmark solvers",
+        "grooms",
+        "groom new",
+        "groom import",
+        "inspect",
+        "info",
+        "export-onnx",
+        "rig",
+    ),
 )
 
 WORDS = {

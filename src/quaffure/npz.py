@@ -46,6 +46,23 @@ def array_names(path: Path) -> frozenset[str]:
         return frozenset()
 
 
+def array_headers(path: Path) -> dict[str, Header]:
+    """Shape and type of every array in a file, of pickled objects too; none of them is loaded.
+
+    Raises:
+        InputError: the file is missing, no `.npz` or damaged.
+    """
+    with _opened(path, "an undamaged .npz file") as archive:
+        names = [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
+        _check_compression(archive, names, path)
+        return {name: _header(archive, name, path) for name in names}
+
+
+def is_number(header: Header) -> bool:
+    """Whether an array holds plain numbers that `read_numbers` reads."""
+    return _is_any(header.dtype, NUMBER)
+
+
 def read_numbers(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Those of the named arrays that an `.npz` file has, of any shape.
 
@@ -111,15 +128,21 @@ def _opened(path: Path, what: str) -> Iterator[ZipFile]:
 
 def _check_members(archive: ZipFile, names: Iterable[str], path: Path) -> None:
     """Refuse members that numpy does not write, and more bytes than a file of this size should hold."""
-    members: list[ZipInfo] = [archive.getinfo(f"{name}.npy") for name in names]
-    for member in members:
-        if member.flag_bits & IS_ENCRYPTED or member.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
-            found = f"{member.filename} encrypted or compressed in another way"
-            raise InputError(path, "arrays as numpy.savez writes them", found)
+    members = _check_compression(archive, names, path)
     total = sum(member.file_size for member in members)
     most = max(FREE_BYTES, MOST_COMPRESSION * path.stat().st_size)
     if total > most:
         raise InputError(path, f"arrays of at most {most} bytes in a file of its size", f"{total} bytes")
+
+
+def _check_compression(archive: ZipFile, names: Iterable[str], path: Path) -> list[ZipInfo]:
+    """The members, which are as numpy writes them."""
+    members = [archive.getinfo(f"{name}.npy") for name in names]
+    for member in members:
+        if member.flag_bits & IS_ENCRYPTED or member.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+            found = f"{member.filename} encrypted or compressed in another way"
+            raise InputError(path, "arrays as numpy.savez writes them", found)
+    return members
 
 
 def _header(archive: ZipFile, name: str, path: Path) -> Header:

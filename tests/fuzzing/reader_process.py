@@ -17,6 +17,7 @@ from typing import Any
 from quaffure.apps.cli.inputs import body_shape_of
 from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
+from quaffure.extras import is_installed
 from quaffure.io import read_drape, read_head, usd_curves
 from quaffure.io.groom_file import read_groom
 from quaffure.io.load_groom import load_groom
@@ -32,7 +33,7 @@ FREE_BYTES = 1 << 30
 def readers(body: BodyModel) -> dict[str, Callable[[Path], object]]:
     """By the name of the format (`tests.fuzzing.seeds`)."""
     return {
-        **dict.fromkeys(("hair", "data", "bin", "tfx", "npz strands"), read_strands),
+        **dict.fromkeys(("hair", "data", "bin", "tfx", "npy", "npz strands", "ply"), read_strands),
         "npz registered": lambda path: load_groom(path, body),
         "npz groom": lambda path: read_groom(path, body),
         "npz drape": read_drape,
@@ -42,9 +43,18 @@ def readers(body: BodyModel) -> dict[str, Callable[[Path], object]]:
         "csv": lambda path: body_shape_of(str(path)),
         "safetensors": load_network,
         # Without its process, whose start takes half a second: where the library ends this one, it would end that.
-        **dict.fromkeys(("usda", "usdc"), usd_curves._read_stage),
+        **dict.fromkeys(("usda", "usdc", "usdz"), usd_curves._read_stage),
+        **_alembic_reader(),
         "checkpoint": lambda path: RunFolder(path.parent).load({"identity": "fuzzed"}),
     }
+
+
+def _alembic_reader() -> dict[str, Callable[[Path], object]]:
+    if not is_installed("alembic3d"):
+        return {}
+    from quaffure.io import alembic_curves
+
+    return {"abc": alembic_curves._read_archive}
 
 
 def outcome_of(read: Callable[[Path], object], path: Path) -> dict[str, Any]:

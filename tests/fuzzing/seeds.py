@@ -10,6 +10,7 @@ import torch
 
 from quaffure.body import load_body
 from quaffure.config import HairMaterial
+from quaffure.extras import is_installed
 from quaffure.hair import DrapeSequence
 from quaffure.io import write_drape, write_groom, write_usd
 from quaffure.model import NetworkConfig, build_network, save_network
@@ -39,6 +40,8 @@ def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
     return {
         **{kind: (f".{kind}", _good(f".{kind}")) for kind in ("hair", "data", "bin", "tfx")},
         "npz strands": (".npz", (ragged_npz(RAGGED), npz_bytes(strands=np.float32(EVEN)))),
+        "npy": (".npy", (_npy(np.float32(EVEN)), _npy(np.float32([CUBE[:4], [*CUBE[4:7], [np.nan] * 3]])))),
+        "ply": (".ply", _plys()),
         "npz registered": (".npz", (foreign,)),
         "npz groom": (".npz", (_written(lambda path: write_groom(path, groom), ".npz"),)),
         "npz drape": (".npz", (_written(lambda path: write_drape(path, drape), ".npz"),)),
@@ -54,7 +57,9 @@ def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
         ),
         "usda": (".usda", (usd(".usda"),)),
         "usdc": (".usdc", (usd(".usdc"),)),
+        "usdz": (".usdz", (_usdz(usd(".usdc")),)),
         "checkpoint": (".pt", (_checkpoint(),)),
+        **({"abc": (".abc", (_alembic(),))} if is_installed("alembic3d") else {}),
     }
 
 
@@ -118,6 +123,45 @@ def _obj() -> bytes:
     faces = ("1 2 4 3", "5 7 8 6", "1/1 5/1 6/1", "1/1/1 6/1/1 2/1/1", "3 4 8", "-6 -1 -2", "1 3 7 5", "2 6 8 4")
     lines = [f"v {x} {y} {z}" for x, y, z in CUBE] + ["vt 0 0", "vn 0 0 1", "o head"] + [f"f {face}" for face in faces]
     return "\n".join(lines).encode()
+
+
+def _npy(array: np.ndarray) -> bytes:
+    return _written(lambda path: np.save(path, array), ".npy")
+
+
+def _plys() -> tuple[bytes, ...]:
+    """The same two strands with counts as text, with edges in big-endian, and with lists in little-endian order."""
+    vertices = np.arange(15, dtype=np.float32).reshape(5, 3)
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    rows = "".join(f"{x:g} {y:g} {z:g}\n" for x, y, z in vertices)
+    strands = "element strand 2\nproperty ushort nsegs\nend_header\n"
+    counts = f"ply\nformat ascii 1.0\nelement vertex 5\n{axes}{strands}{rows}1\n2\n"
+    edge = "element edge 3\nproperty int vertex1\nproperty int vertex2\nend_header\n"
+    edges = f"ply\nformat binary_big_endian 1.0\nelement vertex 5\n{axes}{edge}".encode()
+    edges += vertices.astype(">f4").tobytes() + np.array([[0, 1], [2, 3], [4, 3]], ">i4").tobytes()
+    polyline = "element polyline 2\nproperty list uchar int vertex_indices\nend_header\n"
+    lists = f"ply\nformat binary_little_endian 1.0\nelement vertex 5\n{axes}{polyline}".encode() + vertices.tobytes()
+    lists += b"".join(bytes([len(row)]) + np.array(row, "<i4").tobytes() for row in ([0, 1], [2, 3, 4]))
+    return counts.encode(), edges, lists
+
+
+def _usdz(stage: bytes) -> bytes:
+    from pxr import UsdUtils
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "seed.usdc"
+        path.write_bytes(stage)
+        assert UsdUtils.CreateNewUsdzPackage(str(path), f"{folder}/seed.usdz")
+        return (Path(folder) / "seed.usdz").read_bytes()
+
+
+def _alembic() -> bytes:
+    from tests.alembic_curves import write_curves
+
+    curves = {"points": CUBE, "counts": [3, 5], "guide": [0, 0]}
+    return _written(
+        lambda path: write_curves(path, {"hair": curves, "bang": curves | {"basis": "kBsplineBasis"}}), ".abc"
+    )
 
 
 def _checkpoint() -> bytes:

@@ -39,6 +39,7 @@ class Motion:
         name: for messages and files.
         translation: [F,3] of the body from its rest position [m, world]; None where it stays in place. The heading is
             part of `body_pose`: the rotation of Hips, joint 0.
+        notes: what its reader guessed, in words.
 
     Raises:
         InputError: no frames, another width than three numbers a joint, a value or a rate that is not finite, a
@@ -49,6 +50,7 @@ class Motion:
     fps: float
     name: str
     translation: Float[Tensor, "..."] | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.body_pose.ndim != 2 or self.body_pose.shape[0] < 1 or self.body_pose.shape[1] != 81:
@@ -157,7 +159,7 @@ def resample(motion: Motion, fps: float) -> Motion:
     if translation is not None:
         weight = (position - before)[:, None].to(translation)
         translation = torch.lerp(translation[before], translation[before + 1], weight)
-    return Motion(pose_from_matrices(between), fps, motion.name, translation)
+    return Motion(pose_from_matrices(between), fps, motion.name, translation, motion.notes)
 
 
 def filter_flips(motion: Motion) -> Motion:

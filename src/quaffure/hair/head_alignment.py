@@ -11,10 +11,9 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from quaffure.hair.file_frame import UNITS, FileFrame, axis_name
 from quaffure.hair.scalp_target import ScalpTarget
 
-# Metres in one unit of a file.
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
 # Range of the fitted scale relative to a unit's: heads differ, units do not.
 SCALE_RANGE = (0.8, 1.25)
 # Factor on the cost of a fit in no known unit (decimetres, game units).
@@ -91,28 +90,35 @@ class _Start:
     is_free: bool = False  # whether others are held
 
 
-def align(roots: Float[np.ndarray, "s 3"], hang: Float[np.ndarray, "3"], target: ScalpTarget) -> Alignment:
+def align(
+    roots: Float[np.ndarray, "s 3"], hang: Float[np.ndarray, "3"], target: ScalpTarget, frame: FileFrame
+) -> Alignment:
     """Fit the roots to the scalp from every plausible unit, up axis and facing, and keep the best.
 
     Args:
         roots: [file units].
         hang: mean over the strands of the unit direction of their outer part; hair hangs rather than stands.
         target: our scalp.
+        frame: what is known of the file; it is not tried otherwise.
     """
     sparse = target.thinned(COARSE_ROOTS)
-    ranked = _ranked(_starts(roots, target), _thinned(roots, COARSE_ROOTS), sparse, hang, COARSE_WIDTHS, COARSE_ROUNDS)
-    best = [variant for _, start in ranked[:BEST_STARTS] for variant in _tilts(start, hang)]
+    ranked = _ranked(
+        _starts(roots, target, frame), _thinned(roots, COARSE_ROOTS), sparse, hang, COARSE_WIDTHS, COARSE_ROUNDS
+    )
+    upright = bool(frame.up)
+    best = [variant for _, start in ranked[:BEST_STARTS] for variant in _tilts(start, hang, upright)]
     cost, start = _ranked(best, _thinned(roots, FINE_ROOTS), target, hang, FINE_WIDTHS, FINE_ROUNDS)[0]
     transform = start.transform
-    up = transform.rotation[2]
-    axis = int(np.abs(up).argmax())
-    unit = start.unit if start.unit in UNITS else f"units of {transform.scale:.2g} m"
-    return Alignment(transform, unit, f"{'-+'[int(up[axis] > 0)]}{'xyz'[axis]}", cost / start.penalty)
+    size = frame.units or f"{transform.scale:.2g}"
+    unit = start.unit if start.unit in UNITS else f"units of {size} m"
+    return Alignment(transform, unit, axis_name(transform.rotation[2]), cost / start.penalty)
 
 
-def _tilts(start: _Start, hang: Float[np.ndarray, "3"]) -> list[_Start]:
-    """The start held upright, by the file's axis and by gravity where it says otherwise, and free to tilt."""
+def _tilts(start: _Start, hang: Float[np.ndarray, "3"], is_up_known: bool) -> list[_Start]:
+    """The start held upright, by the file's axis; where that is a guess, also by gravity and free to tilt."""
     held = [replace(start, upright=start.file_up)]
+    if is_up_known:
+        return held
     # Hair falls to one side of a parting: of the side, symmetry knows more.
     side = start.transform.rotation[0]
     up = hang @ side * side - hang
@@ -147,33 +153,27 @@ def refine(
     return replace(alignment, transform=transform)
 
 
-def _starts(roots: Float[np.ndarray, "s 3"], target: ScalpTarget) -> list[_Start]:
+def _starts(roots: Float[np.ndarray, "s 3"], target: ScalpTarget, frame: FileFrame) -> list[_Start]:
     scalp = target.scalp_points
     size = _spread(scalp) / _spread(roots)
     scales = [(name, metres, 1.0) for name, metres in UNITS.items() if 0.25 < size / metres < 2.0]
-    if not any(0.8 < size / metres < 1.25 for _, metres, _ in scales):
+    if frame.units:
+        scales = [(frame.units, frame.metres_per_unit(), 1.0)]
+    elif not any(0.8 < size / metres < 1.25 for _, metres, _ in scales):
         scales.append((f"{size:.2g} m", size, FREE_UNIT_PENALTY))
     starts = []
     for name, scale, penalty in scales:
-        for up in (1, 2):
-            for quarter in range(4):
-                rotation = _rotation(up, 0.5 * np.pi * quarter)
-                translation = scalp.mean(0) - scale * rotation @ np.median(roots, axis=0)
-                # Alternative start, highest points together: the centroid of a mane is far below the head.
-                top = scale * roots @ rotation.T
-                highest = top[top[:, 2] >= np.quantile(top[:, 2], 0.8)].mean(0)
-                level = scalp[:, 2] >= np.quantile(scalp[:, 2], 0.6)
-                at_top = scalp[level].mean(0) - highest
-                bounds = (SCALE_RANGE[0] * scale, SCALE_RANGE[1] * scale)
-                for shift in (translation, at_top):
-                    starts.append(_Start(Similarity(rotation, scale, shift), name, bounds, penalty, np.eye(3)[up]))
+        for rotation in frame.rotations():
+            translation = scalp.mean(0) - scale * rotation @ np.median(roots, axis=0)
+            # Alternative start, highest points together: the centroid of a mane is far below the head.
+            top = scale * roots @ rotation.T
+            highest = top[top[:, 2] >= np.quantile(top[:, 2], 0.8)].mean(0)
+            level = scalp[:, 2] >= np.quantile(scalp[:, 2], 0.6)
+            at_top = scalp[level].mean(0) - highest
+            bounds = (SCALE_RANGE[0] * scale, SCALE_RANGE[1] * scale)
+            for shift in (translation, at_top):
+                starts.append(_Start(Similarity(rotation, scale, shift), name, bounds, penalty, rotation[2]))
     return starts
-
-
-def _rotation(up: int, yaw: float) -> Float[np.ndarray, "3 3"]:
-    """The rotation from the file's y (up = 1) or z (up = 2) to our z, followed by one about z."""
-    to_z_up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) if up == 1 else np.eye(3)
-    return Rotation.from_euler("z", yaw).as_matrix() @ to_z_up
 
 
 def _spread(points: Float[np.ndarray, "p 3"]) -> float:

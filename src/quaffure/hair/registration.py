@@ -1,6 +1,6 @@
 """Registration: a groom from its own head, units and axes to strands on our scalp."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,12 +12,14 @@ from quaffure.errors import InputError
 from quaffure.geometry.signed_distance import closest_barycentric
 from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import inside_share, pushed_out, rest_surface
+from quaffure.hair.file_frame import MIRROR, UNKNOWN, FileFrame, axis_name
 from quaffure.hair.groom import Groom
-from quaffure.hair.groom_alignment import align_groom
+from quaffure.hair.groom_alignment import GroomAlignment, align_groom, standing_groom
 from quaffure.hair.head_alignment import Alignment, refine
+from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.resample import resample_by_arc_length, resample_held_parts, without_degenerate
 from quaffure.hair.scalp_target import head_target
-from quaffure.hair.strands import Strands
+from quaffure.hair.strands import UNASKED, Strands
 from quaffure.types import Tensor
 
 FARTHEST_ROOT = 0.035
@@ -26,6 +28,10 @@ FEWEST_STRANDS = 20
 LARGEST_MEDIAN_RESIDUAL = 0.012  # m
 LEAST_KEPT = 0.2  # of the strands
 MOST_INSIDE = 5e-4  # of the vertices
+MOST_INSIDE_ON_ARRIVAL = 0.4
+"""Share of the vertices, without the roots: beyond it the fit is of the wrong side or size."""
+ROOT_SLACK = 2e-3
+"""Distance of a root from the scalp of a groom that stands on it already [m]."""
 # Smallest ratio of the third singular value of the roots to the first: below, they are on a line or a plane.
 FLATTEST = 0.03
 NEIGHBOURS = 16  # scalp triangles tried for the nearest point of a root
@@ -44,50 +50,6 @@ class HeadMesh:
     faces: Int[np.ndarray, "k 3"]
 
 
-@dataclass(frozen=True)
-class RegistrationReport:
-    """Estimates and residuals of a registration.
-
-    Attributes:
-        source: the file of the strands.
-        unit: of the file: m, cm, mm, inch, or its size where it has no name.
-        up_axis: of the file, as in "+y".
-        scale: metres in a file unit.
-        rotation: from the file's axes to ours.
-        median_residual, p95_residual, max_residual: distance of the aligned roots from the scalp, kept strands [mm].
-        kept, dropped: strands; dropped are those without length or too far from the scalp.
-        beard: strands left out because they grow on the lower face.
-        turned: whether the file stores strands from tip to root.
-        inside_before, inside_after: share of vertices, without the roots, inside the body: when aligned and at the end.
-    """
-
-    source: str
-    unit: str
-    up_axis: str
-    scale: float
-    rotation: Float[np.ndarray, "3 3"]
-    median_residual: float
-    p95_residual: float
-    max_residual: float
-    kept: int
-    dropped: int
-    beard: int
-    turned: bool
-    inside_before: float
-    inside_after: float
-
-    def __str__(self) -> str:
-        turned = "; strands stored from tip to root, turned round" if self.turned else ""
-        beard = f", and {self.beard} of a beard left out" if self.beard else ""
-        return (
-            f"{self.source}: read in {self.unit} with {self.up_axis} up (1 unit = {1e3 * self.scale:.4g} mm){turned}; "
-            f"{self.kept} strands kept, {self.dropped} dropped{beard}; roots {self.median_residual:.1f} mm from the "
-            f"scalp in the median, {self.p95_residual:.1f} mm at 95 %, {self.max_residual:.1f} mm at most; "
-            f"{100 * self.inside_before:.2f} % of the vertices inside the body on arrival, "
-            f"{100 * self.inside_after:.3f} % now."
-        )
-
-
 def register_groom(
     strands: Strands,
     body: BodyModel,
@@ -95,54 +57,106 @@ def register_groom(
     head: HeadMesh | None = None,
     licence: str = "",
     surface: Surface | None = None,
+    frame: FileFrame = UNKNOWN,
 ) -> tuple[Groom, RegistrationReport]:
     """Transform a groom to our scalp, resampled to the common number of vertices.
 
-    Units, axes and position are estimated by fitting the roots to the scalp (and the groom's own head, if given, to
-    our head) with a similarity transform. Strands stored from tip to root are turned round, and those of a beard are
-    left out. Each strand is then translated so that its root is the nearest point of the scalp; strands are projected
-    out of the body with their lengths kept. Their stiffness, goals and ties are kept.
+    Units, axes and position, as far as they are not known, are estimated by fitting the roots to the scalp (and the
+    groom's own head, if given, to our head) with a similarity transform. Strands stored from tip to root are turned
+    round, and those of a beard or of eyebrows are left out. Each strand is then translated so that its root is the
+    nearest point of the scalp; strands are projected out of the body with their lengths kept. Their stiffness, goals
+    and ties are kept. Strands of a groom that stands on this body already stay where they are, and are resampled only
+    where they have another number of vertices.
 
     Args:
         surface: of the body at rest, if available (`rest_surface`).
+        frame: what is known of the file's axes and unit.
 
     Raises:
-        InputError: too few strands, roots that do not cover a part of a head, or a poor fit.
+        InputError: too few strands, roots that do not cover a part of a head, or a poor fit; strands said to stand on
+            this body whose roots are not on its scalp.
     """
-    usable, degenerate = without_degenerate(strands)
-    polylines = resample_by_arc_length(usable, VERTICES_PER_STRAND).astype(np.float64)
-    _check_roots(polylines[:, 0], strands.source)
-    found = align_groom(polylines, body)
-    polylines, alignment = found.polylines[~found.beard], found.alignment
-    if head is not None:
-        alignment = _align_heads(alignment, head, polylines[:, 0], body)
+    usable, degenerate = without_degenerate(_mirrored(strands, frame))
+    found, alignment = _aligned(usable, body, head, frame)
     surface = surface or rest_surface(body)
-    aligned = alignment.transform(polylines)
+    kept_parts = found.on_scalp
+    aligned = alignment.transform(found.polylines[kept_parts])
     faces, barycentric, closest = nearest_on_scalp(torch.from_numpy(aligned[:, 0]).float(), body)
     offset = closest.double().numpy() - aligned[:, 0]
     residual = np.linalg.norm(offset, axis=1)
-    near = residual <= FARTHEST_ROOT
-    _check_fit(strands.source, residual, near)
+    near = residual <= (ROOT_SLACK if frame.registered else FARTHEST_ROOT)
+    _check_fit(strands.source, residual, near, frame)
     kept = torch.from_numpy(np.flatnonzero(near))
-    placed = torch.from_numpy((aligned + offset[:, None])[near]).float()
-    placed[:, 0] = closest[kept]
-    rest = pushed_out(placed, surface)
-    uv = body.scalp.uv_at(faces[kept], barycentric[kept])
+    placed = torch.from_numpy((aligned if frame.registered else aligned + offset[:, None])[near]).float()
+    if not frame.registered:
+        placed[:, 0] = closest[kept]
+    inside = inside_share(placed, surface)
+    if inside > MOST_INSIDE_ON_ARRIVAL:
+        fit = f"at most {100 * MOST_INSIDE_ON_ARRIVAL:g} % of the vertices inside the body (--up, --forward, --units)"
+        raise InputError(strands.source, fit, f"{100 * inside:.0f} % in the best fit")
+    rest = placed if frame.registered else pushed_out(placed, surface)
     # Held parts count vertices from the root: a file that stores tips first knows none.
     parts = {} if found.turned else resample_held_parts(usable)
-    held_parts = {name: torch.from_numpy(part[~found.beard][near]) for name, part in parts.items()}
+    held_parts = {
+        part: torch.from_numpy(_unasked_where(values, found.turned_strands, part)[kept_parts][near])
+        for part, values in parts.items()
+    }
+    uv = body.scalp.uv_at(faces[kept], barycentric[kept])
     groom = Groom(name, rest, faces[kept], barycentric[kept], uv, licence, **held_parts)
-    median, high, largest = 1e3 * np.quantile(residual[near], (0.5, 0.95, 1.0))
+    lost = strands.dropped + degenerate + int((~near).sum())
+    shares = inside, inside_share(rest, surface)
+    return groom, _report(strands.source, frame, found, alignment, 1e3 * residual[near], lost, shares)
+
+
+def _mirrored(strands: Strands, frame: FileFrame) -> Strands:
+    return replace(strands, points=strands.points @ MIRROR.astype(np.float32)) if frame.mirror else strands
+
+
+def _aligned(
+    strands: Strands, body: BodyModel, head: HeadMesh | None, frame: FileFrame
+) -> tuple[GroomAlignment, Alignment]:
+    """Which strands are which, and the transform to our body."""
+    if frame.registered and (strands.counts == VERTICES_PER_STRAND).all():
+        polylines = strands.points.reshape(-1, VERTICES_PER_STRAND, 3).astype(np.float64)
+    else:
+        polylines = resample_by_arc_length(strands, VERTICES_PER_STRAND).astype(np.float64)
+    if frame.registered:
+        found = standing_groom(polylines, body, frame)
+        return found, found.alignment
+    _check_roots(polylines[:, 0], strands.source)
+    found = align_groom(polylines, body, frame)
+    if head is None:
+        return found, found.alignment
+    if frame.mirror:
+        head = HeadMesh(head.vertices @ MIRROR, head.faces[:, ::-1])
+    return found, _align_heads(found.alignment, head, found.polylines[found.on_scalp][:, 0], body)
+
+
+def _unasked_where(values: np.ndarray, turned: Bool[np.ndarray, " s"], part: str) -> np.ndarray:
+    result = values.copy()
+    result[turned] = UNASKED[part]
+    return result
+
+
+def _report(
+    source: str,
+    frame: FileFrame,
+    found: GroomAlignment,
+    alignment: Alignment,
+    residual: Float[np.ndarray, " k"],
+    lost: int,
+    inside: tuple[float, float],
+) -> RegistrationReport:
+    median, high, largest = np.quantile(residual, (0.5, 0.95, 1.0))
+    rotation = alignment.transform.rotation @ (MIRROR if frame.mirror else np.eye(3))
     report = RegistrationReport(
-        strands.source, alignment.unit, alignment.up_axis, alignment.transform.scale, alignment.transform.rotation,
-        float(median), float(high), float(largest), len(rest), degenerate + int((~near).sum()),
-        int(found.beard.sum()), found.turned, inside_share(placed, surface), inside_share(rest, surface),
+        source, alignment.unit, axis_name(rotation[2]), axis_name(-rotation[1]), alignment.transform.scale, rotation,
+        alignment.transform.translation, frame, float(median), float(high), float(largest), len(residual), lost,
+        int(found.beard.sum()), int(found.eyebrow.sum()), found.turned, int(found.turned_strands.sum()), *inside,
     )  # fmt: skip
-    if report.inside_after > MOST_INSIDE:
-        raise InputError(
-            strands.source, f"at most {100 * MOST_INSIDE} % of vertices inside", f"{100 * report.inside_after:.3f} %"
-        )
-    return groom, report
+    if report.inside_after > MOST_INSIDE and not frame.registered:
+        raise InputError(source, f"at most {100 * MOST_INSIDE} % of vertices inside", f"{100 * inside[1]:.3f} %")
+    return report
 
 
 def nearest_on_scalp(
@@ -185,7 +199,12 @@ def _check_roots(roots: Float[np.ndarray, "s 3"], source: str) -> None:
         raise InputError(source, "roots spread over a part of a head", f"roots in {flat}")
 
 
-def _check_fit(source: str, residual: Float[np.ndarray, " s"], near: Bool[np.ndarray, " s"]) -> None:
+def _check_fit(source: str, residual: Float[np.ndarray, " s"], near: Bool[np.ndarray, " s"], frame: FileFrame) -> None:
+    if frame.registered:
+        if not near.all():
+            standing = f"roots within {1e3 * ROOT_SLACK:g} mm of this body's scalp, as --registered says"
+            raise InputError(source, standing, f"{int(near.sum())} of {len(near)} there")
+        return
     if near.sum() < max(FEWEST_STRANDS, LEAST_KEPT * len(near)):
         reach = f"roots within {1e3 * FARTHEST_ROOT:.0f} mm of the scalp once aligned"
         raise InputError(source, reach, f"{int(near.sum())} of {len(near)} there")

@@ -24,6 +24,7 @@ def concatenate_strands(parts: list[Strands]) -> Strands:
         np.concatenate([part.counts for part in parts]),
         ", ".join(part.source for part in parts),
         **{name: _concatenated(parts, name) for name in HELD_PARTS},
+        dropped=sum(part.dropped for part in parts),
     )
 
 

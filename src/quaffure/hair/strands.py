@@ -33,6 +33,7 @@ class Strands:
         source: the file, for messages.
         stiffness_scale, goal_weight: as in `Groom`, of the edge that begins at each point; the tip repeats the last.
         tie_vertex: as in `Groom`, counted on each strand.
+        dropped: strands of the file that are not here: bald roots, of fewer than two points.
     """
 
     points: Float[np.ndarray, "p 3"]
@@ -41,6 +42,7 @@ class Strands:
     stiffness_scale: Float[np.ndarray, " p"] | None = None
     goal_weight: Float[np.ndarray, " p"] | None = None
     tie_vertex: Int[np.ndarray, " s"] | None = None
+    dropped: int = 0
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -67,9 +69,9 @@ def checked_strands(
     points: np.ndarray,
     counts: np.ndarray,
     source: str | Path,
-    held_parts: Mapping[str, np.ndarray] = MappingProxyType({}),
+    held_parts: Mapping[str, Any] = MappingProxyType({}),
 ) -> Strands:
-    """Strands from what a reader found; strands of fewer than two vertices (bald roots) are dropped.
+    """Strands from what a reader found; strands of fewer than two vertices (bald roots) are dropped, and counted.
 
     Args:
         held_parts: those of `HELD_PARTS` that the file has.
@@ -81,7 +83,8 @@ def checked_strands(
     counts = np.asarray(counts, dtype=np.int64)
     if counts.sum() != len(points):
         raise InputError(source, f"{counts.sum()} points for its {len(counts)} strands", f"{len(points)}")
-    strands = Strands(points, counts, str(source), **held_parts).select(counts >= 2)
+    bald = int((counts < 2).sum())
+    strands = replace(Strands(points, counts, str(source), **held_parts).select(counts >= 2), dropped=bald)
     if len(strands) == 0:
         raise InputError(source, "at least one strand of two or more points", "no strands")
     bad = int(np.count_nonzero(~np.isfinite(strands.points).all(axis=1)))

@@ -1,7 +1,7 @@
 """Reads Biovision hierarchy (BVH) motion: a HIERARCHY of joints, then MOTION with one line of channel values a frame.
 
 There is no standard; this follows what Biovision's own files, MotionBuilder and the conversions of the CMU database
-agree on. Joint names may hold spaces; `End Site` blocks only mark the ends of bones and are skipped.
+agree on. Joint names may hold spaces; `End Site` blocks mark the ends of bones.
 """
 
 from dataclasses import dataclass
@@ -52,6 +52,7 @@ class _Joint(NamedTuple):
     parent: int
     offset: list[float]
     channels: tuple[str, ...]
+    end: list[float]  # offset of its End Site; empty without one
 
 
 def read_bvh(path: Path) -> BvhClip:
@@ -63,7 +64,7 @@ def read_bvh(path: Path) -> BvhClip:
             the line.
     """
     lines = _read_lines(path)
-    names, parents, offsets, channels = zip(*_parse_hierarchy(lines))
+    names, parents, offsets, channels, ends = zip(*_parse_hierarchy(lines))
     frame_count, frame_time = _parse_motion_header(lines)
     values = _parse_frames(lines, frame_count, sum(map(len, channels)))
     return BvhClip(
@@ -74,6 +75,7 @@ def read_bvh(path: Path) -> BvhClip:
         values=values,
         frame_time=frame_time,
         source=str(path),
+        ends=np.array([end or [np.nan] * 3 for end in ends]),
     )
 
 
@@ -99,7 +101,7 @@ def _parse_hierarchy(lines: _Lines) -> list[_Joint]:
             open_joints.append(len(joints) - 1)
         elif word.upper() == "END" and open_joints:
             lines.skip("{")
-            _parse_offset(lines)
+            joints[open_joints[-1]].end[:] = _parse_offset(lines)
             lines.skip("}")
         else:
             lines.fail("JOINT, End Site or }" if open_joints else "ROOT and its name", f"'{f'{word} {rest}'[:40]}'")
@@ -112,7 +114,7 @@ def _parse_joint(lines: _Lines, others: set[str], name: str, parent: int) -> _Jo
     if name in others:
         lines.fail("joint names that differ", f"'{name}' twice")
     lines.skip("{")
-    return _Joint(name, parent, _parse_offset(lines), _parse_channels(lines))
+    return _Joint(name, parent, _parse_offset(lines), _parse_channels(lines), [])
 
 
 def _parse_offset(lines: _Lines) -> list[float]:

@@ -9,24 +9,29 @@ import numpy as np
 from quaffure.body.body_model import BodyModel, shipped_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
+from quaffure.hair.file_frame import UNKNOWN, FileFrame
 from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
 from quaffure.hair.registration import HeadMesh, register_groom
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.input_file import read_text
 from quaffure.io.groom_file import is_groom_file, read_groom
+from quaffure.io.ply_strands import read_ply_mesh
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import STYLES
 
 
-def load_groom(groom: str | Path, body: BodyModel | None = None, head: Path | None = None) -> Groom:
+def load_groom(
+    groom: str | Path, body: BodyModel | None = None, head: Path | None = None, frame: FileFrame = UNKNOWN
+) -> Groom:
     """A groom on `body`, 24 vertices a strand, at most one strand in a texel of the scalp's texture.
 
     Args:
         groom: a bundled name (`STYLES`), or the path of a groom file or of a strand file.
         body: the shipped one where none is given.
-        head: the mesh (.obj) of the head that a strand file's hair belongs to, in the same units and axes.
+        head: the mesh (.obj, .ply) of the head that a strand file's hair belongs to, in the same units and axes.
+        frame: what is known of a strand file's axes and unit.
 
     Raises:
         InputError: no such name or file, a broken file, or strands that cannot be registered.
@@ -45,7 +50,7 @@ def load_groom(groom: str | Path, body: BodyModel | None = None, head: Path | No
             raise InputError(path, f"{VERTICES_PER_STRAND} vertices a strand", found)
         return _opened(select_guides(loaded))
     mesh = read_head(head) if head is not None else None
-    return _opened(select_guides(register_groom(read_strands(path), body, path.stem, mesh)[0]))
+    return _opened(select_guides(register_groom(read_strands(path), body, path.stem, mesh, frame=frame)[0]))
 
 
 def _opened(groom: Groom) -> Groom:
@@ -55,11 +60,26 @@ def _opened(groom: Groom) -> Groom:
 
 
 def read_head(path: Path) -> HeadMesh:
-    """Vertices and triangles of a Wavefront `.obj`; polygons are fanned, everything else is skipped.
+    """Vertices and triangles of a Wavefront `.obj` or a `.ply`; polygons are fanned, everything else is skipped.
 
     Raises:
         InputError: no such file, or no mesh in it.
     """
+    points, faces = _ply_mesh(path) if path.suffix.lower() == ".ply" else _obj_mesh(path)
+    if not len(faces) or faces.min() < 0 or faces.max() >= len(points):
+        raise InputError(path, "a mesh of vertices and faces", f"{len(points)} vertices, {len(faces)} faces")
+    if not np.isfinite(points).all():
+        raise InputError(path, "finite vertices", "NaN or infinity")
+    return HeadMesh(points, faces)
+
+
+def _ply_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    points, polygons = read_ply_mesh(path)
+    faces = [(row[0], row[k], row[k + 1]) for row in polygons for k in range(1, len(row) - 1)]
+    return points, np.array(faces, dtype=np.int64).reshape(-1, 3)
+
+
+def _obj_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
     lines = read_text(path, "a head mesh (.obj)", errors="replace").splitlines()
     vertices: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
@@ -73,11 +93,9 @@ def read_head(path: Path) -> HeadMesh:
     except (ValueError, OverflowError) as error:
         raise InputError(path, "numbers in the v and f lines of an .obj", str(error)) from error
     points = np.array([vertex for vertex in vertices if len(vertex) == 3]).reshape(-1, 3)
-    if not len(faces) or len(points) != len(vertices) or corners.min() < 0 or corners.max() >= len(points):
+    if len(points) != len(vertices):
         raise InputError(path, "a mesh of vertices and faces", f"{len(points)} vertices, {len(faces)} faces")
-    if not np.isfinite(points).all():
-        raise InputError(path, "finite vertices", "NaN or infinity")
-    return HeadMesh(points, corners)
+    return points, corners
 
 
 def _fan(indices: list[int], vertex_count: int) -> list[tuple[int, int, int]]:

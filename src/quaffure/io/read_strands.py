@@ -6,21 +6,27 @@ from pathlib import Path
 from quaffure.errors import InputError
 from quaffure.hair.strands import Strands
 from quaffure.input_file import check_input_file
+from quaffure.io.alembic_process import read_alembic_strands
 from quaffure.io.counted_strands import read_ct2hair, read_hairsalon
 from quaffure.io.hair import read_hair
-from quaffure.io.npz_strands import read_npz_strands
+from quaffure.io.npz_strands import read_npy_strands, read_npz_strands
+from quaffure.io.ply_strands import read_ply
 from quaffure.io.tressfx import read_tressfx
 from quaffure.io.usd_process import read_usd_strands
 
 STRAND_READERS: dict[str, Callable[[Path], Strands]] = {
+    ".abc": read_alembic_strands,
     ".bin": read_ct2hair,
     ".data": read_hairsalon,
     ".hair": read_hair,
+    ".npy": read_npy_strands,
     ".npz": read_npz_strands,
+    ".ply": read_ply,
     ".tfx": read_tressfx,
     ".usd": read_usd_strands,
     ".usda": read_usd_strands,
     ".usdc": read_usd_strands,
+    ".usdz": read_usd_strands,
 }
 
 

@@ -5,80 +5,63 @@ nested tens of thousands deep, and references that double with every level. No c
 because one file may name others.
 """
 
-import json
-import os
 import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
 import numpy as np
 from pxr import Usd, UsdGeom, Work
 
 from quaffure.errors import InputError, refused
+from quaffure.hair.curve_bases import (
+    LINEAR,
+    PERIODIC,
+    closed_polylines,
+    cubic_polylines,
+    is_basis_valid,
+    nurbs_polylines,
+    passes_its_points,
+)
 from quaffure.hair.resample import concatenate_strands
 from quaffure.hair.strands import HELD_PARTS, TIE_VERTEX, Strands, checked_strands, held_parts_of
 from quaffure.io.held_parts import checked_held_parts
-from quaffure.io.usd_process import BYTES_PER_BYTE, FREE_BYTES, FREE_SECONDS, PREFIX, REFUSED, SECONDS_PER_BYTE
+from quaffure.io.strand_process import serve
+from quaffure.io.usd_process import PREFIX
 
 
 def main(path: Path) -> int:
-    """Write the curves of a stage to the standard output as `.npz`, or as JSON what was expected and what was found.
-
-    Returns:
-        0, or `REFUSED`.
-    """
+    """Read a stage for the process that started this one."""
     Work.SetConcurrencyLimit(1)
-    with _results() as output:
-        _limit_this_process(path.stat().st_size)
-        try:
-            strands = _read_stage(path)
-        except InputError as error:
-            output.write(json.dumps([error.expected, error.found]).encode())
-            return REFUSED
-        np.savez(output, points=strands.points, counts=strands.counts, **held_parts_of(strands))
-    return 0
-
-
-@contextmanager
-def _results() -> Iterator[BinaryIO]:
-    """The standard output; what the USD library prints there goes to the error stream."""
-    sys.stdout.flush()
-    with os.fdopen(os.dup(1), "wb") as output:
-        os.dup2(2, 1)
-        yield output
-
-
-def _limit_this_process(file_size: int) -> None:
-    """Limit memory and processor time to what a stage of this size [bytes] may need, where the system can."""
-    try:
-        import resource
-    except ImportError:
-        return
-    memory = FREE_BYTES + BYTES_PER_BYTE * file_size
-    seconds = round(FREE_SECONDS + SECONDS_PER_BYTE * file_size)
-    for limit, value in (
-        (resource.RLIMIT_AS, memory),
-        (resource.RLIMIT_CPU, seconds),
-        (resource.RLIMIT_CORE, 0),
-    ):
-        _, most = resource.getrlimit(limit)
-        resource.setrlimit(limit, (value if most == resource.RLIM_INFINITY else min(value, most), most))
+    return serve(path, _read_stage)
 
 
 def _read_stage(path: Path) -> Strands:
     # On damaged files the USD library raises its own error, and returns values of unexpected types.
     with refused(path, "a USD file", Exception), _first_message():
         stage = Usd.Stage.Open(str(path))
-        curves = [UsdGeom.Curves(prim) for prim in stage.Traverse() if prim.IsA(UsdGeom.BasisCurves)]
-        rendered = [curve for curve in curves if curve.ComputePurpose() != UsdGeom.Tokens.guide]
-        parts = [_read_curves(curve, path) for curve in rendered or curves]
+        prims = list(stage.Traverse(Usd.TraverseInstanceProxies()))
+        curves = [UsdGeom.Curves(prim) for prim in prims if prim.IsA(UsdGeom.BasisCurves) or _is_nurbs(prim)]
+        parts = [_read_curves(curve, path) for curve in _rendered(curves)]
         if not parts:
-            raise InputError(path, "at least one strand", "no strands: no curves")
+            others = sorted({str(prim.GetTypeName()) for prim in prims if prim.IsA(UsdGeom.Boundable)})
+            found = f"no strands: no curves{f', only {chr(44).join(others)}' if others else ''}"
+            raise InputError(path, "at least one strand, in BasisCurves or NurbsCurves", found)
         every = concatenate_strands(parts)
         return checked_strands(every.points, every.counts, path, held_parts_of(every))
+
+
+def _rendered(curves: list[UsdGeom.Curves]) -> list[UsdGeom.Curves]:
+    """The curves that a renderer shows; without any the proxies, without these the guides, and hidden ones at last."""
+    visible = [curve for curve in curves if curve.ComputeVisibility(_time(curve)) != UsdGeom.Tokens.invisible]
+    tokens = UsdGeom.Tokens
+    for purposes in ((tokens.default_, tokens.render), (tokens.proxy,), (tokens.guide,)):
+        chosen = [curve for curve in visible or curves if curve.ComputePurpose() in purposes]
+        if chosen:
+            return chosen
+    return []
 
 
 @contextmanager
@@ -93,19 +76,51 @@ def _first_message() -> Iterator[None]:
         raise ValueError(said[1] if said else "a broken one") from error
 
 
-def _read_curves(curve: UsdGeom.Curves, path: Path) -> Strands:
+def _time(curve: UsdGeom.Curves) -> Usd.TimeCode:
+    """The first time of a curve's points."""
     samples = curve.GetPointsAttr().GetTimeSamples()
-    time = Usd.TimeCode(samples[0]) if samples else Usd.TimeCode.Default()
+    return Usd.TimeCode(samples[0]) if samples else Usd.TimeCode.Default()
+
+
+def _read_curves(curve: UsdGeom.Curves, path: Path) -> Strands:
+    time = _time(curve)
     points = np.array(curve.GetPointsAttr().Get(time) or [], dtype=np.float64).reshape(-1, 3)
     counts = np.array(curve.GetCurveVertexCountsAttr().Get(time) or [], dtype=np.int64)
     if (counts < 0).any() or counts.sum() != len(points):
         raise InputError(path, f"{counts.sum()} points in {curve.GetPath()}", f"{len(points)}")
     # Row vectors, as in all of USD.
     world = np.array(curve.ComputeLocalToWorldTransform(time))
-    return Strands(points @ world[:3, :3] + world[3, :3], counts, str(path), **_read_held_parts(curve, counts, path))
+    points = points @ world[:3, :3] + world[3, :3]
+    if _is_nurbs(curve.GetPrim()):
+        return Strands(*_nurbs(UsdGeom.NurbsCurves(curve.GetPrim()), points, counts, time), str(path))
+    curves = UsdGeom.BasisCurves(curve.GetPrim())
+    basis, wrap = str(curves.GetBasisAttr().Get()), str(curves.GetWrapAttr().Get())
+    is_linear = str(curves.GetTypeAttr().Get()) == LINEAR or not is_basis_valid(counts, basis, wrap)
+    if is_linear or passes_its_points(counts, basis, wrap):
+        # By default curves are cubic Beziers: polylines of programs that write no type mostly have another number of
+        # points than these can have.
+        parts = _read_held_parts(curve, counts, path)
+        if is_linear and wrap == PERIODIC:
+            return Strands(*closed_polylines(points, counts), str(path))
+        return Strands(points, counts, str(path), **parts)
+    return Strands(*cubic_polylines(points, counts, basis, wrap), str(path))
 
 
-def _read_held_parts(curve: UsdGeom.Curves, counts: np.ndarray, path: Path) -> dict[str, np.ndarray]:
+def _is_nurbs(prim: Usd.Prim) -> bool:
+    return bool(prim.IsA(UsdGeom.NurbsCurves))
+
+
+def _nurbs(
+    curves: UsdGeom.NurbsCurves, points: np.ndarray, counts: np.ndarray, time: Usd.TimeCode
+) -> tuple[np.ndarray, np.ndarray]:
+    orders = np.array(curves.GetOrderAttr().Get(time) or [], dtype=np.int64)
+    knots = np.array(curves.GetKnotsAttr().Get(time) or [], dtype=np.float64)
+    weights = curves.GetPointWeightsAttr().Get(time) if hasattr(curves, "GetPointWeightsAttr") else None
+    weights = None if weights is None else np.array(weights, dtype=np.float64)
+    return nurbs_polylines(points, counts, orders, knots, weights, str(curves.GetPath()))
+
+
+def _read_held_parts(curve: UsdGeom.Curves, counts: np.ndarray, path: Path) -> dict[str, Any]:
     """Per-vertex values of edges, repeated where a curve has one for all of its edges."""
     found: dict[str, np.ndarray] = {}
     primvars = UsdGeom.PrimvarsAPI(curve)

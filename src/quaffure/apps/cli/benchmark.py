@@ -41,7 +41,7 @@ class SolversCommand:
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A bundled groom or a file; may be given several times. Without it, long_straight."""
     head: Path | None = None
-    """The head mesh (.obj) that a groom file was made on; helps to register it."""
+    """The head mesh (.obj, .ply) that a groom file was made on; helps to register it."""
     motion: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A bundled clip or a file; may be given several times. Without it, neck_turn, bow and shrug."""
     frames: str = ""

@@ -61,13 +61,15 @@ class DrapeCommand:
     """Drape a groom on a moving body and write it; print frames with hair inside the body or tips that jump."""
 
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")]
-    """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
+    """A bundled groom (see `quaffure grooms`) or a file: .abc, .bin, .data, .hair, .npy, .npz, .ply, .tfx, .usd."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
     """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .abc, .glb,
     .hair and .ply (of one frame), .png, .mp4. An .abc, for Unreal a groom cache, comes with its groom asset:
     walk_groom.abc beside walk.abc."""
     motion: str = "neck_turn"
-    """A bundled clip, or a .bvh or .npz file."""
+    """A bundled clip, or a file: .bvh of any skeleton, .npz of AMASS, SMPL-X or poses of this body."""
+    joints: Path | None = None
+    """A joint map (.toml) for a .bvh motion whose joint names are not known; `quaffure inspect` writes one to edit."""
     frames: str = ":"
     """Frames A:B:STEP of the motion at 30 frames per second."""
     in_place: bool = False
@@ -75,7 +77,7 @@ class DrapeCommand:
     shape: str = ""
     """Ten body shape coefficients separated by commas, or a file that holds them; without it, the mean body."""
     head: Path | None = None
-    """The head mesh (.obj) that a groom file was made on; helps to register it."""
+    """The head mesh (.obj, .ply) that a groom file was made on; helps to register it."""
     draper: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(DRAPERS)}}}")] = None
     """The method: one of the solvers (docs/solvers.md), the network, or the supervised baseline (docs/groomgen.md).
     Without it strand_newton, or with --weights the network."""
@@ -118,10 +120,12 @@ class DrapeCommand:
 
     def run(self) -> None:
         console.quiet = self.json
-        check_outputs(self.out, (self.groom, self.motion, self.shape, self.head, self.weights, self.reference))
+        check_outputs(
+            self.out, (self.groom, self.motion, self.shape, self.head, self.joints, self.weights, self.reference)
+        )
         times = Stopwatch()
         body = load_body()
-        motion = motion_of(self.motion, body, self.in_place).frames(self.frames)
+        motion = motion_of(self.motion, body, self.in_place, self.joints).frames(self.frames)
         check_frames(self.out, len(range(0, len(motion), self.export.every)))
         body_shape = body_shape_of(self.shape)
         if float(body_shape.abs().max()) > LARGEST_COEFFICIENT:

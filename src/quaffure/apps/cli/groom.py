@@ -17,8 +17,10 @@ from quaffure.config import VERTICES_PER_STRAND
 from quaffure.energies.held_parts import with_ties
 from quaffure.errors import InputError
 from quaffure.hair.clearance import rest_surface
+from quaffure.hair.file_frame import FileFrame
 from quaffure.hair.groom import Groom
-from quaffure.hair.registration import HeadMesh, RegistrationReport, register_groom
+from quaffure.hair.registration import HeadMesh, register_groom
+from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.resample import concatenate_strands, resample_by_arc_length, without_degenerate
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.hair.strands import Strands
@@ -95,11 +97,22 @@ class ImportGroom:
     """Register a groom of another head, units and axes to our scalp, write it as a groom file, and report the fit."""
 
     files: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE")]
-    """Strands: .hair, .data, .bin, .tfx, .usd, .npz. Several files are the parts of one groom."""
+    """Strands: .abc, .bin, .data, .hair, .npy, .npz, .ply, .tfx, .usd. Several files are the parts of one groom."""
     out: Path
     """Where to write (.npz)."""
     head: Path | None = None
-    """The head mesh (.obj) that the groom was made on, in its units and axes; helps to register it."""
+    """The head mesh (.obj, .ply) that the groom was made on, in its units and axes; helps to register it."""
+    up: str = ""
+    """Axis of the files that points up, as in +y or z; guessed without it."""
+    forward: str = ""
+    """Axis of the files that the face is turned to; guessed without it."""
+    units: str = ""
+    """Unit of the files: m, cm, mm, inch, or the metres in one unit as a number; guessed without it."""
+    mirror: bool = False
+    """The files are left-handed, as those of Unreal and DirectX."""
+    registered: bool = False
+    """The groom stands on this body already: nothing is moved. Without --up, --forward and --units it is in metres,
+    z up, facing -y."""
     picture: Path | None = None
     """A picture (.png) of before and after: the strands as in the file, and on our body."""
     licence: str = ""
@@ -116,11 +129,12 @@ class ImportGroom:
             check_packages(self.picture)
         if not self.files:
             raise InputError("FILE", "at least one file of strands", "none")
+        frame = FileFrame(self.up, self.forward, self.units, self.mirror, self.registered)
         body = load_body()
         strands = concatenate_strands([read_strands(path) for path in self.files])
         mesh = None if self.head is None else read_head(self.head)
         with console.status("registering strands"):
-            groom, report = register_groom(strands, body, self.out.stem, mesh, self.licence)
+            groom, report = register_groom(strands, body, self.out.stem, mesh, self.licence, frame=frame)
         groom, ties = self._with_ties(groom)
         guides = select_guides(groom)
         write_groom(self.out, guides)

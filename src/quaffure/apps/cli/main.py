@@ -18,6 +18,7 @@ from quaffure.apps.cli.export_onnx import ExportOnnxCommand
 from quaffure.apps.cli.groom import GroomCommand, GroomsCommand
 from quaffure.apps.cli.groomgen import GroomgenDataCommand, TrainGroomgenCommand
 from quaffure.apps.cli.info import InfoCommand
+from quaffure.apps.cli.inspect import InspectCommand
 from quaffure.apps.cli.render import RenderCommand
 from quaffure.apps.cli.rig import RigCommand
 from quaffure.apps.cli.train import TrainCommand
@@ -40,6 +41,7 @@ Command = (
     | Annotated[BenchmarkCommand, tyro.conf.subcommand("benchmark")]
     | Annotated[GroomsCommand, tyro.conf.subcommand("grooms")]
     | Annotated[GroomCommand, tyro.conf.subcommand("groom")]
+    | Annotated[InspectCommand, tyro.conf.subcommand("inspect")]
     | Annotated[InfoCommand, tyro.conf.subcommand("info")]
 )
 

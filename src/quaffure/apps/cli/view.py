@@ -28,9 +28,11 @@ class ViewCommand:
     """Show drapes live in a browser, with controls for groom, clip, pose, body shape and draper."""
 
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")] = "long_straight"
-    """A bundled groom (see `quaffure grooms`) or a file: .hair, .data, .bin, .tfx, .usd, .npz."""
+    """A bundled groom (see `quaffure grooms`) or a file: .abc, .bin, .data, .hair, .npy, .npz, .ply, .tfx, .usd."""
     motion: str = "nod"
     """A bundled clip, `rest` for the rest pose, or a .bvh or .npz file."""
+    joints: Path | None = None
+    """A joint map (.toml) for a .bvh motion whose joint names are not known; `quaffure inspect` writes one to edit."""
     in_place: bool = False
     """Leave out the path of the body through the world; it turns, but does not travel."""
     weights: Path | None = None
@@ -64,7 +66,11 @@ class ViewCommand:
         if not self.folder.is_dir():
             raise InputError("--folder", "an existing folder", f"{self.folder}")
         model = load_model(self.weights)
-        motion = None if self.motion in (*CLIP_NAMES, REST) else motion_of(self.motion, model.body, self.in_place)
+        motion = (
+            None
+            if self.motion in (*CLIP_NAMES, REST)
+            else motion_of(self.motion, model.body, self.in_place, self.joints)
+        )
         console.print(f"reading the groom {self.groom}")
         groom = None if self.groom in STYLES else load_groom(self.groom, model.body)
         catalogue = Catalogue(model, groom, motion)

@@ -27,17 +27,8 @@ GUIDE = [
 ]
 COMMANDS = (
     *("drape", "train", "train-code", "groomgen-data", "train-groomgen", "render", "view", "evaluate", "score"),
-    *(
-        "benchmark inference",
-        "benchmark solvers",
-        "grooms",
-        "groom new",
-        "groom import",
-        "inspect",
-        "info",
-        "export-onnx",
-        "rig",
-    ),
+    *("benchmark inference", "benchmark solvers", "grooms", "groom new", "groom import", "inspect", "info"),
+    *("export-onnx", "rig"),
 )
 
 WORDS = {

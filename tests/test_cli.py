@@ -567,6 +567,9 @@ def test_missing_weights(refusal: Refusal) -> None:
     ("arguments", "message"),
     [
         (["drape", "bob", "--draper", "magic"], "--draper: expected one of strand_newton, adam"),
+        (["drape", "bob", "--model", "published"], "--model: expected quaffure or paper, with the network"),
+        (["drape", "bob", "--model", "paper", "--draper", "xpbd"], "--model: expected quaffure or paper"),
+        (["drape", "bob", "--model", "paper", "--elastic", "rod"], "--elastic: expected modified_cosserat"),
         (["drape", "bob", "--settle", "3"], "--settle: expected another draper than strand_newton"),
         (["drape", "bob", "--stiffness", "0"], "--stiffness: expected a factor above 0, at most 100, found 0"),
         (["drape", "bob", "--weight", "1e3"], "--weight: expected a factor above 0, at most 100, found 1000"),

@@ -8,7 +8,7 @@ from quaffure.body import FEATURE_COUNT, BodyModel, Motion, head_frame_body_refe
 from quaffure.body.mls_body import mls_body
 from quaffure.body.pose_features import pose_features
 from quaffure.config import HairMaterial
-from quaffure.energies.loading import STANDARD_LOADING
+from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
 from quaffure.geometry import (
@@ -30,8 +30,11 @@ from quaffure.model import (
     prepared_groom,
     save_network,
 )
+from quaffure.model.groom_code import load_groom_encoder
 from quaffure.model.initial_shape import initial_shape_reference
 from quaffure.model.prepared_groom import balanced_depth, rising
+from quaffure.model.quaffure_network import DisplacementNetwork
+from quaffure.model.weights_file import read_weights
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from tests.training_runs import perturbed
@@ -198,6 +201,31 @@ def test_a_file_that_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
 def test_the_shipped_model_drapes(groom: Groom) -> None:
     model = load_model()
     assert model.drape(groom, torch.zeros(2, 81), torch.zeros(2, 10)).shape == (2, len(groom), 24, 3)
+
+
+def test_the_papers_configuration_is_shipped_and_knows_one_loading(groom: Groom) -> None:
+    model = load_model("paper")
+    assert isinstance(model.draper.network, DisplacementNetwork)
+    pose, shape = torch.zeros(1, 81), torch.zeros(1, 10)
+    moved = (model.drape(groom, pose, shape)[0] - groom.rest_strands).norm(dim=-1)
+    assert moved[:, 0].max() < 1e-5
+    assert 1e-3 < moved[:, -1].mean() < 0.1
+    with pytest.raises(InputError, match="the paper's configuration"):
+        model.under(Loading(0.5))
+
+
+def test_weights_of_the_shipped_encoder_are_not_written_again(tmp_path: Path) -> None:
+    network = build_network(DISPLACEMENT)
+    network.encoder.load_state_dict(load_groom_encoder().state_dict())
+    save_network(tmp_path / "same.safetensors", network, HairMaterial(), {})
+    torch.nn.init.zeros_(network.encoder.to_code.bias)
+    save_network(tmp_path / "other.safetensors", network, HairMaterial(), {})
+    names = [read_weights(tmp_path / f"{name}.safetensors", "weights")[0].keys() for name in ("same", "other")]
+    assert {name for name in names[1] if name.startswith("encoder.")} == {"encoder.to_code.bias"}
+    assert names[1] - names[0] == {"encoder.to_code.bias"}
+    again = load_network(tmp_path / "other.safetensors")[0].state_dict()
+    for name, value in network.encoder.state_dict().items():
+        assert torch.equal(again[f"encoder.{name}"], value)
 
 
 def test_the_shipped_model_refuses_what_does_not_fit(groom: Groom) -> None:

@@ -1,5 +1,6 @@
 """Weights of a network in half precision, with what its reader needs to know, in one safetensors file."""
 
+from collections.abc import Collection
 from pathlib import Path
 
 import torch
@@ -15,13 +16,17 @@ MAX_WIDTH = 4096
 """Widest layer that a file may ask for: its text must not decide how much memory is taken."""
 
 
-def save_weights(path: Path, network: nn.Module, notes: dict[str, str]) -> None:
-    """Write all weights, rounded to half precision, and texts by name.
+def save_weights(path: Path, network: nn.Module, notes: dict[str, str], without: Collection[str] = ()) -> None:
+    """Write weights, rounded to half precision, and texts by name.
+
+    Args:
+        without: names of weights that are left out.
 
     Raises:
         OSError: the disk is full, for instance.
     """
-    half = {name: value.detach().to(torch.float16).contiguous() for name, value in network.state_dict().items()}
+    weights = {name: value for name, value in network.state_dict().items() if name not in without}
+    half = {name: value.detach().to(torch.float16).contiguous() for name, value in weights.items()}
     path.write_bytes(save(half, notes))
 
 

@@ -273,7 +273,9 @@ def test_bad_renders(tmp_path: Path, drape: Path, capfd: pytest.CaptureFixture[s
     assert "expected 1 to 1000000, found 0" in refused(capfd, "render", drape, "--strands", "0", *out)
     missing = tmp_path / "missing.npz"
     assert f"{missing}: expected a drape file" in refused(capfd, "render", missing, *out)
-    assert "expected a picture, a video or USD" in refused(capfd, "render", drape, "--out", tmp_path / "hair.npz")
+    assert "expected a picture, a video or a file for another program" in refused(
+        capfd, "render", drape, "--out", tmp_path / "hair.npz"
+    )
     assert "--out: expected at least one file" in refused(capfd, "render", drape)
     write_groom(missing, make_groom(with_settings(STYLES["bob"], (FEW_ROOTS,)), body).select(torch.arange(2)))
     line = refused(capfd, "drape", missing, "--draper", "posed", "--strands", "50", *out)
@@ -282,10 +284,11 @@ def test_bad_renders(tmp_path: Path, drape: Path, capfd: pytest.CaptureFixture[s
     assert not list(tmp_path.iterdir())
 
 
-def test_usd_that_would_not_fit_memory_is_refused(
+def test_text_usd_that_would_not_fit_memory_is_refused(
     tmp_path: Path, drape: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("quaffure.apps.cli.outputs.MOST_BYTES", 1e6)
-    line = refused(capfd, "render", drape, "--strands", "900", "--out", tmp_path / "hair.usd")
-    assert "--strands: expected at most 868 for 2 frames of USD, found 900" in line
+    monkeypatch.setattr("quaffure.apps.cli.outputs.MOST_BYTES", 1e5)
+    line = refused(capfd, "render", drape, "--strands", "900", "--out", tmp_path / "hair.usda")
+    assert "expected at most 0.0001 GB of strands in a text file" in line
+    assert not list(tmp_path.iterdir())
     check_outputs([tmp_path / "hair.png"], ())

@@ -120,6 +120,9 @@ def test_an_interrupted_drape_continues_to_the_bit(
     with pytest.raises(SystemExit):
         main(command(tiny_groom_file, out, "--resume", "--stiffness", "2"))
     assert "found other stiffness" in capfd.readouterr().err
+    with pytest.raises(SystemExit):
+        main(command(tiny_groom_file, out, "--resume", "--model", "quaffure"))
+    assert "found other draper, model" in capfd.readouterr().err
     main(command(tiny_groom_file, out, "--resume"))
     resumed = json.loads(capfd.readouterr().out)
     assert [path.name for path in tmp_path.iterdir()] == ["drape.npz"]

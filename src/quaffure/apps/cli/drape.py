@@ -188,6 +188,7 @@ class DrapeCommand:
             "fps": motion.fps,
             "shape": body_shape.tolist(),
             "draper": self._name,
+            "model": self.model,
             "weights": None if self.weights is None else hashlib.sha256(self.weights.read_bytes()).hexdigest(),
             "coherent": self.coherent,
             "settle": self.settle,

@@ -73,18 +73,13 @@ def compute_roots(
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _point_to_tie(anchor: np.ndarray, tie: np.ndarray, lane: int, rows: np.ndarray) -> None:
     """Frame of a tied strand: the smallest rotation that points it to its tie (`Ties.rotation`)."""
-    one, square = np.float32(1.0), np.float32(0.0)
-    for axis in range(3):
-        reach = anchor[axis] + tie[axis, lane] - rows[VERTEX + axis * LANES + lane]
-        rows[_DEFLECTION + axis * LANES + lane] = reach
-        square += reach * reach
-    per_length = one / np.sqrt(square)
+    one = np.float32(1.0)
+    u = anchor[0] + tie[0, lane] - rows[VERTEX + lane]
+    v = anchor[1] + tie[1, lane] - rows[VERTEX + LANES + lane]
+    w = anchor[2] + tie[2, lane] - rows[VERTEX + 2 * LANES + lane]
+    per_length = one / np.sqrt(u * u + v * v + w * w)
+    u, v, w = u * per_length, v * per_length, w * per_length
     x, y, z = tie[3, lane], tie[4, lane], tie[5, lane]
-    u = rows[_DEFLECTION + lane] * per_length
-    v = rows[_DEFLECTION + LANES + lane] * per_length
-    w = rows[_DEFLECTION + 2 * LANES + lane] * per_length
-    for axis in range(3):
-        rows[_DEFLECTION + axis * LANES + lane] = np.float32(0.0)
     a, b, c = y * w - z * v, z * u - x * w, x * v - y * u
     alignment = x * u + y * v + z * w
     scale = one / max(one + alignment, np.float32(1e-6))

@@ -37,10 +37,7 @@ class Directions:
 
     def __init__(self, energy: HairEnergy, scene: HairScene, start: Positions | None = None) -> None:
         self._roots, self._rest_length = scene.posed[:, :, 0], energy.rest.rest_length
-        vectors = scene.director.clone() if start is None else directors(start)
-        if start is None and {StretchShear, Gravity} <= {type(term) for term in energy.terms}:
-            stiffness = energy.material.k_cosserat
-            vectors = equilibrium_vectors(vectors, self._rest_length, energy.rest.mass_beyond, stiffness)
+        vectors = _own_start(energy, scene) if start is None else directors(start)
         self.values = torch.nn.functional.normalize(vectors, dim=-1).requires_grad_()
 
     @torch.no_grad()
@@ -54,6 +51,13 @@ class Directions:
 
     def positions(self) -> Positions:
         return integrate_directions(self._roots, self.values, self._rest_length)
+
+
+def _own_start(energy: HairEnergy, scene: HairScene) -> EdgeVectors:
+    vectors = scene.director.clone()
+    if not {StretchShear, Gravity} <= {type(term) for term in energy.terms}:
+        return vectors
+    return equilibrium_vectors(vectors, energy.rest.rest_length, energy.rest.mass_beyond, energy.material.k_cosserat)
 
 
 class Offsets:

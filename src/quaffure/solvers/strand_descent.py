@@ -132,7 +132,7 @@ class StrandDescent:
         """Passes without contact and without density; tails cohere."""
         self._best = None
         for _ in range(passes):
-            self._model_surroundings(self._with_cohesion()[1])
+            self._surround_by_tails()
             self._move(np.float32(0.0), most_turn, self._anywhere, backtracks=0)
 
     def resolve_contact(self, share: float) -> None:
@@ -143,7 +143,7 @@ class StrandDescent:
     def touch(self, passes: int) -> None:
         """Passes with contact and without density; tails cohere."""
         for _ in range(passes):
-            self._model_surroundings(self._with_cohesion()[1])
+            self._surround_by_tails()
             self._move(self._k_body_collision, self._control.most_turn, self._anywhere, self._control.backtracks)
 
     def settle(self, passes: int) -> None:
@@ -205,15 +205,23 @@ class StrandDescent:
         """Energy of all terms [J], and the gradient of those between strands."""
         self._evaluate(self._k_body_collision)
         positions = torch.from_numpy(self._now.positions)
-        density_energy, gradient = self_collision_and_gradient(positions, self._energy.rest, self._energy.material)
-        cohesion_energy, gradient_of_cohesion = self._with_cohesion()
-        return self.own_energy + density_energy + cohesion_energy, gradient.numpy() + gradient_of_cohesion
+        density_energy, of_density = self_collision_and_gradient(positions, self._energy.rest, self._energy.material)
+        energy, gradient = self.own_energy + density_energy, of_density.numpy()
+        if self._cohesion.terms:
+            cohesion_energy, of_cohesion = self._cohesion_and_gradient()
+            energy, gradient = energy + cohesion_energy, gradient + of_cohesion
+        return energy, gradient
 
-    def _with_cohesion(self) -> tuple[float, np.ndarray]:
+    def _surround_by_tails(self) -> None:
+        """Each strand is held by the rest of its tail alone, and free hair by nothing."""
+        if self._cohesion.terms:
+            self._evaluate(np.float32(0.0) if self._k_of_now is None else self._k_of_now)
+            self._model_surroundings(self._cohesion_and_gradient()[1])
+        else:
+            self._around.gradient[:], self._around.stiffness[:] = 0.0, 0.0
+
+    def _cohesion_and_gradient(self) -> tuple[float, np.ndarray]:
         """Energy of the cohesion of tails at the positions of now [J], and its gradient."""
-        self._evaluate(np.float32(0.0) if self._k_of_now is None else self._k_of_now)
-        if not self._cohesion.terms:
-            return 0.0, np.zeros_like(self._now.positions)
         hair = torch.from_numpy(self._now.positions)[None].requires_grad_()
         energy = self._cohesion.total(hair, self._scene)
         return float(energy.detach()), torch.autograd.grad(energy, hair)[0][0].numpy()

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from quaffure.body.bvh_clip import BvhClip
 from quaffure.body.joint_map import LIMB_BONES, SIDES, JointMap
 from quaffure.errors import InputError
+from quaffure.geometry.axes import axis_name, nearest_axis
 from quaffure.geometry.rotation import shortest_arc
 from quaffure.types import Tensor
 
@@ -80,10 +81,10 @@ def source_skeleton(clip: BvhClip, joint_map: JointMap) -> SourceSkeleton:
         world_from_file = _shortest_arc(world_from_file @ turned, np.array([0.0, 0.0, 1.0])) @ world_from_file
         notes = (
             *notes,
-            f"the world's {_axis_name(turned)} axis is up, though the skeleton is made {_axis_name(up)} up",
+            f"the world's {axis_name(turned)} axis is up, though the skeleton is made {axis_name(up)} up",
         )
-    elif _axis_name(up) != "+y":
-        notes = (*notes, f"{_axis_name(up)} is up")
+    elif axis_name(up) != "+y":
+        notes = (*notes, f"{axis_name(up)} is up")
     needed = {name: clip.joint_names.index(name) for source in joint_map.values() for name in source.joints}
     world = {
         name: torch.from_numpy(world_from_file @ rotations[:, joint] @ reference[joint].T @ body_from_rest.T)
@@ -127,7 +128,7 @@ def _rest_pose(
 def _stands(rest: dict[str, Vector], joint_map: JointMap) -> bool:
     """Whether the trunk and the line from right to left are along axes of the file, and the legs point down."""
     up, left = _trunk(rest, joint_map)
-    if not all(_angle(line, _axis(line)) < AXIS_ANGLE for line in (up, left)):
+    if not all(_angle(line, nearest_axis(line)) < AXIS_ANGLE for line in (up, left)):
         return False
     legs = (_line(rest, joint_map, f"{side}UpLeg", f"{side}Leg") for side in SIDES)
     return all(_angle(leg, -up) < LEG_ANGLE for leg in legs)
@@ -144,8 +145,8 @@ def _tilts(positions: dict[str, Float[np.ndarray, "f 3"]], joint_map: JointMap) 
 def _body_axes(rest: dict[str, Vector], joint_map: JointMap, snapped: bool) -> Float[np.ndarray, "3 3"]:
     """Rotation from the rest pose's axes to the body's: rows are left, back and up. Snapped: to the file's axes."""
     up, left = _trunk(rest, joint_map)
-    up = _axis(up)
-    left = _axis(left) if snapped else left - left @ up * up
+    up = nearest_axis(up)
+    left = nearest_axis(left) if snapped else left - left @ up * up
     left = left / np.linalg.norm(left)
     return np.stack([left, np.cross(up, left), up])
 
@@ -165,7 +166,7 @@ def _turned_world(
     on the floor is upright along another axis as well, but low.
     """
     mean = hips_up.mean(0)
-    axis = _axis(mean)
+    axis = nearest_axis(mean)
     if path is None or leg is None or axis @ up > 0.5 or axis @ mean < WORLD_UP_COSINE:
         return None
     low, high = (share * leg for share in STANDING_HEIGHTS)
@@ -207,17 +208,6 @@ def _bones(source: str, rest: dict[str, Vector], ends: dict[str, Vector], joint_
 
 def _line(rest: dict[str, np.ndarray], joint_map: JointMap, first: str, second: str) -> np.ndarray:
     return rest[joint_map[second].first] - rest[joint_map[first].first]
-
-
-def _axis(vector: Vector) -> Vector:
-    """The axis of the file nearest to a vector."""
-    largest = int(np.abs(vector).argmax())
-    return np.sign(vector[largest]) * np.eye(3)[largest]
-
-
-def _axis_name(axis: Vector) -> str:
-    largest = int(np.abs(axis).argmax())
-    return f"{'-+'[int(axis[largest] > 0)]}{'xyz'[largest]}"
 
 
 def _angle(a: Float[np.ndarray, "*#n 3"], b: Float[np.ndarray, "*#n 3"]) -> np.ndarray:

@@ -82,12 +82,6 @@ class FileFrame:
 UNKNOWN = FileFrame()
 
 
-def axis_name(direction: Float[np.ndarray, "3"]) -> str:
-    """The axis nearest to a direction, as in "+y"."""
-    axis = int(np.abs(direction).argmax())
-    return f"{'-+'[int(direction[axis] > 0)]}{'xyz'[axis]}"
-
-
 def _signed(axis: str) -> str:
     return axis if axis[:1] in "+-" else f"+{axis}"
 

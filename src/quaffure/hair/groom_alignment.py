@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
 from quaffure.body.body_model import BodyModel
-from quaffure.hair.file_frame import FileFrame, axis_name
+from quaffure.geometry.axes import axis_name
+from quaffure.hair.file_frame import FileFrame
 from quaffure.hair.head_alignment import Alignment, Similarity, align
 from quaffure.hair.scalp_target import ScalpTarget, scalp_target, with_lower_face
 

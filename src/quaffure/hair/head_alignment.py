@@ -11,7 +11,8 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from quaffure.hair.file_frame import UNITS, FileFrame, axis_name
+from quaffure.geometry.axes import axis_name
+from quaffure.hair.file_frame import UNITS, FileFrame
 from quaffure.hair.scalp_target import ScalpTarget
 
 # Range of the fitted scale relative to a unit's: heads differ, units do not.

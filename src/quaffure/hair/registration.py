@@ -9,10 +9,11 @@ from jaxtyping import Bool, Float, Int
 from quaffure.body.body_model import BodyModel
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
+from quaffure.geometry.axes import axis_name
 from quaffure.geometry.signed_distance import closest_barycentric
 from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import inside_share, pushed_out, rest_surface
-from quaffure.hair.file_frame import MIRROR, UNKNOWN, FileFrame, axis_name
+from quaffure.hair.file_frame import MIRROR, UNKNOWN, FileFrame
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_alignment import GroomAlignment, align_groom, standing_groom
 from quaffure.hair.head_alignment import Alignment, refine

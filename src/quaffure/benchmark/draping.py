@@ -51,10 +51,10 @@ class CaseDraper:
         """
         if not method.drapes(case.groom, self.body, case.loading):
             return None
-        draper, _ = self._draper(method, case.loading)
-        cached = self.known(method, case, frame)
+        cached = self._cached(method, case, frame)
         if cached is not None:
             return cached
+        draper, _ = self._draper(method, case.loading)
         if method.name not in self._warm:
             few = case.groom.select(torch.arange(min(WARM_UP_STRANDS, len(case.groom))))
             draper.drape(Scene(few, case.bodies(self.body, frame)))
@@ -68,8 +68,9 @@ class CaseDraper:
 
     def known(self, method: Method, case: EvaluationCase, frame: int) -> TimedDrape | None:
         """The drape where the cache holds it."""
-        if not method.drapes(case.groom, self.body, case.loading):
-            return None
+        return self._cached(method, case, frame) if method.drapes(case.groom, self.body, case.loading) else None
+
+    def _cached(self, method: Method, case: EvaluationCase, frame: int) -> TimedDrape | None:
         drape = self.cache.get(self._key(method, case, frame))
         if drape is None or drape.strands.shape != case.groom.rest_strands.shape:
             return None

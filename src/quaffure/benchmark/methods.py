@@ -14,7 +14,6 @@ from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_model import PAPER, load_model
-from quaffure.model.quaffure_network import DisplacementNetwork
 from quaffure.solvers.design_solver import DesignSolver
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
 
@@ -49,7 +48,11 @@ class Method:
         configuration know one loading."""
         if isinstance(self.draper, GroomGenDraper) and not self.draper.knows(groom, body):
             return False
-        return loading == STANDARD_LOADING or (isinstance(self.draper, LoadedDraper) and not _is_paper(self.draper))
+        if loading == STANDARD_LOADING:
+            return True
+        if isinstance(self.draper, NeuralDraper):
+            return self.draper.reads_loading
+        return isinstance(self.draper, LoadedDraper)
 
     def under(self, loading: Loading) -> Draper:
         """The draper under a loading that it knows."""
@@ -57,10 +60,6 @@ class Method:
             return self.draper
         assert isinstance(self.draper, LoadedDraper)
         return self.draper.under(loading)
-
-
-def _is_paper(draper: Draper) -> bool:
-    return isinstance(draper, NeuralDraper) and isinstance(draper.network, DisplacementNetwork)
 
 
 def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:

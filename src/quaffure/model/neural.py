@@ -97,11 +97,16 @@ class NeuralDraper:
             InputError: what no hair has (`Loading.check`), or the paper's configuration, which knows one loading.
         """
         loading.check()
-        if isinstance(self.network, DisplacementNetwork) and loading != STANDARD_LOADING:
+        if not self.reads_loading and loading != STANDARD_LOADING:
             raise InputError("stiffness, gravity and wind", "a network of directions", "the paper's configuration")
         other = copy(self)
         other.loading, other._made = loading, None
         return other
+
+    @property
+    def reads_loading(self) -> bool:
+        """Whether stiffness, gravity and wind are inputs: the paper's configuration knows human hair under gravity."""
+        return not isinstance(self.network, DisplacementNetwork)
 
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of every sample [m, world], without gradient."""

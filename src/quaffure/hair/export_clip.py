@@ -23,7 +23,7 @@ FEWEST_POINTS, MOST_POINTS = 2, 255
 """Vertices of a strand; Unreal takes no more."""
 TIP_WIDTH = 0.35
 """Width of a tip, in widths of its root."""
-HAIR_COLOUR = (0.15, 0.062, 0.025)
+HAIR_COLOUR, BODY_COLOUR = (0.15, 0.062, 0.025), (0.62, 0.50, 0.435)
 """Linear RGB."""
 
 

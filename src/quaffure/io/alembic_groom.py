@@ -21,6 +21,7 @@ from quaffure.errors import InputError
 from quaffure.hair.export_clip import HAIR_COLOUR, MOST_POINTS, ExportClip
 from quaffure.io.atomic import replacing
 from quaffure.io.library_process import library_environment
+from quaffure.io.output_path import check_suffix
 
 if TYPE_CHECKING:
     from quaffure.io.alembic_archive import CurvesDescription, Description
@@ -71,8 +72,7 @@ def write_groom_asset(path: Path, clip: ExportClip) -> None:
 
 
 def _write(path: Path, clip: ExportClip, frames: Iterable[tuple[np.ndarray, ...]], what: str) -> None:
-    if path.suffix.lower() != ALEMBIC_SUFFIX:
-        raise InputError(path, f"a name ending in {ALEMBIC_SUFFIX}", f"{path.suffix or 'no suffix'}")
+    check_suffix(path, ALEMBIC_SUFFIX)
     if clip.point_count > MOST_POINTS:
         raise InputError(path, f"at most {MOST_POINTS} vertices a strand (--points)", f"{clip.point_count}")
     attributes = {GUIDES: _guide_attributes(clip), STRANDS: _strand_attributes(clip)}

@@ -19,14 +19,14 @@ from jaxtyping import Float, Int
 
 from quaffure.errors import InputError
 from quaffure.geometry.mesh import angle_weighted_vertex_normals
-from quaffure.hair.export_clip import HAIR_COLOUR, ExportClip
+from quaffure.hair.export_clip import BODY_COLOUR, HAIR_COLOUR, ExportClip
 from quaffure.io.atomic import replacing
 from quaffure.io.glb_asset import GlbAsset
 from quaffure.io.glb_skeleton import SkinnedBody
+from quaffure.io.output_path import check_suffix
 from quaffure.io.strand_mesh import strand_mesh_faces, strand_mesh_normals, strand_mesh_positions
 
 GLB_SUFFIX = ".glb"
-BODY_COLOUR = (0.62, 0.50, 0.435)
 MOST_BYTES = 2**32 - 1
 """The format counts with 32 bits."""
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
@@ -43,8 +43,7 @@ def write_glb(path: Path, clip: ExportClip, on_frame: Callable[[], object] = lam
     Raises:
         InputError: another suffix than .glb, more than 4 GB, a skeleton of a clip without a binding, or not writable.
     """
-    if path.suffix.lower() != GLB_SUFFIX:
-        raise InputError(path, f"a name ending in {GLB_SUFFIX}", f"{path.suffix or 'no suffix'}")
+    check_suffix(path, GLB_SUFFIX)
     if clip.settings.skinned and clip.binding is None:
         raise InputError("--skinned", "a drape of the body of this package", "another body")
     with replacing(path) as temporary, tempfile.TemporaryFile(dir=temporary.parent) as binary:

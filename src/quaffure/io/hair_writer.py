@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from quaffure.errors import InputError
 from quaffure.hair.export_clip import HAIR_COLOUR, ExportClip
 from quaffure.io.atomic import replacing
 from quaffure.io.hair import HEADER, POINTS, THICKNESS
+from quaffure.io.output_path import check_one_frame, check_suffix
 
 HAIR_SUFFIX = ".hair"
 ABOUT = b"quaffure: metres, z up"
@@ -22,10 +22,8 @@ def write_hair(path: Path, clip: ExportClip) -> None:
     Raises:
         InputError: another suffix than .hair, more than one frame, or not writable.
     """
-    if path.suffix.lower() != HAIR_SUFFIX:
-        raise InputError(path, f"a name ending in {HAIR_SUFFIX}", f"{path.suffix or 'no suffix'}")
-    if len(clip.frames) != 1:
-        raise InputError(path, "a drape of one frame (--frames 30, --every)", f"{len(clip.frames)}")
+    check_suffix(path, HAIR_SUFFIX)
+    check_one_frame(path, len(clip.frames))
     strands = clip.strands(0)
     count, points = strands.shape[:2]
     width = clip.strand_width

@@ -52,6 +52,29 @@ def check_output(path: Path, *suffixes: str, inputs: Iterable[str | Path | None]
     check_not_input(path, inputs)
 
 
+def check_suffix(path: Path, *suffixes: str) -> None:
+    """Refuse a name that a writer's format does not have.
+
+    Args:
+        suffixes: in small letters, of which the name has to have one.
+
+    Raises:
+        InputError: another suffix.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise InputError(path, f"a name ending in {', '.join(suffixes)}", f"{path.suffix or 'no suffix'}")
+
+
+def check_one_frame(path: Path, frames: int) -> None:
+    """Refuse a clip for a format of one frame.
+
+    Raises:
+        InputError: another number of frames.
+    """
+    if frames != 1:
+        raise InputError(path, "a drape of one frame (--frames 30, --every)", f"{frames}")
+
+
 def check_not_input(path: Path, inputs: Iterable[str | Path | None]) -> None:
     """Refuse an output that would replace an input.
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip
 from quaffure.io.atomic import replacing
+from quaffure.io.output_path import check_one_frame, check_suffix
 
 PLY_SUFFIX = ".ply"
 VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("strand", "<i4")])
@@ -21,10 +21,8 @@ def write_ply(path: Path, clip: ExportClip) -> None:
     Raises:
         InputError: another suffix than .ply, more than one frame, or not writable.
     """
-    if path.suffix.lower() != PLY_SUFFIX:
-        raise InputError(path, f"a name ending in {PLY_SUFFIX}", f"{path.suffix or 'no suffix'}")
-    if len(clip.frames) != 1:
-        raise InputError(path, "a drape of one frame (--frames 30, --every)", f"{len(clip.frames)}")
+    check_suffix(path, PLY_SUFFIX)
+    check_one_frame(path, len(clip.frames))
     strands = clip.strands(0)
     count, points = strands.shape[:2]
     vertices = np.empty(count * points, VERTEX)

@@ -22,29 +22,17 @@ def strand_mesh_positions(
         strands: [m].
         width: of a strand at each of its vertices [m].
     """
-    tangent = np.gradient(strands, axis=1)
-    outward = strands - strands[:, 0].mean(axis=0)
-    across = _unit(np.cross(tangent, outward))
-    angles = 2 * np.pi * np.arange(SIDES[profile]) / SIDES[profile]
+    across, normal = _across_and_outward(strands)
     radius = 0.5 * width[None, :, None]
-    if profile == "ribbons":
-        sides = [strands + np.cos(angle) * radius * across for angle in angles]
-    else:
-        normal = _unit(np.cross(across, tangent))
-        sides = [strands + radius * (np.cos(angle) * across + np.sin(angle) * normal) for angle in angles]
-    return np.stack(sides, axis=2).reshape(-1, 3).astype(np.float32)
+    directions = [across, -across] if profile == "ribbons" else _around(across, normal)
+    return np.stack([strands + radius * side for side in directions], axis=2).reshape(-1, 3).astype(np.float32)
 
 
 def strand_mesh_normals(strands: Float[np.ndarray, "m p 3"], profile: Profile) -> Float32[np.ndarray, "v 3"]:
     """Unit normals of the same vertices: away from the head, or of tubes away from the strand."""
-    tangent, outward = np.gradient(strands, axis=1), strands - strands[:, 0].mean(axis=0)
-    across = _unit(np.cross(tangent, outward))
-    normal = _unit(np.cross(across, tangent))
-    if profile == "ribbons":
-        return np.repeat(normal, 2, axis=1).reshape(-1, 3).astype(np.float32)
-    angles = 2 * np.pi * np.arange(3) / 3
-    sides = [np.cos(angle) * across + np.sin(angle) * normal for angle in angles]
-    return np.stack(sides, axis=2).reshape(-1, 3).astype(np.float32)
+    across, normal = _across_and_outward(strands)
+    directions = [normal, normal] if profile == "ribbons" else _around(across, normal)
+    return np.stack(directions, axis=2).reshape(-1, 3).astype(np.float32)
 
 
 def strand_mesh_faces(strands: int, points: int, profile: Profile) -> Int[np.ndarray, "k 3"]:
@@ -55,6 +43,19 @@ def strand_mesh_faces(strands: int, points: int, profile: Profile) -> Int[np.nda
     a, b = ring + first, ring + (first + 1) % around
     corners = np.stack([np.stack([a, b + around, b], -1), np.stack([a, a + around, b + around], -1)], -2)
     return corners.reshape(-1, 3)
+
+
+def _across_and_outward(strands: Float[np.ndarray, "m p 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors across each strand, along the head and away from it."""
+    tangent, outward = np.gradient(strands, axis=1), strands - strands[:, 0].mean(axis=0)
+    across = _unit(np.cross(tangent, outward))
+    return across, _unit(np.cross(across, tangent))
+
+
+def _around(across: np.ndarray, normal: np.ndarray) -> list[np.ndarray]:
+    """Directions from a strand to the sides of its tube."""
+    angles = 2 * np.pi * np.arange(SIDES["tubes"]) / SIDES["tubes"]
+    return [np.cos(angle) * across + np.sin(angle) * normal for angle in angles]
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 
-from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.hair.export_clip import HAIR_COLOUR, ExportClip
+from quaffure.hair.export_clip import BODY_COLOUR, HAIR_COLOUR, ExportClip
 from quaffure.hair.strands import TIE_VERTEX
 from quaffure.io.atomic import replacing
-from quaffure.io.usd_materials import BODY_COLOUR, add_materials, bind_material
+from quaffure.io.output_path import check_suffix
+from quaffure.io.usd_materials import add_materials, bind_material
 from quaffure.io.usd_process import PREFIX
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc")
@@ -43,8 +43,7 @@ def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[
     Raises:
         InputError: another suffix than .usd (binary), .usda or .usdc, or not writable.
     """
-    if path.suffix.lower() not in USD_SUFFIXES:
-        raise InputError(path, f"a name ending in {', '.join(USD_SUFFIXES)}", f"{path.suffix or 'no suffix'}")
+    check_suffix(path, *USD_SUFFIXES)
     clip = drape if isinstance(drape, ExportClip) else ExportClip(drape)
     with replacing(path) as temporary, _system_errors():
         layer = Sdf.Layer.CreateNew(str(temporary.absolute()))

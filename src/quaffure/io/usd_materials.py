@@ -2,10 +2,7 @@
 
 from pxr import Sdf, Usd, UsdShade
 
-from quaffure.hair.export_clip import HAIR_COLOUR
-
-BODY_COLOUR = (0.62, 0.50, 0.435)
-"""Linear RGB."""
+from quaffure.hair.export_clip import BODY_COLOUR, HAIR_COLOUR
 
 
 def add_materials(stage: Usd.Stage, scope: str) -> None:

@@ -4,17 +4,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import torch
-
 from quaffure.apps.cli.console import progress_bar
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.extras import require_extra
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.export_clip import ExportClip
-from quaffure.hair.groom_binding import GroomBinding, groom_binding
+from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import groom_of_drape
-from quaffure.io.output_path import check_distinct, check_output
+from quaffure.io.output_path import check_distinct, check_one_frame, check_output
 
 PICTURES = (".png", ".mp4")
 USD = (".usd", ".usda", ".usdc")
@@ -53,8 +51,8 @@ def check_frames(paths: Iterable[Path], frames: int) -> None:
         InputError: more than one for .hair or .ply.
     """
     for path in paths:
-        if path.suffix.lower() in ONE_FRAME and frames > 1:
-            raise InputError(path, "a drape of one frame (--frames 30, --every)", f"{frames}")
+        if path.suffix.lower() in ONE_FRAME:
+            check_one_frame(path, frames)
 
 
 def files_of(paths: Iterable[Path]) -> list[Path]:
@@ -81,13 +79,12 @@ def is_export(paths: Iterable[Path]) -> bool:
     return any(path.suffix.lower() in (*EXPORTS, ".glb") for path in paths)
 
 
-def binding_of(sequence: DrapeSequence, body: BodyModel) -> GroomBinding | None:
-    """Groom and body of a drape file at rest; None where it is that of another body."""
+def known_groom(sequence: DrapeSequence, body: BodyModel) -> Groom | None:
+    """Groom of a drape file at rest; None where it is that of another body."""
     try:
-        groom = groom_of_drape(sequence, body)
+        return groom_of_drape(sequence, body)
     except InputError:
         return None
-    return groom_binding(groom, body, torch.from_numpy(sequence.body_shape))
 
 
 def write_output(path: Path, clip: ExportClip) -> None:

@@ -4,13 +4,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+import torch
 import tyro
 
 from quaffure.apps.cli.console import console
-from quaffure.apps.cli.outputs import binding_of, check_frames, check_outputs, is_export, write_output
+from quaffure.apps.cli.outputs import check_frames, check_outputs, is_export, known_groom, write_output
 from quaffure.body.body_model import load_body
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip, ExportSettings
+from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.guide_interpolation import groom_of_drape, interpolation_of
 from quaffure.io.drape_file import read_drape
 
@@ -36,11 +38,14 @@ class RenderCommand:
                 raise InputError(path, "a picture, a video or a file for another program", "a drape file")
         sequence = read_drape(self.drape)
         check_frames(self.out, len(range(0, len(sequence), self.export.every)))
-        body, interpolation, binding = load_body(), None, None
+        body, groom, interpolation, binding = load_body(), None, None, None
         if self.strands is not None:
-            interpolation = interpolation_of(groom_of_drape(sequence, body), body, self.strands)
+            groom = groom_of_drape(sequence, body)
+            interpolation = interpolation_of(groom, body, self.strands)
         if is_export(self.out):
-            binding = binding_of(sequence, body)
+            groom = known_groom(sequence, body) if groom is None else groom
+            if groom is not None:
+                binding = groom_binding(groom, body, torch.from_numpy(sequence.body_shape))
         clip = ExportClip(sequence, interpolation, binding, self.export)
         for path in self.out:
             console.print(f"writing {path}")

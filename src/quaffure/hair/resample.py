@@ -1,7 +1,7 @@
 """Resampling of ragged polylines to a common number of vertices."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
@@ -33,14 +33,19 @@ def polyline_lengths(strands: Strands) -> Float[np.ndarray, " s"]:
     return np.add.reduceat(_steps(strands), strands.starts)
 
 
+def has_length(strands: Strands) -> Bool[np.ndarray, " s"]:
+    """Whether each strand is long enough to be a hair, relative to the others."""
+    lengths = polyline_lengths(strands)
+    return lengths > max(SHORTEST * float(np.median(lengths)), float(np.finfo(np.float32).tiny))
+
+
 def without_degenerate(strands: Strands) -> tuple[Strands, int]:
     """The strands of sufficient length, and the number of the others.
 
     Raises:
         InputError: none has.
     """
-    lengths = polyline_lengths(strands)
-    kept = lengths > max(SHORTEST * float(np.median(lengths)), float(np.finfo(np.float32).tiny))
+    kept = has_length(strands)
     if not kept.any():
         raise InputError(strands.source, "strands with a length", f"{len(strands)} strands of zero length")
     return strands.select(kept), int((~kept).sum())

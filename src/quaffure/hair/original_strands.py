@@ -25,6 +25,7 @@ from quaffure.hair.posing import triangle_frames
 from quaffure.hair.registration import FARTHEST_ROOT, nearest_on_scalp
 from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.resample import polyline_lengths, resample_by_arc_length
+from quaffure.hair.strand_attributes import NONE, StrandAttributes
 from quaffure.hair.strands import Strands
 from quaffure.types import Tensor
 
@@ -44,12 +45,14 @@ class PlacedStrands:
         counts: vertices of each strand.
         from_tip: whether the source stores a strand from tip to root.
         on_scalp: whether a strand grows on the scalp; others are a beard, eyebrows, or too far from it.
+        attributes: what else the source says of them, its points in its own order.
     """
 
     points: Float32[np.ndarray, "p 3"]
     counts: Int[np.ndarray, " s"]
     from_tip: Bool[np.ndarray, " s"]
     on_scalp: Bool[np.ndarray, " s"]
+    attributes: StrandAttributes = NONE
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -61,7 +64,8 @@ class PlacedStrands:
     def select(self, kept: Bool[np.ndarray, " s"]) -> "PlacedStrands":
         """Some of the strands."""
         points = self.points[np.repeat(kept, self.counts)]
-        return PlacedStrands(points, self.counts[kept], self.from_tip[kept], self.on_scalp[kept])
+        attributes = self.attributes.select(kept, self.counts)
+        return PlacedStrands(points, self.counts[kept], self.from_tip[kept], self.on_scalp[kept], attributes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +171,8 @@ def place_strands(strands: Strands, report: RegistrationReport, body: BodyModel)
     on_scalp = (np.linalg.norm(closest - roots, axis=1) <= FARTHEST_ROOT) & ~report.off_scalp
     if not report.frame.registered:
         placed += np.repeat(np.where(on_scalp[:, None], closest - roots, 0.0), strands.counts, axis=0)
-    return PlacedStrands(placed.astype(np.float32), strands.counts, from_tip ^ single, on_scalp)
+    points = placed.astype(np.float32)
+    return PlacedStrands(points, strands.counts, from_tip ^ single, on_scalp, strands.attributes)
 
 
 def original_strands(placed: PlacedStrands, groom: Groom, body: BodyModel) -> OriginalStrands:

@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float, Int
 
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
+from quaffure.hair.strand_attributes import concatenate_attributes
 from quaffure.hair.strands import GOAL_WEIGHT, HELD_PARTS, STIFFNESS_SCALE, TIE_VERTEX, UNASKED, Strands
 
 # A strand shorter than this share of the median strand is a point, not a hair.
@@ -25,6 +26,7 @@ def concatenate_strands(parts: list[Strands]) -> Strands:
         ", ".join(part.source for part in parts),
         **{name: _concatenated(parts, name) for name in HELD_PARTS},
         dropped=sum(part.dropped for part in parts),
+        attributes=concatenate_attributes([part.attributes for part in parts], [part.counts for part in parts]),
     )
 
 

@@ -115,8 +115,8 @@ class ImportGroom:
     """The groom stands on this body already: nothing is moved. Without --up, --forward and --units it is in metres,
     z up, facing -y."""
     parts: Literal["keep", "drop"] = "keep"
-    """What becomes of a beard, eyebrows and strands too far from the scalp, which are not draped: they move with the skin
-    where `quaffure drape --strands original` shows all strands of the files, or are left out."""
+    """What becomes of a beard, eyebrows and strands too far from the scalp, which are not draped: they move with the
+    skin where `quaffure drape --strands original` shows all strands of the files, or are left out."""
     picture: Path | None = None
     """A picture (.png) of before and after: the strands as in the file, and on our body."""
     licence: str = ""

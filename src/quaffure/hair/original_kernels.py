@@ -63,7 +63,7 @@ def drive_strands(
     draped: np.ndarray,
     rotations: np.ndarray,
     roots: np.ndarray,
-    root_turns: np.ndarray,
+    root_rotations: np.ndarray,
     body: SurfaceArrays,
     out: np.ndarray,
 ) -> None:
@@ -72,7 +72,7 @@ def drive_strands(
     Args:
         draped: guides [g, n, 3] [m, world].
         rotations: of `guide_rotations`.
-        roots, root_turns: position and rotation from rest of every strand's root.
+        roots, root_rotations: position and rotation from rest of every strand's root.
         body: of one pose.
     """
     for strand in prange(len(strands.counts)):
@@ -82,7 +82,7 @@ def drive_strands(
         if own >= 0:
             _copy_guide(strands.points[first : first + count], draped[own], out[first : first + count])
             continue
-        _follow(strand, strands, rotations, root_turns[strand], out)
+        _follow(strand, strands, rotations, root_rotations[strand], out)
         if strands.weights[strand, 0] > _ZERO:
             _leave_body(out[first : first + count], strands.points[first : first + count], body)
 
@@ -119,7 +119,9 @@ def _copy_guide(rest: np.ndarray, draped: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit(cache=True, fastmath=True)
-def _follow(strand: int, strands: DrivenStrands, rotations: np.ndarray, root_turn: np.ndarray, out: np.ndarray) -> None:
+def _follow(
+    strand: int, strands: DrivenStrands, rotations: np.ndarray, root_rotation: np.ndarray, out: np.ndarray
+) -> None:
     """Edges turned as those of the guides are at the same arc length; integrated from the root with their lengths."""
     first, count = strands.starts[strand], strands.counts[strand]
     edge_count = rotations.shape[1]
@@ -129,7 +131,7 @@ def _follow(strand: int, strands: DrivenStrands, rotations: np.ndarray, root_tur
         length = _unit_edge(strands.points, vertex, unit)
         turned[:] = _ZERO
         if strands.weights[strand, 0] == _ZERO:
-            _turn(root_turn, unit, _ONE, turned)
+            _turn(root_rotation, unit, _ONE, turned)
         for k in range(3):
             weight = strands.weights[strand, k]
             if weight == _ZERO:

@@ -30,6 +30,8 @@ FREE_SECONDS, SECONDS_PER_BYTE = 3.0, 2e-6
 """Limit of its processor time: of any file [s], and for each byte of the file [s]."""
 WALL_TIME = 5.0
 """Limit of the wall time, in limits of the processor time: a reference may name a FIFO, and machines may be busy."""
+LIBRARIES = {"usd": "USD", "alembic": "Alembic"}
+"""Names of libraries by the extra that brings them."""
 ATTRIBUTE = "attribute_"
 """Prefix of attributes of the strands."""
 REFUSED = 3
@@ -41,7 +43,7 @@ def read_in_process(module: str, path: Path, extra: str, expected: str) -> Stran
 
     Args:
         module: run as `python -m module FILE`; ends with `serve`.
-        extra: the extra of the package that the module needs.
+        extra: the extra of the package that the module needs, a key of `LIBRARIES`.
         expected: what the file should be, for the error.
 
     Raises:
@@ -61,7 +63,7 @@ def read_in_process(module: str, path: Path, extra: str, expected: str) -> Stran
     if ended.returncode == REFUSED:
         raise InputError(path, *json.loads(ended.stdout))
     if ended.returncode:
-        raise InputError(path, expected, _how_it_ended(ended.returncode, ended.stderr))
+        raise InputError(path, expected, _how_it_ended(ended.returncode, ended.stderr, LIBRARIES[extra]))
     with np.load(BytesIO(ended.stdout), allow_pickle=False) as arrays:
         found: dict[str, Any] = dict(arrays)
     more = {name.removeprefix(ATTRIBUTE): found.pop(name) for name in [*found] if name.startswith(ATTRIBUTE)}
@@ -75,14 +77,14 @@ def _environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": folders, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
-def _how_it_ended(code: int, said: bytes) -> str:
+def _how_it_ended(code: int, said: bytes, library: str) -> str:
     """What to say of a process that neither read nor refused the file."""
     if b"MemoryError" in said or b"bad_alloc" in said:
         return "one that takes more memory than its size accounts for"
     if code == -getattr(signal, "SIGXCPU", 0):
         return "one that takes more time than its size accounts for"
     if code < 0:
-        return f"one on which its library ends with {signal.Signals(-code).name}"
+        return f"one on which the {library} library ends with {signal.Signals(-code).name}"
     lines = said.decode(errors="replace").strip().splitlines()
     return f"one that could not be read: {lines[-1] if lines else code}"
 

@@ -5,7 +5,6 @@ Cubic bases and wrap modes as UsdGeomBasisCurves defines them; a control point o
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.interpolate import BSpline
 
 from quaffure.errors import InputError
 
@@ -81,6 +80,8 @@ def nurbs_polylines(
     Raises:
         InputError: orders or knots that do not fit the points.
     """
+    from scipy.interpolate import BSpline  # takes a part of the time that a file is given
+
     has_orders = len(orders) == len(counts) and (orders >= 2).all() and (counts >= orders).all()
     if not has_orders or len(knots) != (counts + orders).sum():
         found = f"{len(counts)} curves, {len(orders)} orders, {len(knots)} knots"

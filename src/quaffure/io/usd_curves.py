@@ -48,12 +48,16 @@ def _read_stage(path: Path) -> Strands:
     # On damaged files the USD library raises its own error, and returns values of unexpected types.
     with refused(path, "a USD file", Exception), _first_message():
         stage = Usd.Stage.Open(str(path))
-        prims = list(stage.Traverse(Usd.TraverseInstanceProxies()))
-        curves = [UsdGeom.Curves(prim) for prim in prims if prim.IsA(UsdGeom.BasisCurves) or _is_nurbs(prim)]
+        curves, others = list[UsdGeom.Curves](), set[str]()
+        for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+            if prim.IsA(UsdGeom.BasisCurves) or _is_nurbs(prim):
+                curves.append(UsdGeom.Curves(prim))
+            elif prim.IsA(UsdGeom.Boundable):
+                others.add(str(prim.GetTypeName()))
         parts = [_with_attributes(_read_curves(curve, path), curve) for curve in _rendered(curves)]
         if not parts:
-            others = sorted({str(prim.GetTypeName()) for prim in prims if prim.IsA(UsdGeom.Boundable)})
-            found = f"no strands: no curves{f', only {chr(44).join(others)}' if others else ''}"
+            only = f", only {', '.join(sorted(others))}" if others else ""
+            found = f"no strands: no curves{only}"
             raise InputError(path, "at least one strand, in BasisCurves or NurbsCurves", found)
         every = concatenate_strands(parts)
         return checked_strands(every.points, every.counts, path, held_parts_of(every), every.attributes)

@@ -139,6 +139,8 @@ def test_the_order_of_the_source_is_kept(shared_data: Path, body: BodyModel, sur
     assert 1e3 * np.linalg.norm(restored - expected, axis=1).mean() < 2.0
     assert found.vertex_count == 20
     assert found.strands(posed, body.rest_vertices.numpy()).shape == (400, 20, 3)
+    with pytest.raises(InputError, match="finite guides"):
+        found.points(np.full_like(posed, np.nan), body.rest_vertices.numpy())
     with pytest.raises(InputError, match="guides"):
         found.points(posed[1:], body.rest_vertices.numpy())
 

@@ -15,6 +15,7 @@ CLEARANCE_RAMP = np.float32(0.25)  # increase of it per length of strand from th
 CONTACT_PASSES = 4
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _LEAST = np.float32(1e-12)
+_FAR = np.float32(1e6)
 _OPPOSITE = np.float32(1e-6)  # 1 + cosine of two directions that no shortest arc connects
 
 
@@ -161,7 +162,7 @@ def _turn(matrix: np.ndarray, vector: np.ndarray, weight: float, out: np.ndarray
         out[i] += weight * (matrix[i, 0] * vector[0] + matrix[i, 1] * vector[1] + matrix[i, 2] * vector[2])
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True)
 def _leave_body(strand: np.ndarray, rest: np.ndarray, body: SurfaceArrays) -> None:
     """Push vertices out from root to tip; what follows moves along, and edges keep their lengths."""
     workspace = search_workspace()
@@ -174,6 +175,8 @@ def _leave_body(strand: np.ndarray, rest: np.ndarray, body: SurfaceArrays) -> No
         for axis in range(3):
             at[axis] = strand[vertex, axis] + shift[axis]
         for _ in range(CONTACT_PASSES):
+            if not abs(at[0]) + abs(at[1]) + abs(at[2]) < _FAR:  # a NaN has no cell in the grid
+                return
             distance, nx, ny, nz, face = distance_within(at[0], at[1], at[2], needed, leaf, body, workspace)
             leaf = face if face >= 0 else leaf
             if distance >= needed:

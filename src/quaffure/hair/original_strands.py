@@ -132,6 +132,8 @@ class OriginalStrands(GuideInterpolation):
         if guides.shape != rest.shape:
             raise InputError("guides", f"the {len(rest)} of {rest.shape[1]} vertices of the groom", f"{guides.shape}")
         draped = np.ascontiguousarray(guides, dtype=np.float32)
+        if not (np.isfinite(draped).all() and np.isfinite(body_vertices).all()):
+            raise InputError("guides", "finite guides and body vertices", "NaN or infinity")
         vertices = torch.from_numpy(np.ascontiguousarray(body_vertices, dtype=np.float32))
         surface = posed_surface(
             self.body.surface_topology, vertices[None], torch.from_numpy(draped[:, 0].mean(0))[None]

@@ -13,7 +13,7 @@ def write_curves(path: Path, objects: dict[str, dict[str, Any]]) -> None:
 
     Args:
         objects: by name, `points` [P,3] and `counts` of each; and `basis`, the `move` of its transform, `frames` in
-            which its points fall, whether it is `hidden`, and `guide` of each curve.
+            which its points fall, whether it is `hidden`, `guide` of each curve, and other `integers` of each by name.
     """
     archive = Abc.OArchive(str(path))
     for name, curves in objects.items():
@@ -27,10 +27,11 @@ def write_curves(path: Path, objects: dict[str, dict[str, Any]]) -> None:
         schema = AbcGeom.OCurves(node, "curves").getSchema()
         for frame in range(curves.get("frames", 1)):
             schema.set(_sample(curves["points"] - [0, 0, frame], curves["counts"], curves.get("basis")))
-        if "guide" in curves:
-            scope = AbcGeom.GeometryScope.kUniformScope
-            guides = AbcGeom.OInt32GeomParam(schema.getArbGeomParams(), "groom_guide", False, scope, 1)
-            guides.set(AbcGeom.OInt32GeomParamSample(_integers(curves["guide"]), scope))
+        scope = AbcGeom.GeometryScope.kUniformScope
+        integers = curves.get("integers", {}) | ({"groom_guide": curves["guide"]} if "guide" in curves else {})
+        for attribute, values in integers.items():
+            parameter = AbcGeom.OInt32GeomParam(schema.getArbGeomParams(), attribute, False, scope, 1)
+            parameter.set(AbcGeom.OInt32GeomParamSample(_integers(values), scope))
 
 
 def _sample(points: np.ndarray, counts: list[int], basis: str | None) -> Any:

@@ -205,5 +205,5 @@ def parts_of(array: np.ndarray) -> Iterator[np.ndarray]:
 
 def _is_any(dtype: np.dtype[Any], types: tuple[NumberType, ...]) -> bool:
     # numpy counts time differences as integers, and torch has no real numbers of more than 8 bytes.
-    torch_has = dtype.kind in "iuU" or (dtype.kind == "f" and dtype.itemsize <= 8)
+    torch_has = dtype.kind in "biuU" or (dtype.kind == "f" and dtype.itemsize <= 8)
     return torch_has and any(np.issubdtype(dtype, kind) for kind in types)

@@ -81,8 +81,9 @@ class ExportClip:
 
     @property
     def point_count(self) -> int:
-        """Vertices of a strand."""
-        return self.settings.points or self.sequence.strands.shape[2]
+        """Vertices of a strand, and of a guide."""
+        own = self.sequence.strands.shape[2] if self.interpolation is None else self.interpolation.vertex_count
+        return self.settings.points or own
 
     @property
     def strand_count(self) -> int:
@@ -149,12 +150,12 @@ class ExportClip:
     def held_parts(self) -> dict[str, np.ndarray]:
         """Those of `HELD_PARTS` that the drape has, of every strand: edges at their first vertices, the tip repeats the
         last."""
-        return self._held_parts(None if self.interpolation is None else self.interpolation.guides[:, 0], False)
+        return self._held_parts(slice(None) if self.interpolation is None else self.interpolation.guides[:, 0])
 
     @property
     def guide_held_parts(self) -> dict[str, np.ndarray]:
         """The same of the guides."""
-        return self._held_parts(self.guide_index, True)
+        return self._held_parts(self.guide_index)
 
     @property
     def _rest_guides(self) -> Float[np.ndarray, "s n 3"]:
@@ -172,7 +173,7 @@ class ExportClip:
         return self.interpolation.strands(guides, np.ascontiguousarray(body_vertices, dtype=np.float32))
 
     def _resampled(self, strands: np.ndarray, are_guides: bool) -> Float32[np.ndarray, "c p 3"]:
-        if self.point_count == self.sequence.strands.shape[2]:
+        if self.point_count == strands.shape[1]:
             return np.ascontiguousarray(strands, dtype=np.float32)
         right, weight = self._guide_places if are_guides else self._places
         points = strands.reshape(-1, 3)
@@ -187,12 +188,11 @@ class ExportClip:
     def _guide_places(self) -> tuple[Int[np.ndarray, "g p"], Float32[np.ndarray, "g p 1"]]:
         return _places(self._rest_guides[self.guide_index], self.point_count)
 
-    def _held_parts(self, chosen: np.ndarray | None, are_guides: bool) -> dict[str, np.ndarray]:
-        parts: dict[str, Any] = held_parts_of(self.sequence)
-        if chosen is not None:
-            parts = {name: values[chosen] for name, values in parts.items()}
-        if parts and self.point_count != self.sequence.strands.shape[2]:
-            rest = self._rest_guides[self.guide_index] if are_guides else self._dense_rest
+    def _held_parts(self, chosen: slice | np.ndarray) -> dict[str, np.ndarray]:
+        """Those of the chosen draped strands."""
+        parts: dict[str, Any] = {name: values[chosen] for name, values in held_parts_of(self.sequence).items()}
+        rest = self._rest_guides[chosen]
+        if parts and self.point_count != rest.shape[1]:
             of_points: dict[str, Any] = {
                 name: values if name == TIE_VERTEX else _at_vertices(values) for name, values in parts.items()
             }

@@ -94,11 +94,19 @@ def _with_details(
     """The alignment with single strands turned round that begin off the scalp and end on it, and with eyebrows."""
     target = scalp_target(body)
     placed = alignment.transform(polylines)
-    root, tip = _distance(placed[:, 0], target), _distance(placed[:, -1], target)
-    single = ~beard & (tip < TIP_ON_SCALP) & (root > tip + TIP_NEARER)
+    single = ~beard & begins_at_tip(placed[:, 0], placed[:, -1], body)
     found = np.where(single[:, None, None], polylines[:, ::-1], polylines)
     eyebrow = ~beard & _is_eyebrow(np.where(single[:, None, None], placed[:, ::-1], placed), target, body)
     return GroomAlignment(alignment, found, turned, single, beard, eyebrow)
+
+
+def begins_at_tip(
+    first: Float[np.ndarray, "s 3"], last: Float[np.ndarray, "s 3"], body: BodyModel
+) -> Bool[np.ndarray, " s"]:
+    """Whether strands begin off the scalp and end on it, by their first and last points [m]."""
+    target = scalp_target(body)
+    start, end = _distance(first, target), _distance(last, target)
+    return (end < TIP_ON_SCALP) & (start > end + TIP_NEARER)
 
 
 def _is_eyebrow(placed: Float[np.ndarray, "s n 3"], target: ScalpTarget, body: BodyModel) -> Bool[np.ndarray, " s"]:

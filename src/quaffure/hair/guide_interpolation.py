@@ -9,7 +9,7 @@ diverge in a drape, at a shoulder, the weights of the further ones fade out smoo
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -158,9 +158,16 @@ def with_strands(sequence: DrapeSequence, interpolation: GuideInterpolation) -> 
         posed=posed,
         rest_lengths=np.linalg.norm(np.diff(posed[0], axis=1), axis=-1),
         meta=sequence.meta | {"guides": sequence.strands.shape[1]},
-        # Of the nearest guide: a mean of a tie's vertices would be no vertex.
-        **{name: values[interpolation.guides[:, 0]] for name, values in held_parts_of(sequence).items()},
+        **_held_parts(sequence, interpolation),
     )
+
+
+def _held_parts(sequence: DrapeSequence, interpolation: GuideInterpolation) -> dict[str, Any]:
+    """Those of the nearest guide: a mean of a tie's vertices would be no vertex. None for strands of other vertices."""
+    parts = held_parts_of(sequence)
+    if interpolation.vertex_count != sequence.strands.shape[2]:
+        return dict.fromkeys(parts)
+    return {name: values[interpolation.guides[:, 0]] for name, values in parts.items()}
 
 
 def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:

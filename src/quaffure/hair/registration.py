@@ -18,7 +18,12 @@ from quaffure.hair.groom import Groom
 from quaffure.hair.groom_alignment import GroomAlignment, align_groom, standing_groom
 from quaffure.hair.head_alignment import Alignment, refine
 from quaffure.hair.registration_report import RegistrationReport
-from quaffure.hair.resample import resample_by_arc_length, resample_held_parts, without_degenerate
+from quaffure.hair.resample import (
+    has_length,
+    resample_by_arc_length,
+    resample_held_parts,
+    without_degenerate,
+)
 from quaffure.hair.scalp_target import head_target
 from quaffure.hair.strands import UNASKED, Strands
 from quaffure.types import Tensor
@@ -105,7 +110,9 @@ def register_groom(
     uv = body.scalp.uv_at(faces[kept], barycentric[kept])
     groom = Groom(name, rest, faces[kept], barycentric[kept], uv, licence, **held_parts)
     lost = strands.dropped + degenerate + int((~near).sum())
-    shares = inside, inside_share(rest, surface)
+    off_scalp = np.zeros(len(strands), dtype=bool)
+    off_scalp[has_length(strands)] = ~found.on_scalp
+    shares = off_scalp, inside, inside_share(rest, surface)
     return groom, _report(strands.source, frame, found, alignment, 1e3 * residual[near], lost, shares)
 
 
@@ -146,17 +153,19 @@ def _report(
     alignment: Alignment,
     residual: Float[np.ndarray, " k"],
     lost: int,
-    inside: tuple[float, float],
+    details: tuple[Bool[np.ndarray, " s"], float, float],
 ) -> RegistrationReport:
     median, high, largest = np.quantile(residual, (0.5, 0.95, 1.0))
     rotation = alignment.transform.rotation @ (MIRROR if frame.mirror else np.eye(3))
     report = RegistrationReport(
         source, alignment.unit, axis_name(rotation[2]), axis_name(-rotation[1]), alignment.transform.scale, rotation,
         alignment.transform.translation, frame, float(median), float(high), float(largest), len(residual), lost,
-        int(found.beard.sum()), int(found.eyebrow.sum()), found.turned, int(found.turned_strands.sum()), *inside,
+        int(found.beard.sum()), int(found.eyebrow.sum()), found.turned, int(found.turned_strands.sum()), *details,
     )  # fmt: skip
     if report.inside_after > MOST_INSIDE and not frame.registered:
-        raise InputError(source, f"at most {100 * MOST_INSIDE} % of vertices inside", f"{100 * inside[1]:.3f} %")
+        raise InputError(
+            source, f"at most {100 * MOST_INSIDE} % of vertices inside", f"{100 * report.inside_after:.3f} %"
+        )
     return report
 
 

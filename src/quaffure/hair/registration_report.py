@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from quaffure.hair.file_frame import FileFrame
 
@@ -25,6 +25,7 @@ class RegistrationReport:
         beard, eyebrows: strands left out because they grow on the lower face, or above the eyes.
         turned: whether the file stores strands from tip to root.
         turned_strands: strands that it stores the other way round than the others.
+        off_scalp: whether each strand of the file grows on the face.
         inside_before, inside_after: share of vertices, without the roots, inside the body: when aligned and at the end.
     """
 
@@ -45,6 +46,7 @@ class RegistrationReport:
     eyebrows: int
     turned: bool
     turned_strands: int
+    off_scalp: Bool[np.ndarray, " s"]
     inside_before: float
     inside_after: float
 

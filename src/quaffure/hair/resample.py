@@ -1,10 +1,11 @@
 """Resampling of ragged polylines to a common number of vertices."""
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
+from quaffure.hair.strand_attributes import concatenate_attributes
 from quaffure.hair.strands import GOAL_WEIGHT, HELD_PARTS, STIFFNESS_SCALE, TIE_VERTEX, UNASKED, Strands
 
 # A strand shorter than this share of the median strand is a point, not a hair.
@@ -25,6 +26,7 @@ def concatenate_strands(parts: list[Strands]) -> Strands:
         ", ".join(part.source for part in parts),
         **{name: _concatenated(parts, name) for name in HELD_PARTS},
         dropped=sum(part.dropped for part in parts),
+        attributes=concatenate_attributes([part.attributes for part in parts], [part.counts for part in parts]),
     )
 
 
@@ -33,14 +35,19 @@ def polyline_lengths(strands: Strands) -> Float[np.ndarray, " s"]:
     return np.add.reduceat(_steps(strands), strands.starts)
 
 
+def has_length(strands: Strands) -> Bool[np.ndarray, " s"]:
+    """Whether each strand is long enough to be a hair, relative to the others."""
+    lengths = polyline_lengths(strands)
+    return lengths > max(SHORTEST * float(np.median(lengths)), float(np.finfo(np.float32).tiny))
+
+
 def without_degenerate(strands: Strands) -> tuple[Strands, int]:
     """The strands of sufficient length, and the number of the others.
 
     Raises:
         InputError: none has.
     """
-    lengths = polyline_lengths(strands)
-    kept = lengths > max(SHORTEST * float(np.median(lengths)), float(np.finfo(np.float32).tiny))
+    kept = has_length(strands)
     if not kept.any():
         raise InputError(strands.source, "strands with a length", f"{len(strands)} strands of zero length")
     return strands.select(kept), int((~kept).sum())

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from quaffure.errors import InputError
+from quaffure.hair.strand_attributes import NONE, StrandAttributes
 
 STIFFNESS_SCALE, GOAL_WEIGHT, TIE_VERTEX = HELD_PARTS = ("stiffness_scale", "goal_weight", "tie_vertex")
 """Optional arrays of strands, grooms and drapes: what an artist asks of parts of the strands."""
@@ -34,6 +35,7 @@ class Strands:
         stiffness_scale, goal_weight: as in `Groom`, of the edge that begins at each point; the tip repeats the last.
         tie_vertex: as in `Groom`, counted on each strand.
         dropped: strands of the file that are not here: bald roots, of fewer than two points.
+        attributes: what else the file says of them.
     """
 
     points: Float[np.ndarray, "p 3"]
@@ -43,6 +45,7 @@ class Strands:
     goal_weight: Float[np.ndarray, " p"] | None = None
     tie_vertex: Int[np.ndarray, " s"] | None = None
     dropped: int = 0
+    attributes: StrandAttributes = NONE
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -60,6 +63,7 @@ class Strands:
         """Some of the strands."""
         points = np.repeat(kept, self.counts)
         changes: dict[str, Any] = {"points": self.points[points], "counts": self.counts[kept]}
+        changes["attributes"] = self.attributes.select(kept, self.counts)
         for name, values in held_parts_of(self).items():
             changes[name] = values[kept if name == TIE_VERTEX else points]
         return replace(self, **changes)
@@ -70,11 +74,13 @@ def checked_strands(
     counts: np.ndarray,
     source: str | Path,
     held_parts: Mapping[str, Any] = MappingProxyType({}),
+    attributes: StrandAttributes = NONE,
 ) -> Strands:
     """Strands from what a reader found; strands of fewer than two vertices (bald roots) are dropped, and counted.
 
     Args:
         held_parts: those of `HELD_PARTS` that the file has.
+        attributes: what else it says of them.
 
     Raises:
         InputError: no strand is left, the counts do not add up, or a coordinate is not finite.
@@ -84,7 +90,8 @@ def checked_strands(
     if counts.sum() != len(points):
         raise InputError(source, f"{counts.sum()} points for its {len(counts)} strands", f"{len(points)}")
     bald = int((counts < 2).sum())
-    strands = replace(Strands(points, counts, str(source), **held_parts).select(counts >= 2), dropped=bald)
+    every = Strands(points, counts, str(source), **held_parts, attributes=attributes.finite())
+    strands = replace(every.select(counts >= 2), dropped=bald)
     if len(strands) == 0:
         raise InputError(source, "at least one strand of two or more points", "no strands")
     bad = int(np.count_nonzero(~np.isfinite(strands.points).all(axis=1)))

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from quaffure.io.bvh import read_bvh
     from quaffure.io.drape_file import read_drape, write_drape
     from quaffure.io.groom_file import read_groom, write_groom
-    from quaffure.io.load_groom import read_head
+    from quaffure.io.load_groom import load_source, read_head
     from quaffure.io.usd import write_usd
     from quaffure.io.usd_process import read_usd_strands
 

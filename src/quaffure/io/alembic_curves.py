@@ -21,6 +21,7 @@ from quaffure.hair.curve_bases import (
     nurbs_polylines,
 )
 from quaffure.hair.resample import concatenate_strands
+from quaffure.hair.strand_attributes import StrandAttributes, per_point, per_strand
 from quaffure.hair.strands import Strands, checked_strands
 from quaffure.io.strand_process import serve
 
@@ -67,7 +68,7 @@ def _read_archive(path: Path) -> Strands:
             kinds = ", ".join(sorted(schema for schema in schemas if schema)) or "nothing"
             raise InputError(path, "at least one strand, in curves", f"no strands: no curves, only {kinds}")
         every = concatenate_strands(parts)
-        return checked_strands(every.points, every.counts, path)
+        return checked_strands(every.points, every.counts, path, attributes=every.attributes)
 
 
 def _objects(archive: Any) -> Iterator[_Object]:
@@ -113,7 +114,9 @@ def _read_curves(found: _Object, path: Path) -> tuple[Strands, np.ndarray]:
     if (counts < 0).any() or counts.sum() != len(points):
         raise InputError(path, f"{counts.sum()} points in {name}", f"{len(points)}")
     points = points @ found.world[:3, :3] + found.world[3, :3]
-    return Strands(*_polylines(sample, points, counts, name), str(path)), _guides(schema, len(counts))
+    polylines, lengths = _polylines(sample, points, counts, name)
+    attributes = _attributes(schema, counts, lengths, name)
+    return Strands(polylines, lengths, str(path), attributes=attributes), _guides(schema, len(counts))
 
 
 def _polylines(sample: Any, points: np.ndarray, counts: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -135,16 +138,40 @@ def _polylines(sample: Any, points: np.ndarray, counts: np.ndarray, name: str) -
     return closed_polylines(points, counts) if wrap == PERIODIC else (points, counts)
 
 
+def _attributes(schema: Any, counts: np.ndarray, points: np.ndarray, name: str) -> StrandAttributes:
+    """By Unreal's names; widths of the curves themselves, too. Without groups of its own each object is one."""
+    widths = _values(schema, "groom_width", AbcGeom.IFloatGeomParam)
+    if not len(widths) and schema.getWidthsParam() and schema.getWidthsParam().valid():
+        widths = np.array(schema.getWidthsParam().getExpandedValue().getVals(), dtype=np.float64)
+    colours = _values(schema, "groom_color", AbcGeom.IV3fGeomParam, AbcGeom.IC3fGeomParam).reshape(-1, 3)
+    identifier = per_strand(_values(schema, "groom_id", AbcGeom.IInt32GeomParam), counts)
+    groups = per_strand(_values(schema, "groom_group_id", AbcGeom.IInt32GeomParam), counts)
+    ids, group = np.unique(np.zeros(len(counts)) if groups is None else groups, return_inverse=True)
+    return StrandAttributes(
+        width=per_point(widths, counts, points),
+        colour=per_point(colours, counts, points),
+        identifier=None if identifier is None else identifier.astype(np.int64),
+        group=group.astype(np.int64),
+        root_uv=per_strand(_values(schema, "groom_root_uv", AbcGeom.IV2fGeomParam).reshape(-1, 2), counts),
+        group_names=(name,) if groups is None else tuple(f"{name}/{number:.0f}" for number in ids),
+    )
+
+
+def _values(schema: Any, name: str, *kinds: Any) -> np.ndarray:
+    """Numbers of a parameter of one of these kinds; empty without it."""
+    parameters = schema.getArbGeomParams()
+    header = parameters.getPropertyHeader(name) if parameters.valid() else None
+    for kind in kinds:
+        if header is not None and kind.matches(header):
+            return np.array(kind(parameters, name).getExpandedValue().getVals(), dtype=np.float64)
+    return np.empty(0)
+
+
 def _guides(schema: Any, count: int) -> np.ndarray:
     """Whether each curve is a guide by Unreal's attribute, of each curve or of all of them."""
-    parameters = schema.getArbGeomParams()
-    if not parameters.valid() or parameters.getPropertyHeader(GUIDE) is None:
-        return np.zeros(count, bool)
-    for kind in (AbcGeom.IInt32GeomParam, AbcGeom.IInt16GeomParam, AbcGeom.IBooleanGeomParam):
-        if kind.matches(parameters.getPropertyHeader(GUIDE)):
-            values = np.array(kind(parameters, GUIDE).getExpandedValue().getVals(), dtype=np.int64).ravel()
-            return np.broadcast_to(values != 0, count) if len(values) in (1, count) else np.zeros(count, bool)
-    return np.zeros(count, bool)
+    values = _values(schema, GUIDE, AbcGeom.IInt32GeomParam, AbcGeom.IInt16GeomParam, AbcGeom.IBooleanGeomParam)
+    guides = per_strand(values != 0, np.ones(count, np.int64))
+    return np.zeros(count, bool) if guides is None else guides
 
 
 if __name__ == "__main__":

@@ -7,7 +7,9 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom, check_groom
+from quaffure.hair.groom import LARGEST_COORDINATE, Groom, check_groom
+from quaffure.hair.original_strands import PlacedStrands
+from quaffure.hair.strand_attributes import POINT_ATTRIBUTES, StrandAttributes
 from quaffure.hair.strands import held_parts_of
 from quaffure.io.atomic import replacing
 from quaffure.io.held_parts import HELD_PARTS_SPEC, checked_held_parts
@@ -20,6 +22,21 @@ NUMBERS: Spec = {
     "root_uv": (("S", 2), REAL),
 }
 TEXTS = ("name", "licence")
+SOURCE = "source_"
+"""Prefix of the arrays of a groom's source."""
+SOURCE_SPEC: Spec = {
+    "points": (("P", 3), REAL),
+    "counts": (("Q",), INTEGER),
+    "from_tip": (("Q",), (np.bool_, *INTEGER)),
+    "on_scalp": (("Q",), (np.bool_, *INTEGER)),
+}
+ATTRIBUTE_SPEC: Spec = {
+    **{name: (("P", *shape), REAL) for name, shape in POINT_ATTRIBUTES.items()},
+    "identifier": (("Q",), INTEGER),
+    "group": (("Q",), INTEGER),
+    "root_uv": (("Q", 2), REAL),
+    "group_names": (("G",), TEXT),
+}
 FORMAT_VERSION = 2
 """Version 1 had no `format_version` and no held parts."""
 ROOT_SLACK = 2e-3  # m: between a strand's first vertex and its root on the scalp
@@ -27,8 +44,11 @@ LONGEST_STRAND = 3.0  # m
 BARYCENTRIC_SLACK = 1e-3
 
 
-def write_groom(path: Path, groom: Groom) -> None:
+def write_groom(path: Path, groom: Groom, source: PlacedStrands | None = None) -> None:
     """Write a groom file, whole or not at all.
+
+    Args:
+        source: all strands that the groom was registered from, to drape them with it.
 
     Raises:
         InputError: the folder of `path` is missing or not writable, or a groom of no strands or with NaN.
@@ -37,8 +57,34 @@ def write_groom(path: Path, groom: Groom) -> None:
     names = (*NUMBERS, *held_parts_of(groom))
     arrays = {name: getattr(groom, name).detach().cpu().numpy() for name in names}
     texts = {name: np.array(getattr(groom, name)) for name in TEXTS}
+    if source is not None:
+        arrays |= {f"{SOURCE}{name}": getattr(source, name) for name in SOURCE_SPEC}
+        arrays |= {f"{SOURCE}{name}": values for name, values in source.attributes.arrays().items()}
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, format_version=np.array(FORMAT_VERSION), **texts, **arrays)  # type: ignore[arg-type]  # taken for numpy's allow_pickle
+
+
+def read_source(path: Path) -> PlacedStrands | None:
+    """The strands that a groom was registered from, where its file has them.
+
+    Raises:
+        InputError: a broken file.
+    """
+    spec = {f"{SOURCE}{name}": kind for name, kind in SOURCE_SPEC.items()}
+    if not array_names(path) & {*spec}:
+        return None
+    more = {f"{SOURCE}{name}": kind for name, kind in ATTRIBUTE_SPEC.items()}
+    arrays, sizes = read_arrays(path, spec, "a groom file with its source (.npz)", more)
+    counts = arrays[f"{SOURCE}counts"].astype(np.int64)
+    # Also keeps their sum from wrapping round.
+    if not ((counts >= 2) & (counts <= sizes["P"])).all() or counts.sum() != sizes["P"] or not len(counts):
+        raise InputError(path, f"{SOURCE}counts of 2 and more that sum to {sizes['P']}", f"{counts[:4].tolist()}...")
+    points = arrays[f"{SOURCE}points"].astype(np.float32)
+    if np.abs(points).max() > LARGEST_COORDINATE:
+        raise InputError(path, f"{SOURCE}points within +-{LARGEST_COORDINATE:g}", f"{np.abs(points).max():.3g}")
+    from_tip, on_scalp = (arrays[f"{SOURCE}{name}"] != 0 for name in ("from_tip", "on_scalp"))
+    attributes = {name: arrays[f"{SOURCE}{name}"] for name in ATTRIBUTE_SPEC if f"{SOURCE}{name}" in arrays}
+    return PlacedStrands(points, counts, from_tip, on_scalp, StrandAttributes.of_arrays(attributes))
 
 
 def is_groom_file(path: Path) -> bool:

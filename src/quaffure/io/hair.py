@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from quaffure.errors import InputError
+from quaffure.hair.strand_attributes import StrandAttributes
 from quaffure.hair.strands import Strands, checked_strands
 from quaffure.io.binary import BinaryCursor
 
@@ -21,14 +22,14 @@ FIRST_RESERVED_FLAG = 32
 
 
 def read_hair(path: Path) -> Strands:
-    """Strands of a `.hair` file, in its own units and axes; thickness, transparency and colour are not kept.
+    """Strands of a `.hair` file, in its own units and axes, with thickness and colour.
 
     Raises:
         InputError: not a `.hair` file, cut short, or its counts contradict each other or the file's size.
     """
     cursor = BinaryCursor(path)
     cursor.require(1, HEADER.size, "header")
-    magic, strands, points, flags, default_segments, *_ = HEADER.unpack_from(cursor.content)
+    magic, strands, points, flags, default_segments, thickness, *_ = HEADER.unpack_from(cursor.content)
     cursor.offset = HEADER.size
     if magic != b"HAIR":
         raise InputError(path, "a .hair file, which begins with b'HAIR'", repr(magic))
@@ -43,14 +44,19 @@ def read_hair(path: Path) -> Strands:
     else:
         counts = np.full(strands, default_segments + 1, dtype=np.int64)
     xyz = cursor.array("<f4", 3 * points, f"{points} points")
-    # Thickness and colour are not used, but a file cut short there is still a broken file.
+    more: dict[str, np.ndarray] = {}
     for flag, floats, what in (
         (THICKNESS, 1, "thicknesses"),
         (TRANSPARENCY, 1, "transparencies"),
         (COLOURS, 3, "colours"),
     ):
         if flags & flag:
-            cursor.array("<f4", floats * points, what)
+            more[what] = cursor.array("<f4", floats * points, what).astype(np.float64)
     if flags < FIRST_RESERVED_FLAG:  # a later version's arrays would follow
         cursor.finish()
-    return checked_strands(xyz, counts, path)
+    colours = more.get("colours")
+    attributes = StrandAttributes(
+        width=more.get("thicknesses", np.full(points, float(thickness)) if thickness > 0 else None),
+        colour=None if colours is None else colours.reshape(-1, 3),
+    )
+    return checked_strands(xyz, counts, path, attributes=attributes)

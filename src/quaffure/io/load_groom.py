@@ -12,10 +12,11 @@ from quaffure.errors import InputError
 from quaffure.hair.file_frame import UNKNOWN, FileFrame
 from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
+from quaffure.hair.original_strands import PlacedStrands, place_strands
 from quaffure.hair.registration import HeadMesh, register_groom
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.input_file import read_text
-from quaffure.io.groom_file import is_groom_file, read_groom
+from quaffure.io.groom_file import is_groom_file, read_groom, read_source
 from quaffure.io.ply_strands import read_ply_mesh
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural.generator import make_groom
@@ -51,6 +52,29 @@ def load_groom(
         return _opened(select_guides(loaded))
     mesh = read_head(head) if head is not None else None
     return _opened(select_guides(register_groom(read_strands(path), body, path.stem, mesh, frame=frame)[0]))
+
+
+def load_source(
+    groom: str | Path, body: BodyModel, head: Path | None = None, frame: FileFrame = UNKNOWN
+) -> PlacedStrands:
+    """All strands that a groom was registered from, where they are on `body`.
+
+    Args:
+        groom, head, frame: as for `load_groom`.
+
+    Raises:
+        InputError: a bundled name or a groom file without its source; otherwise as `load_groom`.
+    """
+    path, expected = Path(groom), "a strand file, or a groom file that quaffure groom import wrote"
+    if isinstance(groom, str) and groom in STYLES:
+        raise InputError(groom, expected, "a bundled groom, which has no strands but the draped ones")
+    if path.suffix.lower() == ".npz" and is_groom_file(path):
+        source = read_source(path)
+        if source is None:
+            raise InputError(path, expected, "a groom file without its source")
+        return source
+    strands, mesh = read_strands(path), read_head(head) if head is not None else None
+    return place_strands(strands, register_groom(strands, body, path.stem, mesh, frame=frame)[1], body)
 
 
 def _opened(groom: Groom) -> Groom:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from quaffure.errors import InputError
+from quaffure.hair.strand_attributes import NONE, StrandAttributes
 from quaffure.hair.strands import Strands, checked_strands
 from quaffure.io.ply_tables import Table, read_ply_tables, vertices_of
 
@@ -17,6 +18,7 @@ STRAND_ELEMENTS = ("strand", "strands", "curve", "curves", "polyline", "hair")
 SEGMENT_COUNTS = ("nsegs", "segments", "num_segments", "segment_count")
 VERTEX_COUNTS = ("nverts", "npoints", "vertices", "num_vertices", "vertex_count", "count", "num_points")
 VERTEX_LISTS = ("vertex_indices", "vertex_index")
+COLOURS = ("red", "green", "blue")
 STRAND_INDICES = ("strand", "strand_id", "strand_index")
 
 
@@ -30,7 +32,7 @@ def read_ply(path: Path) -> Strands:
         tables = read_ply_tables(path)
         points = vertices_of(tables, path)
         order, counts = _strands(tables, len(points), path)
-        return checked_strands(points[order], counts, path)
+        return checked_strands(points[order], counts, path, attributes=_attributes(tables["vertex"], order))
 
 
 def read_ply_mesh(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -44,6 +46,16 @@ def read_ply_mesh(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
         if name in tables.get("face", {}):
             return vertices_of(tables, path), [np.asarray(row, dtype=np.int64) for row in tables["face"][name]]
     raise InputError(path, "faces of vertex_indices", f"elements {', '.join(tables) or 'none'}")
+
+
+def _attributes(vertices: Table, order: np.ndarray) -> StrandAttributes:
+    colours = [vertices[name] for name in COLOURS if isinstance(vertices.get(name), np.ndarray)]
+    if len(colours) < len(COLOURS):
+        return NONE
+    most = 255.0 if all(np.asarray(channel).dtype.kind in "iu" for channel in colours) else 1.0
+    return StrandAttributes(
+        colour=np.stack([np.asarray(channel, np.float64) for channel in colours], axis=1)[order] / most
+    )
 
 
 def _strands(tables: dict[str, Table], vertices: int, path: Path) -> tuple[np.ndarray, np.ndarray]:

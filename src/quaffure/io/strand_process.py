@@ -13,12 +13,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from quaffure.errors import InputError
 from quaffure.extras import require_extra
+from quaffure.hair.strand_attributes import StrandAttributes
 from quaffure.hair.strands import Strands, held_parts_of
 from quaffure.input_file import check_input_file
 from quaffure.io.library_process import library_environment
@@ -32,6 +33,8 @@ WALL_TIME = 5.0
 """Limit of the wall time, in limits of the processor time: a reference may name a FIFO, and machines may be busy."""
 LIBRARIES = {"usd": "USD", "alembic": "Alembic"}
 """Names of libraries by the extra that brings them."""
+ATTRIBUTE = "attribute_"
+"""Prefix of attributes of the strands."""
 REFUSED = 3
 """Exit code of the process with an error of the file's."""
 
@@ -63,7 +66,10 @@ def read_in_process(module: str, path: Path, extra: str, expected: str) -> Stran
     if ended.returncode:
         raise InputError(path, expected, _how_it_ended(ended.returncode, ended.stderr, LIBRARIES[extra]))
     with np.load(BytesIO(ended.stdout), allow_pickle=False) as arrays:
-        return Strands(source=str(path), **{**arrays, "dropped": int(arrays["dropped"])})
+        found: dict[str, Any] = dict(arrays)
+    more = {name.removeprefix(ATTRIBUTE): found.pop(name) for name in [*found] if name.startswith(ATTRIBUTE)}
+    found["dropped"] = int(found["dropped"])
+    return Strands(source=str(path), attributes=StrandAttributes.of_arrays(more), **found)
 
 
 def _how_it_ended(code: int, said: bytes, library: str) -> str:
@@ -92,7 +98,8 @@ def serve(path: Path, read: Callable[[Path], Strands]) -> int:
             output.write(json.dumps([error.expected, error.found]).encode())
             return REFUSED
         numbers = {"points": strands.points, "counts": strands.counts, "dropped": np.array(strands.dropped)}
-        np.savez(output, **numbers, **held_parts_of(strands))  # type: ignore[arg-type]  # taken for allow_pickle
+        more = {f"{ATTRIBUTE}{name}": values for name, values in strands.attributes.arrays().items()}
+        np.savez(output, **numbers, **more, **held_parts_of(strands))  # type: ignore[arg-type]  # taken for allow_pickle
     return 0
 
 

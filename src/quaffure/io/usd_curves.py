@@ -9,6 +9,7 @@ import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +27,15 @@ from quaffure.hair.curve_bases import (
     passes_its_points,
 )
 from quaffure.hair.resample import concatenate_strands
+from quaffure.hair.strand_attributes import StrandAttributes, per_point, per_strand
 from quaffure.hair.strands import HELD_PARTS, TIE_VERTEX, Strands, checked_strands, held_parts_of
 from quaffure.io.held_parts import checked_held_parts
 from quaffure.io.strand_process import serve
 from quaffure.io.usd_process import PREFIX
+
+COLOURS = ("groom_color", "displayColor")
+ROOT_UVS = ("groom_root_uv", "st", "uv")
+"""Primvars of colours and of texture coordinates at roots, the first that there is."""
 
 
 def main(path: Path) -> int:
@@ -48,13 +54,13 @@ def _read_stage(path: Path) -> Strands:
                 curves.append(UsdGeom.Curves(prim))
             elif prim.IsA(UsdGeom.Boundable):
                 others.add(str(prim.GetTypeName()))
-        parts = [_read_curves(curve, path) for curve in _rendered(curves)]
+        parts = [_with_attributes(_read_curves(curve, path), curve) for curve in _rendered(curves)]
         if not parts:
             only = f", only {', '.join(sorted(others))}" if others else ""
             found = f"no strands: no curves{only}"
             raise InputError(path, "at least one strand, in BasisCurves or NurbsCurves", found)
         every = concatenate_strands(parts)
-        return checked_strands(every.points, every.counts, path, held_parts_of(every))
+        return checked_strands(every.points, every.counts, path, held_parts_of(every), every.attributes)
 
 
 def _rendered(curves: list[UsdGeom.Curves]) -> list[UsdGeom.Curves]:
@@ -108,6 +114,33 @@ def _read_curves(curve: UsdGeom.Curves, path: Path) -> Strands:
             return Strands(*closed_polylines(points, counts), str(path))
         return Strands(points, counts, str(path), **parts)
     return Strands(*cubic_polylines(points, counts, basis, wrap), str(path))
+
+
+def _with_attributes(strands: Strands, curve: UsdGeom.Curves) -> Strands:
+    """The strands with widths, colours, ids and root coordinates; each prim is a group."""
+    time = _time(curve)
+    counts = np.array(curve.GetCurveVertexCountsAttr().Get(time) or [], dtype=np.int64)
+    api = UsdGeom.PrimvarsAPI(curve)
+
+    def primvar(name: str, columns: int) -> np.ndarray:
+        found = api.FindPrimvarWithInheritance(name)
+        values = found.ComputeFlattened(time) if found.HasValue() else None
+        array = np.array([] if values is None else values, dtype=np.float64)
+        return array.reshape(-1, columns) if columns > 1 and array.size % columns == 0 else array
+
+    widths = np.array(curve.GetWidthsAttr().Get(time) or [], dtype=np.float64)
+    colours = next((found for name in COLOURS if len(found := primvar(name, 3))), np.empty((0, 3)))
+    uv = next((found for name in ROOT_UVS if len(found := primvar(name, 2))), np.empty((0, 2)))
+    identifier = per_strand(primvar("groom_id", 1), counts)
+    attributes = StrandAttributes(
+        width=per_point(widths, counts, strands.counts),
+        colour=per_point(colours, counts, strands.counts),
+        identifier=None if identifier is None else identifier.astype(np.int64),
+        group=np.zeros(len(counts), np.int64),
+        root_uv=per_strand(uv, counts),
+        group_names=(str(curve.GetPath()),),
+    )
+    return replace(strands, attributes=attributes)
 
 
 def _is_nurbs(prim: Usd.Prim) -> bool:

@@ -16,6 +16,7 @@ from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, motion_of
 from quaffure.apps.cli.kept_frames import kept_frames
 from quaffure.apps.cli.kernel_cache import is_cached
 from quaffure.apps.cli.outputs import PICTURES, check_frames, check_outputs, files_of, is_export, write_output
+from quaffure.apps.cli.shown_strands import strands_between
 from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
 from quaffure.benchmark.drape_checks import DrapeChecks
 from quaffure.benchmark.metrics import DrapeMetrics
@@ -35,7 +36,6 @@ from quaffure.geometry.cell_list import sort_into_cells
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_binding import groom_binding
-from quaffure.hair.guide_interpolation import interpolation_of
 from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
 from quaffure.model.initial_shape_kernels import initial_shape_kernel
@@ -109,9 +109,10 @@ class DrapeCommand:
     """Measure and print all metrics (docs/metrics.md), which takes longer than most drapes."""
     strict: bool = False
     """Exit with 3 where a tip jumps or hair is inside the body; the files are written all the same."""
-    strands: int | None = None
-    """Strands to interpolate between the draped ones for all files but .npz: 10,000 to 100,000 make a full head
-    of hair. Without it, the draped strands are shown. An .npz always holds the draped strands."""
+    strands: str | None = None
+    """Strands for all files but .npz: a number of them to interpolate between the draped ones, 10,000 to 100,000 make
+    a full head of hair; or `original`, every strand of a groom file as it was made, driven by the draped ones
+    (docs/guides.md). Without it, the draped strands are shown. An .npz always holds the draped strands."""
     export: ExportSettings = field(default_factory=ExportSettings)
     resume: bool = False
     """Continue an interrupted run of the same command after its last frames, which are kept beside the first output."""
@@ -137,7 +138,9 @@ class DrapeCommand:
         console.print(f"reading the groom {self.groom}")
         groom = load_groom(self.groom, body, self.head)
         draper, terms = self._draper(groom, body)
-        interpolation = None if self.strands is None else interpolation_of(groom, body, self.strands)
+        interpolation = (
+            None if self.strands is None else strands_between(self.strands, self.groom, groom, body, self.head)
+        )
         shape = (len(motion), *groom.rest_strands.shape)
         if reference is not None and reference.strands.shape != shape:
             raise InputError(f"{self.reference}", f"strands {shape}", f"{reference.strands.shape}")

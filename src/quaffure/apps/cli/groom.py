@@ -19,6 +19,7 @@ from quaffure.errors import InputError
 from quaffure.hair.clearance import rest_surface
 from quaffure.hair.file_frame import FileFrame
 from quaffure.hair.groom import Groom
+from quaffure.hair.original_strands import place_strands
 from quaffure.hair.registration import HeadMesh, register_groom
 from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.resample import concatenate_strands, resample_by_arc_length, without_degenerate
@@ -113,6 +114,9 @@ class ImportGroom:
     registered: bool = False
     """The groom stands on this body already: nothing is moved. Without --up, --forward and --units it is in metres,
     z up, facing -y."""
+    parts: Literal["keep", "drop"] = "keep"
+    """What becomes of a beard, eyebrows and strands too far from the scalp, which are not draped: they move with the
+    skin where `quaffure drape --strands original` shows all strands of the files, or are left out."""
     picture: Path | None = None
     """A picture (.png) of before and after: the strands as in the file, and on our body."""
     licence: str = ""
@@ -137,14 +141,15 @@ class ImportGroom:
             groom, report = register_groom(strands, body, self.out.stem, mesh, self.licence, frame=frame)
         groom, ties = self._with_ties(groom)
         guides = select_guides(groom)
-        write_groom(self.out, guides)
+        source = place_strands(strands, report, body)
+        write_groom(self.out, guides, source if self.parts == "keep" else source.select(source.on_scalp))
         console.print(str(report))
         console.print(ties)
         console.print(f"{self.out}: {_summary(guides)}, one in each texel of the scalp's texture")
         if len(guides) < SHARE_OF_WARNING * len(groom):
             console.print(
                 f"{len(groom) - len(guides)} strands share their texel with another and are not in the file: hair with "
-                "roots close together, such as a tail, loses the most"
+                "roots close together, such as a tail, loses the most (quaffure drape --strands original draws all)"
             )
         if self.picture is not None:
             self._draw(self.picture, strands, mesh, guides, report, body)

@@ -1,0 +1,194 @@
+"""Kernels of `quaffure.hair.original_strands`: rotations along guides, and strands that follow them."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from quaffure.geometry.bvh import search_workspace
+from quaffure.geometry.surface import SurfaceArrays
+from quaffure.geometry.surface_distance import distance_within
+
+CLEARANCE = np.float32(1.5e-3)
+"""Distance that strands keep from the skin [m]."""
+CLEARANCE_RAMP = np.float32(0.25)  # increase of it per length of strand from the root, which lies on the skin
+CONTACT_PASSES = 4
+_ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
+_LEAST = np.float32(1e-12)
+_FAR = np.float32(1e6)
+_OPPOSITE = np.float32(1e-6)  # 1 + cosine of two directions that no shortest arc connects
+
+
+class DrivenStrands(NamedTuple):
+    """Fields of `OriginalStrands`, as the kernel reads them."""
+
+    points: np.ndarray
+    starts: np.ndarray
+    counts: np.ndarray
+    guides: np.ndarray
+    weights: np.ndarray
+    own_guide: np.ndarray
+    edge_length: np.ndarray
+
+
+@njit(cache=True, parallel=True, fastmath=True)
+def guide_rotations(rest: np.ndarray, draped: np.ndarray, root: np.ndarray, rotations: np.ndarray) -> None:
+    """Rotation of every edge of every guide from rest to the drape [g, e, 3, 3], without twist along the guide.
+
+    Args:
+        root: rotation of the root's face [g, 3, 3]; each edge's rotation is that of the edge before it, followed by the
+            shortest arc to its own direction.
+    """
+    for guide in prange(len(rest)):
+        turn = root[guide].copy()
+        a, b, column = np.empty(3, np.float32), np.empty(3, np.float32), np.empty(3, np.float32)
+        for edge in range(rest.shape[1] - 1):
+            _unit_edge(rest[guide], edge, column)
+            for i in range(3):
+                a[i] = turn[i, 0] * column[0] + turn[i, 1] * column[1] + turn[i, 2] * column[2]
+            _unit_edge(draped[guide], edge, b)
+            vx, vy, vz = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+            scale = _ONE / max(_ONE + a[0] * b[0] + a[1] * b[1] + a[2] * b[2], _OPPOSITE)
+            for j in range(3):
+                x, y, z = turn[0, j], turn[1, j], turn[2, j]
+                cx, cy, cz = vy * z - vz * y, vz * x - vx * z, vx * y - vy * x
+                turn[0, j] = x + cx + scale * (vy * cz - vz * cy)
+                turn[1, j] = y + cy + scale * (vz * cx - vx * cz)
+                turn[2, j] = z + cz + scale * (vx * cy - vy * cx)
+            rotations[guide, edge] = turn
+
+
+@njit(cache=True, parallel=True, fastmath=True)
+def drive_strands(
+    strands: DrivenStrands,
+    draped: np.ndarray,
+    rotations: np.ndarray,
+    roots: np.ndarray,
+    root_rotations: np.ndarray,
+    body: SurfaceArrays,
+    out: np.ndarray,
+) -> None:
+    """Vertices of all strands of a frame [p, 3], roots first, out of the body.
+
+    Args:
+        draped: guides [g, n, 3] [m, world].
+        rotations: of `guide_rotations`.
+        roots, root_rotations: position and rotation from rest of every strand's root.
+        body: of one pose.
+    """
+    for strand in prange(len(strands.counts)):
+        first, count = strands.starts[strand], strands.counts[strand]
+        out[first] = roots[strand]
+        own = strands.own_guide[strand]
+        if own >= 0:
+            _copy_guide(strands.points[first : first + count], draped[own], out[first : first + count])
+            continue
+        _follow(strand, strands, rotations, root_rotations[strand], out)
+        if strands.weights[strand, 0] > _ZERO:
+            _leave_body(out[first : first + count], strands.points[first : first + count], body)
+
+
+@njit(cache=True, fastmath=True)
+def _unit_edge(strand: np.ndarray, edge: int, out: np.ndarray) -> float:
+    total = _ZERO
+    for axis in range(3):
+        out[axis] = strand[edge + 1, axis] - strand[edge, axis]
+        total += out[axis] * out[axis]
+    length = np.sqrt(max(total, _LEAST * _LEAST))
+    for axis in range(3):
+        out[axis] /= length
+    return length
+
+
+@njit(cache=True, fastmath=True)
+def _copy_guide(rest: np.ndarray, draped: np.ndarray, out: np.ndarray) -> None:
+    """Points along a draped guide at the arc lengths of the strand's own, as shares of the whole."""
+    step = np.empty(3, np.float32)
+    total = _ZERO
+    for edge in range(len(rest) - 1):
+        total += _unit_edge(rest, edge, step)
+    along = _ZERO
+    edges = len(draped) - 1
+    for vertex in range(len(rest)):
+        if vertex > 0:
+            along += _unit_edge(rest, vertex - 1, step)
+        place = along / max(total, _LEAST) * np.float32(edges)
+        edge = min(int(place), edges - 1)
+        share = place - np.float32(edge)
+        for axis in range(3):
+            out[vertex, axis] = draped[edge, axis] + share * (draped[edge + 1, axis] - draped[edge, axis])
+
+
+@njit(cache=True, fastmath=True)
+def _follow(
+    strand: int, strands: DrivenStrands, rotations: np.ndarray, root_rotation: np.ndarray, out: np.ndarray
+) -> None:
+    """Edges turned as those of the guides are at the same arc length; integrated from the root with their lengths."""
+    first, count = strands.starts[strand], strands.counts[strand]
+    edge_count = rotations.shape[1]
+    unit, turned, one = np.empty(3, np.float32), np.empty(3, np.float32), np.empty((3, 3), np.float32)
+    along = _ZERO
+    for vertex in range(first, first + count - 1):
+        length = _unit_edge(strands.points, vertex, unit)
+        turned[:] = _ZERO
+        if strands.weights[strand, 0] == _ZERO:
+            _turn(root_rotation, unit, _ONE, turned)
+        for k in range(3):
+            weight = strands.weights[strand, k]
+            if weight == _ZERO:
+                continue
+            guide = strands.guides[strand, k]
+            place = (along + _HALF * length) / strands.edge_length[guide] - _HALF
+            place = min(max(place, _ZERO), np.float32(edge_count - 1))
+            edge = min(int(place), edge_count - 2)
+            share = place - np.float32(edge)
+            one[k] = _ZERO
+            _turn(rotations[guide, edge], unit, _ONE - share, one[k])
+            _turn(rotations[guide, edge + 1], unit, share, one[k])
+            if k > 0:  # guides that part from the nearest one, at a shoulder, are left
+                agreement = max(one[0, 0] * one[k, 0] + one[0, 1] * one[k, 1] + one[0, 2] * one[k, 2], _ZERO)
+                weight *= agreement * agreement
+            for axis in range(3):
+                turned[axis] += weight * one[k, axis]
+        norm = np.sqrt(turned[0] * turned[0] + turned[1] * turned[1] + turned[2] * turned[2] + _LEAST)
+        for axis in range(3):
+            out[vertex + 1, axis] = out[vertex, axis] + length / norm * turned[axis]
+        along += length
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _turn(matrix: np.ndarray, vector: np.ndarray, weight: float, out: np.ndarray) -> None:
+    for i in range(3):
+        out[i] += weight * (matrix[i, 0] * vector[0] + matrix[i, 1] * vector[1] + matrix[i, 2] * vector[2])
+
+
+@njit(cache=True)
+def _leave_body(strand: np.ndarray, rest: np.ndarray, body: SurfaceArrays) -> None:
+    """Push vertices out from root to tip; what follows moves along, and edges keep their lengths."""
+    workspace = search_workspace()
+    step, shift, at = np.empty(3, np.float32), np.zeros(3, np.float32), np.empty(3, np.float32)
+    along, leaf = _ZERO, 0
+    for vertex in range(1, len(strand)):
+        length = _unit_edge(rest, vertex - 1, step)
+        along += length
+        needed = min(CLEARANCE_RAMP * along, CLEARANCE)
+        for axis in range(3):
+            at[axis] = strand[vertex, axis] + shift[axis]
+        for _ in range(CONTACT_PASSES):
+            if not abs(at[0]) + abs(at[1]) + abs(at[2]) < _FAR:  # a NaN has no cell in the grid
+                return
+            distance, nx, ny, nz, face = distance_within(at[0], at[1], at[2], needed, leaf, body, workspace)
+            leaf = face if face >= 0 else leaf
+            if distance >= needed:
+                break
+            push = needed - distance
+            x = at[0] + push * nx - strand[vertex - 1, 0]
+            y = at[1] + push * ny - strand[vertex - 1, 1]
+            z = at[2] + push * nz - strand[vertex - 1, 2]
+            scale = length / np.sqrt(x * x + y * y + z * z + _LEAST)
+            at[0] = strand[vertex - 1, 0] + scale * x
+            at[1] = strand[vertex - 1, 1] + scale * y
+            at[2] = strand[vertex - 1, 2] + scale * z
+        for axis in range(3):
+            shift[axis] = at[axis] - strand[vertex, axis]
+            strand[vertex, axis] = at[axis]

@@ -1,0 +1,181 @@
+"""`--strands original`: every strand of a groom's source on the draped ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from quaffure.apps.cli.main import main
+from quaffure.body import BodyModel, bundled_clip, load_body
+from quaffure.errors import InputError
+from quaffure.geometry import Surface
+from quaffure.hair import (
+    Groom,
+    Strands,
+    distances_and_normals,
+    polyline_lengths,
+    register_groom,
+    resample_by_arc_length,
+)
+from quaffure.hair.original_strands import PlacedStrands, original_strands, place_strands
+from quaffure.hair.registration_report import RegistrationReport
+from quaffure.io.groom_file import read_source, write_groom
+from quaffure.io.load_groom import load_source
+from quaffure.io.read_strands import read_strands
+from quaffure.scene import BodyBatch, Scene
+
+pytestmark = pytest.mark.shared_data
+BOW_FRAME = 40
+HAIRS = 400
+"""Strands of the case that are hair, the first ones; the others are a beard."""
+
+
+class Case:
+    """A beard and hair, of which every third strand is draped: upright, and in a bow."""
+
+    def __init__(self, strands: Strands, groom: Groom, report: RegistrationReport, body: BodyModel) -> None:
+        self.strands, self.report, self.body = strands, report, body
+        self.groom = groom.select(torch.arange(0, len(groom), 3))
+        self.placed = place_strands(strands, report, body)
+        self.original = original_strands(self.placed, self.groom, body)
+        bow = bundled_clip("bow", body).body_pose[BOW_FRAME]
+        self.bodies = BodyBatch(body, torch.stack([torch.zeros(81), bow]), torch.zeros(2, 10))
+        self.posed = Scene(self.groom, self.bodies).posed.numpy()
+        self.vertices = self.bodies.posed.vertices.numpy()
+
+
+@pytest.fixture(scope="module")
+def case(shared_data: Path, body: BodyModel, surface: Surface) -> Case:
+    strands = read_strands(shared_data / "cases/beard200.hair")
+    groom, report = register_groom(strands, body, "beard", surface=surface)
+    return Case(strands, groom, report, body)
+
+
+def lengths_of(points: np.ndarray, like: PlacedStrands) -> np.ndarray:
+    return np.asarray(polyline_lengths(Strands(points, like.counts, "strands")))
+
+
+def hair_of(points: np.ndarray) -> np.ndarray:
+    return points[: HAIRS * 24].reshape(HAIRS, 24, 3)
+
+
+def settled(case: Case, frame: int) -> np.ndarray:
+    """Guides that hang straight down from their posed roots, with their lengths: no drape, but as far from posed."""
+    along = np.linalg.norm(np.diff(case.posed[frame], axis=1), axis=-1).cumsum(1)
+    guides = np.repeat(case.posed[frame][:, :1], 24, axis=1)
+    guides[:, 1:, 2] -= along
+    return guides.astype(np.float32)
+
+
+def test_upright_the_source_comes_back(case: Case) -> None:
+    found = case.original.points(case.posed[0], case.vertices[0])
+    assert found.shape == case.strands.points.shape
+    apart = 1e3 * np.linalg.norm(found - case.placed.points, axis=1)
+    assert apart.mean() < 0.01
+    assert (len(case.original), case.placed.on_scalp.sum()) == (600, 400)
+    assert set(case.placed.counts[case.placed.on_scalp]) == {24}
+
+
+def test_every_strand_keeps_its_length_and_leaves_the_body(case: Case) -> None:
+    # Guides that hang through the shoulders are worse than any drape.
+    for guides, most in ((case.posed[1], 1e-4), (settled(case, 1), 3e-3)):
+        found = case.original.points(guides, case.vertices[1])
+        driven = case.original.own_guide < 0
+        lengths, rest = lengths_of(found, case.placed), lengths_of(case.placed.points, case.placed)
+        np.testing.assert_allclose(lengths[driven], rest[driven], rtol=1e-4)
+        chosen = np.repeat(driven & case.placed.on_scalp, case.placed.counts)
+        chosen[case.placed.starts] = False
+        surface = case.bodies.surface.samples(slice(1, 2))
+        distance, _ = distances_and_normals(torch.from_numpy(found[chosen]), surface)
+        assert float((distance < 0).float().mean()) < most
+
+
+def test_a_strand_that_is_draped_is_its_drape(case: Case) -> None:
+    guides = settled(case, 1)
+    found = hair_of(case.original.points(guides, case.vertices[1]))
+    own = case.original.own_guide[:HAIRS]
+    assert 120 < (own >= 0).sum() <= len(case.groom)
+    lengths = np.linalg.norm(np.diff(hair_of(case.placed.points), axis=1), axis=-1)
+    even = (own >= 0) & (np.ptp(lengths, axis=1) < 1e-4)
+    assert even.sum() > 50
+    np.testing.assert_allclose(found[even], guides[own[even]], atol=3e-4)
+
+
+def test_others_hang_as_their_guides_do(case: Case) -> None:
+    """Straight hair that hangs straight down: so do the strands between, whatever their rest."""
+    found = hair_of(case.original.points(settled(case, 1), case.vertices[1]))
+    driven = case.original.own_guide[:HAIRS] < 0
+    ends = found[driven][:, -1] - found[driven][:, 8]
+    down = -ends[:, 2] / np.linalg.norm(ends, axis=1)
+    assert np.median(down) > 0.98
+
+
+def test_a_beard_moves_with_the_skin(case: Case) -> None:
+    hairs = HAIRS * 24
+    found = case.original.points(case.posed[1], case.vertices[1])[hairs:].reshape(200, -1, 3)
+    rest = case.placed.points[hairs:].reshape(200, -1, 3)
+    pairs = (np.linalg.norm(shape[:, :1] - shape[:, 5:], axis=-1) for shape in (found, rest))
+    np.testing.assert_allclose(*pairs, atol=1e-4)
+    head = case.body.joint_names.index("Head")
+    turn = case.bodies.joints[1][1, head].numpy()
+    edges = (found - found[:, :1]), (rest - rest[:, :1]) @ turn.T
+    assert np.median(np.linalg.norm(edges[0] - edges[1], axis=-1)) < 5e-3
+
+
+def test_the_order_of_the_source_is_kept(shared_data: Path, body: BodyModel, surface: Surface, case: Case) -> None:
+    """Its strands, stored from the tip, of 20 vertices and of 9."""
+    whole = case.strands.select(np.arange(600) < HAIRS)
+    parts = [resample_by_arc_length(whole.select(np.arange(400) < 200), 20), resample_by_arc_length(whole, 9)[200:]]
+    points = np.concatenate([part[:, ::-1].reshape(-1, 3) for part in parts])
+    strands = Strands(points, np.repeat([20, 9], 200), "mixed")
+    groom, report = register_groom(strands, body, "mixed", surface=surface)
+    assert report.turned
+    placed = place_strands(strands, report, body)
+    found = original_strands(placed, groom, body)
+    posed = groom.rest_strands.numpy()
+    restored = found.points(posed, body.rest_vertices.numpy())
+    expected = report.scale * strands.points @ report.rotation.T + report.translation
+    assert 1e3 * np.linalg.norm(restored - expected, axis=1).mean() < 2.0
+    assert found.vertex_count == 20
+    assert found.strands(posed, body.rest_vertices.numpy()).shape == (400, 20, 3)
+    with pytest.raises(InputError, match="finite guides"):
+        found.points(np.full_like(posed, np.nan), body.rest_vertices.numpy())
+    with pytest.raises(InputError, match="guides"):
+        found.points(posed[1:], body.rest_vertices.numpy())
+
+
+def test_groom_files_keep_the_source(case: Case, tmp_path: Path) -> None:
+    path = tmp_path / "groom.npz"
+    write_groom(path, case.groom, case.placed)
+    found = read_source(path)
+    assert found is not None
+    for name in ("points", "counts", "from_tip", "on_scalp"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(case.placed, name))
+    write_groom(path, case.groom)
+    assert read_source(path) is None
+    with pytest.raises(InputError, match="a groom file without its source"):
+        load_source(path, case.body)
+    with pytest.raises(InputError, match="a bundled groom"):
+        load_source("bob", case.body)
+    write_groom(path, case.groom, case.placed)
+    arrays = dict(np.load(path))
+    arrays["source_counts"][0] = -5
+    np.savez(path, **arrays)
+    with pytest.raises(InputError, match="source_counts of 2 and more"):
+        read_source(path)
+
+
+def test_the_command_writes_the_source(shared_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pxr")
+    groom, out = tmp_path / "mine.npz", tmp_path / "drape.usda"
+    main(["groom", "import", str(shared_data / "cases/beard200.hair"), "--ties", "none", "--out", str(groom)])
+    command = ["drape", str(groom), "--draper", "posed", "--frames", "0"]
+    main([*command, "--strands", "original", "--out", str(out)])
+    # Guides are written besides, and left out by the reader.
+    assert len(read_strands(out)) == 600
+    main(["groom", "import", str(shared_data / "cases/beard200.hair"), "--parts", "drop", "--out", str(groom)])
+    assert len(load_source(groom, load_body())) == 400
+    with pytest.raises(SystemExit):
+        main([*command, "--strands", "some", "--out", str(out)])
+    assert "a number of strands, or original" in capfd.readouterr().err

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import torch
 
 import quaffure as qf
-from quaffure.energies import EnergyTerm, HairState
-from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies import EnergyTerm, HairState, hair_terms
 from quaffure.scene import BodyBatch, HairScene, Scene
 from quaffure.solvers import AdamDraper
 from quaffure.types import Energy, Float, Tensor

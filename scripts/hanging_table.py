@@ -12,7 +12,7 @@ from quaffure.benchmark.appearance import in_the_air, off_vertical
 from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body import BodyModel, bundled_clip, load_body
 from quaffure.energies import HairEnergy, sag_free_rest
-from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies.by_name import hair_terms
 from quaffure.energies.sag_free import sag_free_report
 from quaffure.hair import Groom
 from quaffure.procedural import STYLES, make_groom

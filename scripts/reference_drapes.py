@@ -17,7 +17,7 @@ import torch
 import quaffure as qf
 from quaffure.body import bundled_clip
 from quaffure.energies import HairEnergy
-from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies.by_name import hair_terms
 from quaffure.scene import BodyBatch, Scene
 
 GROOMS = ("long_straight", "bob", "long_ringlets", "crew_cut")

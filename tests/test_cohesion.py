@@ -6,9 +6,8 @@ import pytest
 import torch
 
 from quaffure.body import BodyModel
-from quaffure.energies import HairEnergy, sag_free_rest
+from quaffure.energies import HairEnergy, hair_terms, sag_free_rest
 from quaffure.energies.cohesion import Cohesion, tails_of
-from quaffure.energies.hair_terms import hair_terms
 from quaffure.geometry import Surface, matrix_from_axis_angle
 from quaffure.hair import Groom
 from quaffure.scene import PosedScene

@@ -9,8 +9,7 @@ from benchmarks.rods.closed_form import equilibrium_edges
 from quaffure.backend import Backend
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.draper import Draper
-from quaffure.energies import ELASTIC_MODELS, Cosserat, HairEnergy, HairState, equilibrium_vectors
-from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies import ELASTIC_MODELS, Cosserat, HairEnergy, HairState, equilibrium_vectors, hair_terms
 from quaffure.errors import InputError
 from quaffure.geometry import integrate_directions
 from quaffure.solvers import (

@@ -8,8 +8,7 @@ import torch
 from quaffure.backend import Backend, choose_backend
 from quaffure.body import BodyModel, load_pose_prior
 from quaffure.config import HairMaterial
-from quaffure.energies import EnergyTerm, Gravity, HairEnergy, HairState
-from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies import EnergyTerm, Gravity, HairEnergy, HairState, hair_terms
 from quaffure.energies.loading import STANDARD_LOADING
 from quaffure.errors import InputError
 from quaffure.scene import BodyBatch, HairScene, Scene

@@ -7,8 +7,7 @@ import torch
 
 from quaffure.body import BodyModel, head_frame_body_reference
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.energies import HairEnergy
-from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies import HairEnergy, hair_terms
 from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.energies.sag_free import design_of
 from quaffure.geometry import matrix_from_axis_angle

@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from quaffure.body import BodyModel, bundled_clip
-from quaffure.energies import HairEnergy, RodRest, sag_free_rest, stress_free_rest
-from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies import HairEnergy, RodRest, hair_terms, sag_free_rest, stress_free_rest
 from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import Groom

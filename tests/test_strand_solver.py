@@ -11,9 +11,8 @@ from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body import BodyModel, bundled_clip
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.drape_motion import drape_motion
-from quaffure.energies import HairEnergy, sag_free_rest
+from quaffure.energies import HairEnergy, hair_terms, sag_free_rest
 from quaffure.energies.gravity import NO_ACCELERATION
-from quaffure.energies.hair_terms import hair_terms
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.geometry import Surface

@@ -9,7 +9,7 @@ from rest import Trace
 
 from quaffure.baselines import PosedDraper
 from quaffure.draper import Draper
-from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies.by_name import hair_terms
 from quaffure.model import load_model
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import LbfgsDraper, XpbdDraper, XpbdSetting

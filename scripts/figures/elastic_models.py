@@ -12,7 +12,7 @@ from tiles import FIGURES, Caption, TileRenderer, View, at_rest, grid, run_figur
 from quaffure.apps.render import NATURAL_COLOURS
 from quaffure.body import load_body
 from quaffure.energies import ELASTIC_MODELS
-from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies.by_name import hair_terms
 from quaffure.procedural import make_groom
 from quaffure.scene import Scene
 from quaffure.solvers import AdamDraper

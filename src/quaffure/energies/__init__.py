@@ -6,12 +6,12 @@ from quaffure._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from quaffure.energies.body_collision import energy_body_collision
+    from quaffure.energies.by_name import ELASTIC_MODELS, hair_terms
     from quaffure.energies.closed_form import equilibrium_vectors
     from quaffure.energies.cosserat import Cosserat, RodStiffness
     from quaffure.energies.energy_term import EnergyTerm, HairState, Terms
     from quaffure.energies.gravity import Gravity, energy_gravity
     from quaffure.energies.hair_energy import HairEnergy
-    from quaffure.energies.hair_terms import ELASTIC_MODELS
     from quaffure.energies.held_parts import held_up_to, released, tied_at, with_ties
     from quaffure.energies.mass_spring import Springs, SpringStiffness
     from quaffure.energies.rest_state import RestState

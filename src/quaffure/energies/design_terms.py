@@ -2,8 +2,8 @@
 
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
+from quaffure.energies.by_name import ROD, hair_terms
 from quaffure.energies.energy_term import Terms
-from quaffure.energies.hair_terms import ROD, hair_terms
 from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.energies.sag_free import design_of
 from quaffure.hair.groom import Groom

@@ -11,11 +11,11 @@ import torch
 from quaffure.backend import Backend, choose_backend
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.body_collision import BodyCollision
+from quaffure.energies.by_name import hair_terms
 from quaffure.energies.energy_term import HairState, Terms
 from quaffure.energies.fused_density import fused_self_collision
 from quaffure.energies.fused_strand import TERMS, strand_energy
 from quaffure.energies.gravity import NO_ACCELERATION, Gravity
-from quaffure.energies.hair_terms import hair_terms
 from quaffure.energies.held_parts import goal_weight_of
 from quaffure.energies.rest_state import RestState, rest_state
 from quaffure.energies.rod_term import Rod

@@ -51,7 +51,7 @@ def solver(name: str, material: HairMaterial | None = None, terms: Terms | None 
     """The draper of that name with its default setting.
 
     Args:
-        terms: of the energy (`quaffure.energies.hair_terms`); where none are given, those of the sag-free rod for
+        terms: of the energy (`quaffure.energies.by_name`); where none are given, those of the sag-free rod for
             `strand_newton`, Eqs. 6, 7, 9, 10 and 11 for the others.
 
     Raises:

@@ -12,12 +12,12 @@ import torch
 
 from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
+from quaffure.energies.by_name import hair_terms
 from quaffure.energies.closed_form import equilibrium_vectors
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.force_limit import clip_gradients
 from quaffure.energies.gravity import Gravity
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.energies.hair_terms import hair_terms
 from quaffure.energies.stretch_shear import StretchShear
 from quaffure.geometry.polyline import directors, integrate_directions
 from quaffure.scene import HairScene

@@ -12,10 +12,10 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper, LoadedDraper, StoppingReport
+from quaffure.energies.by_name import ROD
 from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.energies.hair_terms import ROD
 from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import directors

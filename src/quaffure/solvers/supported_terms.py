@@ -1,8 +1,8 @@
 """Which energy terms a solver with its own projections or derivatives can minimize."""
 
+from quaffure.energies.by_name import MODIFIED_COSSERAT, ROD, hair_terms
 from quaffure.energies.cohesion import Cohesion
 from quaffure.energies.energy_term import Terms
-from quaffure.energies.hair_terms import MODIFIED_COSSERAT, ROD, hair_terms
 from quaffure.errors import InputError
 
 

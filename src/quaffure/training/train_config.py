@@ -7,7 +7,7 @@ from typing import Literal
 
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.config import HairMaterial
-from quaffure.energies.hair_terms import hair_terms
+from quaffure.energies.by_name import hair_terms
 from quaffure.errors import InputError
 from quaffure.model.network_config import NetworkConfig
 

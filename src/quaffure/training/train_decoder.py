@@ -8,11 +8,11 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import world_from_head
+from quaffure.energies.by_name import ROD, hair_terms
 from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.force_limit import clip_gradients
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.energies.hair_terms import ROD, hair_terms
 from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.energies.pose_regularization import energy_pose_regularization
 from quaffure.hair.groom import Groom

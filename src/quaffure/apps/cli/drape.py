@@ -26,9 +26,9 @@ from quaffure.config import HairMaterial
 from quaffure.digest import array_digest
 from quaffure.drape_motion import drape_motion
 from quaffure.draper import Draper
+from quaffure.energies.by_name import ELASTIC_MODELS, MODIFIED_COSSERAT, ROD, hair_terms
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.gravity import GRAVITY, Acceleration
-from quaffure.energies.hair_terms import ELASTIC_MODELS, MODIFIED_COSSERAT, ROD, hair_terms
 from quaffure.energies.loading import Loading
 from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError

@@ -11,12 +11,15 @@ from scipy.spatial import ConvexHull
 from benchmarks.rods.closed_form import equilibrium_edges
 from quaffure.backend import Backend
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.energies import HairEnergy
+from quaffure.energies import HairEnergy, hair_terms
+from quaffure.energies.by_name import ROD
+from quaffure.energies.cohesion import Cohesion, tails_of
+from quaffure.errors import InputError
 from quaffure.geometry import Surface, posed_surface, surface_topology
 from quaffure.geometry.polyline import edges
 from quaffure.hair import Groom
 from quaffure.scene import PosedScene
-from quaffure.solvers import AdamDraper, XpbdDraper, XpbdSetting, energy_and_gradient
+from quaffure.solvers import AdamDraper, LbfgsDraper, XpbdDraper, XpbdSetting, energy_and_gradient
 from quaffure.solvers.xpbd import paper_setting
 from tests.scenes import posed_scene, sphere_groom
 
@@ -165,3 +168,38 @@ def test_the_setting_of_the_paper() -> None:
     setting = paper_setting()
     assert (setting.steps, setting.iterations) == (30, 10_000)
     assert setting.time_step(0) == setting.time_step(29) == setting.first_time_step
+
+
+# --- the rod ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_rod_settles_where_lbfgs_settles_it() -> None:
+    groom = sphere_groom(strands=7, vertices=16)
+    scene, terms = posed_scene(groom), hair_terms(ROD)
+    material = HairMaterial(k_self_collision=0.0)
+    draped = XpbdDraper(material, SETTLED, terms).drape(scene)
+    lowest = LbfgsDraper(material, terms=terms).drape(scene)
+    energy = HairEnergy(groom, material, terms)
+    begun, ended, expected = (float(energy.per_vertex(energy.total(x, scene))) for x in (scene.posed, draped, lowest))
+    assert begun > expected + 0.05
+    assert abs(ended - expected) < 5e-4
+    assert (draped - lowest).norm(dim=-1).mean() < 5e-4
+
+
+def test_very_short_edges_keep_their_length_with_the_rod() -> None:
+    groom = sphere_groom(strands=3, vertices=24)
+    rest = groom.rest_strands
+    short = replace(groom, rest_strands=rest[:, :1] + 0.1 * (rest - rest[:, :1]))
+    draped = XpbdDraper(HairMaterial(), SETTLED, hair_terms(ROD)).drape(posed_scene(short))
+    length = draped.diff(dim=2).norm(dim=-1)
+    assert short.rest_lengths.max() < 1e-3
+    assert (length / short.rest_lengths - 1).abs().max() < 1e-3
+
+
+def test_tails_that_cohere_are_refused() -> None:
+    groom = sphere_groom(strands=3)
+    tails = tails_of(replace(groom, tie_vertex=torch.ones(3, dtype=torch.int16)))
+    assert tails is not None
+    cohesion = Cohesion(tails)
+    with pytest.raises(InputError, match=r"solver xpbd: .*cohesion"):
+        XpbdDraper(terms=(*hair_terms(ROD), cohesion))

@@ -13,6 +13,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper, LoadedDraper, StoppingReport
 from quaffure.energies.by_name import ROD
+from quaffure.energies.cohesion import Cohesion
 from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.hair_energy import HairEnergy
@@ -83,7 +84,7 @@ class StrandNewtonDraper:
         Raises:
             InputError: terms other than the rod, Eqs. 7, 9, 10 and 11, and the cohesion of tails.
         """
-        refuse_other_terms(self.name, terms, ROD)
+        refuse_other_terms(self.name, terms, ROD, optional=(Cohesion,))
         self.material = material or HairMaterial()
         self.setting = setting or StrandNewtonSetting()
         self.loading = STANDARD_LOADING

@@ -24,6 +24,10 @@ it exactly and puts it back, which is the same where C is linear:
 So x = x~ + dt^2 / m times the constraint forces holds all the time, those forces are the energy's at convergence, and a
 step that moves nothing has found grad E = 0, whatever the masses and time steps.
 
+With the rod in place of Eq. 6 an edge's force depends on its neighbours. It is taken as linear in the edge around the
+last search, where it is exact: the force of a spring toward a direction that the next search renews, of a stiffness
+that bounds the rod's (`RodSprings`). Converged, it is the rod's; twist is at its equilibrium at every search.
+
 Three choices of our own: multipliers are kept from step to step (a step's minimum is the same; hair need not fall free
 first); they start as the tensions that hold the weight; and time steps may shrink. Long ones move whole strands, short
 ones, which barely couple the constraints, then settle what they left trembling.
@@ -40,12 +44,12 @@ from numba import get_num_threads
 from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
 from quaffure.energies.body_collision import contact_force
+from quaffure.energies.by_name import MODIFIED_COSSERAT, ROD
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.fused_density import active_particles, density_gradient, sort_particles
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.rest_state import RestState
-from quaffure.energies.stretch import stretch_force
-from quaffure.energies.stretch_shear import stretch_shear_force
+from quaffure.energies.rod_term import Rod
 from quaffure.scene import HairScene
 from quaffure.solvers.stopping import stopping_report
 from quaffure.solvers.supported_terms import refuse_other_terms
@@ -58,6 +62,7 @@ from quaffure.solvers.xpbd_kernels import (
     find_planes,
     sweep_strands,
 )
+from quaffure.solvers.xpbd_springs import DirectorSprings, EdgeConstants, RodSprings, packed, unpacked
 from quaffure.types import Positions
 
 MOST_PUSH = 0.005
@@ -76,6 +81,7 @@ class XpbdSetting:
         first_time_step: dt of the first step [s].
         last_time_step: dt of the last; in between they form a geometric series [s].
         refresh: sweeps between two searches for the nearest faces, each with one pass over the densities.
+        spring_refresh: sweeps between two linearizations of the rod.
         relaxation: over-relaxation of the edges, 1 to 2.
         density_relaxation: part of its own step that each density takes.
     """
@@ -85,6 +91,7 @@ class XpbdSetting:
     first_time_step: float = 0.2
     last_time_step: float = 0.001
     refresh: int = 20
+    spring_refresh: int = 5
     relaxation: float = 1.5
     density_relaxation: float = 0.2
 
@@ -118,9 +125,10 @@ class XpbdDraper:
     ) -> None:
         """
         Raises:
-            InputError: terms other than Eqs. 6, 7, 9, 10 and 11, which it cannot project.
+            InputError: terms other than Eqs. 6, 7, 9, 10 and 11, or the rod instead of Eq. 6, which it cannot project.
         """
-        refuse_other_terms(self.name, terms)
+        elastic = ROD if terms is not None and any(isinstance(term, Rod) for term in terms) else MODIFIED_COSSERAT
+        refuse_other_terms(self.name, terms, elastic)
         self.material = material or HairMaterial()
         self.setting = setting or XpbdSetting()
         self._terms = terms
@@ -152,7 +160,13 @@ class HairInMotion:
     def __init__(self, scene: HairScene, sample: int, energy: HairEnergy) -> None:
         rest, material = energy.rest, energy.material
         self.material = material
-        self.edges = EdgeConstants(scene.director[sample].numpy(), rest, material)
+        self.edges = EdgeConstants(rest)
+        rod = next((term for term in energy.terms if isinstance(term, Rod)), None)
+        self.springs: DirectorSprings | RodSprings = (
+            DirectorSprings(scene.director[sample].numpy(), rest, material)
+            if rod is None
+            else RodSprings(rod.prepare(rest, scene), sample, rest, material)
+        )
         posed = scene.posed[sample].detach().numpy()
         self.roots = posed[:, 0].copy()
         self.x = packed(posed - self.roots[:, None].astype(np.float64))
@@ -185,7 +199,6 @@ class HairInMotion:
         # 3 k_bc: the force of Eq. 10 at a shortfall of one metre.
         force, _ = contact_force(0.0, 1.0, self.material.k_body_collision)
         stiffness = -force * time_step**2 / self.edges.mass_unit
-        constants, pull = self.edges.at(time_step)
         for done in range(0, setting.iterations, setting.refresh):
             world = self.world()
             find_planes(world, self.roots, self.margin, self.surface, self.last, self.plane)
@@ -195,43 +208,15 @@ class HairInMotion:
                 shift *= np.minimum(1.0, MOST_SHIFT * self.material.smoothing_length / np.maximum(longest, 1e-30))
                 self.x += shift
                 self.pushed += shift
-            blocks = StrandBlocks(
-                self.x, self.tension, self.contact, self.plane, self.edges.inverse_mass, constants, pull
-            )
-            sweeps = min(setting.refresh, setting.iterations - done)
-            sweep_strands(blocks, stiffness, setting.relaxation, MOST_PUSH, sweeps)
-
-
-class EdgeConstants:
-    """What the projection of an edge needs: see `sweep_strands`.
-
-    Attributes:
-        mass_unit: m_ref, the mean mass [kg].
-    """
-
-    def __init__(self, director: FloatOf[np.ndarray, "s e 3"], rest: RestState, material: HairMaterial) -> None:
-        mass = rest.mass.numpy().astype(np.float64)
-        self.mass_unit = float(mass.mean())
-        inverse = self.mass_unit / mass
-        inverse[:, 0] = 0
-        self.inverse_mass = packed(inverse[..., None])[:, :, 0].copy()
-        self.coupling = inverse[:, 1:] + inverse[:, :-1]
-        self.rest_length = rest.rest_length.numpy().astype(np.float64)
-        self.director = director.astype(np.float64)
-        self.k_cosserat, self.k_stretch = material.k_cosserat, material.k_stretch
-
-    def at(self, time_step: float) -> tuple[FloatOf[np.ndarray, "k e 3 8"], FloatOf[np.ndarray, "k e 3 8"]]:
-        """`edge` and `pull` of `sweep_strands` for a time step [s]."""
-        scaled = self.coupling * time_step**2 / self.mass_unit
-        length, inverse = self.rest_length, 1 / self.rest_length
-        # The forces of Eqs. 6 and 7 are linear in the edge and its length: -k_c / l d3 and -k_s l where these are zero.
-        shear_stiffness, _ = stretch_shear_force(1.0, 0.0, inverse, self.k_cosserat)
-        shear_at_zero, _ = stretch_shear_force(0.0, self.director, inverse[..., None], self.k_cosserat)
-        stretch_stiffness, _ = stretch_force(1.0, 0.0, self.k_stretch)
-        stretch_at_zero, _ = stretch_force(0.0, length, self.k_stretch)
-        softness = 1 / (1 + scaled * (shear_stiffness + stretch_stiffness))
-        edge = np.stack([self.coupling, -scaled * stretch_at_zero, softness], axis=-1)
-        return packed(edge), packed(-scaled[..., None] * shear_at_zero)
+            left = min(setting.refresh, setting.iterations - done)
+            while left > 0:
+                sweeps = min(left, setting.spring_refresh if self.springs.change else left)
+                constants, pull = self.edges.at(time_step, self.springs.at(unpacked(self.x, len(self.roots))))
+                blocks = StrandBlocks(
+                    self.x, self.tension, self.contact, self.plane, self.edges.inverse_mass, constants, pull
+                )
+                sweep_strands(blocks, stiffness, setting.relaxation, MOST_PUSH, sweeps)
+                left -= sweeps
 
 
 class DensityConstraints:
@@ -268,15 +253,3 @@ class DensityConstraints:
         density_gradient(particles, active, shape, pressure, order, h, get_num_threads(), gradient)
         moved = -gradient * (self.inverse_mass * np.float32(time_step**2))[:, None]
         return packed(moved.reshape(self.strands, self.vertices, 3))
-
-
-def packed(array: FloatOf[np.ndarray, "s n c"]) -> FloatOf[np.ndarray, "k n c 8"]:
-    """Strands in blocks of `LANES`, the lane last, float64; the last block is filled up with its last strand."""
-    missing = -len(array) % LANES
-    filled = np.concatenate([array, np.repeat(array[-1:], missing, axis=0)])
-    blocks = filled.reshape(-1, LANES, *array.shape[1:]).transpose(0, 2, 3, 1)
-    return np.ascontiguousarray(blocks, dtype=np.float64)
-
-
-def unpacked(blocks: FloatOf[np.ndarray, "k n c 8"], strands: int) -> FloatOf[np.ndarray, "s n c"]:
-    return blocks.transpose(0, 3, 1, 2).reshape(-1, *blocks.shape[1:3])[:strands]

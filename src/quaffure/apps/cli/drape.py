@@ -86,8 +86,8 @@ class DrapeCommand:
     settle: int = 0
     """Passes of strand_newton from the output of another draper; 0 is that draper alone."""
     elastic: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = None
-    """The elastic model: rod with strand_newton and the network, else modified_cosserat, the paper's; adam and lbfgs in
-    all their forms accept any. Metrics are those of the same model."""
+    """The elastic model: rod with strand_newton and the network, else modified_cosserat, the paper's; xpbd accepts
+    both, adam and lbfgs in all their forms any. Metrics are those of the same model."""
     rest: Literal["design", "stress-free"] | None = None
     """With --elastic rod: the rest shape that keeps hair as designed on the mean body (design, the default), or the
     groom itself, from which gravity bends it."""

@@ -17,7 +17,8 @@ from quaffure.model.initial_shape import InitialShape, bits, empty_shape, fill_i
 from quaffure.model.loading_features import loading_features
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project
-from quaffure.model.quaffure_network import FEATURE_SIZE, DirectionNetwork, pose_code
+from quaffure.model.quaffure_network import OWN_FEATURES, DirectionNetwork, feature_size, pose_code
+from quaffure.model.surroundings import fill_surroundings
 from quaffure.model.torch_backend import TorchBackend, TorchPosed
 from quaffure.scene import BodyBatch
 from quaffure.types import Float, Positions, Tensor
@@ -83,6 +84,10 @@ class CpuBackend:
         count = rows.size
         shape = InitialShape(roots[:, :count], edges[:, :count], compliance[:, :count], features[:, :count])
         fill_initial_shape(groom.blocks, rows, posed.body, self._loading, self.config.initial_shape, shape)
+        if self.config.surroundings:
+            fill_surroundings(
+                groom.blocks.surroundings, shape.roots, shape.edges, bits(shape.features)[..., OWN_FEATURES:]
+            )
         return shape
 
     def network(self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape) -> Float[Tensor, "row outputs"]:
@@ -120,9 +125,11 @@ class CpuTrainingBackend(TorchBackend):
         return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, bodies.joints, config, self.projects)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
-        shape = empty_shape(len(posed.body.head), len(groom.margin), FEATURE_SIZE, torch.float32)
+        shape = empty_shape(len(posed.body.head), len(groom.margin), feature_size(self.config), torch.float32)
         config, rows = self.config.initial_shape, groom.blocks.strands.strand
         fill_initial_shape(groom.blocks, rows, posed.body, self._loading, config, shape)
+        if self.config.surroundings:
+            fill_surroundings(groom.surroundings, shape.roots, shape.edges, bits(shape.features)[..., OWN_FEATURES:])
         return shape
 
     def project(self, groom: PreparedGroom, posed: TorchPosed, hair: Positions) -> Positions:

@@ -100,6 +100,9 @@ class NetworkConfig:
     skin_features: Annotated[bool, tyro.conf.arg(name="views")] = True
     """The strand layers read local features of the skin near the initial strand, or, with `--no-views`, do not
     (`directions` only)."""
+    surroundings: bool = False
+    """The strand layers read the density of other hair around the initial strand, and the distance that it is to keep
+    from the body (`quaffure.model.surroundings`; `directions` only, with the skin's features)."""
     contact: Annotated[bool, tyro.conf.arg(name="slides")] = True
     """The initial strand is kept out of the point-sampled body, and the hair projected out of the skin after the
     network, or, with `--no-slides`, neither (`directions` only)."""
@@ -110,6 +113,8 @@ class NetworkConfig:
         if self.output not in ("directions", "displacement"):
             raise ValueError(f"expected output directions or displacement, found {self.output!r}")
         widths = {"pose_features": (0, MAX_WIDTH), "texel_channels": (1, MAX_WIDTH), "strand_width": (1, MAX_WIDTH)}
+        if self.surroundings and not (self.skin_features and self.output == "directions"):
+            raise ValueError("expected surroundings with directions and the skin's features, found them without")
         for name, (least, most) in (widths | {"strand_layers": (1, MAX_LAYERS)}).items():
             value = getattr(self, name)
             if not (isinstance(value, int) and least <= value <= most):
@@ -117,7 +122,7 @@ class NetworkConfig:
 
     def __repr__(self) -> str:
         """By the keys of files, without what is as by default: checkpoints of runs are found by this text."""
-        default = {"initial_shape": InitialShapeConfig(), "projection": ProjectionConfig()}
+        default = {"surroundings": False, "initial_shape": InitialShapeConfig(), "projection": ProjectionConfig()}
         values = {name: getattr(self, name) for name in (f.name for f in fields(self))}
         shown = (
             f"{_KEYS_OF_FIELDS.get(name, name)}={value!r}"

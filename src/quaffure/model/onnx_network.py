@@ -24,7 +24,7 @@ from quaffure.model.groom_encoder import CODE_SIZE
 from quaffure.model.inference_network import NetworkInputs
 from quaffure.model.loading_features import LOADING_FEATURES
 from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE
-from quaffure.model.quaffure_network import FEATURE_SIZE, DirectionNetwork, QuaffureNetwork
+from quaffure.model.quaffure_network import DirectionNetwork, QuaffureNetwork, feature_size
 from quaffure.types import Float, Int, Tensor
 
 INPUTS, OUTPUT = ("groom_code", "texels", "pose_code", "features"), "rotations"
@@ -87,7 +87,7 @@ def example_inputs(network: DirectionNetwork, batch: int, strands: int, seed: in
         torch.randn(CODE_SIZE, generator=generator),
         torch.randint(0, TEXTURE_SIZE**2, (strands,), generator=generator),
         torch.rand(batch, columns, generator=generator) - 0.5,
-        0.6 * torch.rand(batch, strands, FEATURE_SIZE, generator=generator) - 0.3,
+        0.6 * torch.rand(batch, strands, feature_size(network.config), generator=generator) - 0.3,
     )
 
 

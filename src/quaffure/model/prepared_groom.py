@@ -9,6 +9,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.mls_body import mls_body
+from quaffure.body.pose_features import HEAD
 from quaffure.config import STANDARD_GRAVITY, TEXTURE_SIZE, VERTICES_PER_STRAND, HairMaterial
 from quaffure.energies.rest_state import rest_state
 from quaffure.energies.sag_free import SagFreeRest, design_of
@@ -21,6 +22,7 @@ from quaffure.model.groom_code import groom_code
 from quaffure.model.groom_encoder import GroomEncoder
 from quaffure.model.inference_network import StrandTexels, texture_rows
 from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE, InitialShapeConfig, NetworkConfig
+from quaffure.model.surroundings import Surroundings, coarse_density
 from quaffure.types import Float, Int, RestLengths, Tensor
 
 NO_CONTACT = -10.0
@@ -77,12 +79,14 @@ class KernelBlocks(NamedTuple):
         strands, rods: all strands.
         rows: of the kernels' results, for each strand.
         texels: of each row.
+        surroundings: of each row but those that repeat the last strand.
     """
 
     strands: StrandBlocks
     rods: RodBlocks
     rows: Int[np.ndarray, "block lane"]
     texels: StrandTexels
+    surroundings: Surroundings
 
     @property
     def nbytes(self) -> int:
@@ -101,6 +105,7 @@ class PreparedGroom:
         rest_length: of every edge [m].
         margin: distance from the point-sampled body at which strands start [m].
         clearance: distance up to which hair is projected out of the skin [m], see `quaffure.model.projection`.
+        surroundings: of each strand.
         order: of the strands in the kernels' blocks, near ones next to each other.
     """
 
@@ -111,6 +116,7 @@ class PreparedGroom:
     rest_length: RestLengths
     margin: Float[Tensor, "s n"]
     clearance: Float[Tensor, "s n"]
+    surroundings: Surroundings
     order: Int[Tensor, " s"]
 
     @cached_property
@@ -120,7 +126,9 @@ class PreparedGroom:
         of_rows = torch.from_numpy(strands.strand).flatten().long()
         texels = StrandTexels(self.texels[of_rows], texture_rows(self.texels[of_rows], TEXTURE_SIZE))
         rows = np.arange(strands.strand.size, dtype=np.int32).reshape(strands.strand.shape)
-        return KernelBlocks(strands, RodBlocks(*(in_blocks(values[of_rows]) for values in self.rods)), rows, texels)
+        rods = RodBlocks(*(in_blocks(values[of_rows]) for values in self.rods))
+        own = of_rows[: len(self.margin)]
+        return KernelBlocks(strands, rods, rows, texels, Surroundings(*(values[own] for values in self.surroundings)))
 
     def stiffened(self, factor: Float[Tensor, "s e"]) -> "PreparedGroom":
         """The same groom with each edge stiffer by a factor of its own."""
@@ -156,8 +164,20 @@ def prepare_groom(
         groom.rest_lengths,
         margin,
         clearance,
+        surroundings_of(groom, body, material, design_margin),
         neighbours_together(positions, LANES),
     )
+
+
+def surroundings_of(
+    groom: Groom, body: BodyModel, material: HairMaterial, margin: Float[Tensor, "s n"]
+) -> Surroundings:
+    """What the surroundings of strands are measured against: upright, no density is in excess."""
+    mass = rest_state(groom.rest_strands, material).mass
+    _, joints = body.posed_joints(mass.new_zeros(1, POSE_SIZE), mass.new_zeros(1, SHAPE_SIZE))
+    head = joints[0, body.joint_names.index(HEAD)]
+    density, _ = coarse_density((groom.rest_strands - head)[None], mass)
+    return Surroundings(groom.rest_lengths, mass, density[0], margin)
 
 
 def design_rods(

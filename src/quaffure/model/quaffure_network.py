@@ -16,9 +16,10 @@ from quaffure.model.groom_texture import TEXTURE_CHANNELS
 from quaffure.model.inference_network import ForwardNetwork, InferenceNetwork, NetworkInputs
 from quaffure.model.loading_features import LOADING_FEATURES
 from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE, NetworkConfig
+from quaffure.model.surroundings import SURROUNDING_FEATURES
 from quaffure.types import Float, Tensor
 
-FEATURE_SIZE = (3 + LOCAL_FEATURES) * EDGES_PER_STRAND
+OWN_FEATURES = (3 + LOCAL_FEATURES) * EDGES_PER_STRAND
 """Numbers of a strand before the network: positions of all vertices but the root, and their local features."""
 
 
@@ -55,7 +56,7 @@ class DirectionNetwork(nn.Module):
         self.decoder = DeformationDecoder(_code_size(config), config.texel_channels)
         width = config.strand_width
         self.from_texel = nn.Linear(config.texel_channels, width)
-        read = FEATURE_SIZE if config.skin_features else 3 * EDGES_PER_STRAND
+        read = feature_size(config) if config.skin_features else 3 * EDGES_PER_STRAND
         self.from_strand = nn.Linear(read, width, bias=False)
         between = [layer for _ in range(config.strand_layers - 1) for layer in (nn.Linear(width, width), nn.SiLU())]
         self.strand = nn.Sequential(nn.SiLU(), *between, nn.Linear(width, 3 * EDGES_PER_STRAND))
@@ -66,7 +67,8 @@ class DirectionNetwork(nn.Module):
 
         Args:
             features: of every strand before the network: positions of all vertices but the root relative to the head
-                and in its frame [m], then their local features (`quaffure.geometry.mls_surface`).
+                and in its frame [m], then their local features (`quaffure.geometry.mls_surface`), then, where the
+                configuration says so, what surrounds them (`quaffure.model.surroundings`).
         """
         texture = self.decoder(_code(inputs))
         texels = texture.index_select(2, inputs.texels).mT
@@ -89,7 +91,7 @@ class DirectionNetwork(nn.Module):
         if type(self) is DirectionNetwork and self.config.skin_features and self._has_own_layers():
             dtype = torch.bfloat16 if bf16 else torch.float32
             return InferenceNetwork(self.decoder, self.from_texel, self.strand_weight(), self.strand, dtype)
-        return ForwardNetwork(self, FEATURE_SIZE, bf16)
+        return ForwardNetwork(self, feature_size(self.config), bf16)
 
     def _has_own_layers(self) -> bool:
         with torch.device("meta"):
@@ -101,6 +103,11 @@ class DirectionNetwork(nn.Module):
 
 
 QuaffureNetwork = DirectionNetwork | DisplacementNetwork
+
+
+def feature_size(config: NetworkConfig) -> int:
+    """Numbers that the strand layers may read of a strand: its own, and what surrounds it."""
+    return OWN_FEATURES + (SURROUNDING_FEATURES * EDGES_PER_STRAND if config.surroundings else 0)
 
 
 def build_network(config: NetworkConfig) -> QuaffureNetwork:

@@ -21,6 +21,7 @@ from quaffure.model.network_config import NetworkConfig
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project_reference
 from quaffure.model.quaffure_network import pose_code
+from quaffure.model.surroundings import surroundings_reference
 from quaffure.scene import BodyBatch
 from quaffure.types import Float, Positions, Tensor
 
@@ -61,7 +62,12 @@ class TorchBackend:
         return head_frame_body_reference(bodies.body, pose, shape, bodies.posed, config)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
-        return initial_shape_reference(groom, posed.body, self._loading, self.config.initial_shape)
+        shape = initial_shape_reference(groom, posed.body, self._loading, self.config.initial_shape)
+        if not self.config.surroundings:
+            return shape
+        positions = integrate_directions(shape.roots, shape.edges, groom.rest_length)
+        around = surroundings_reference(positions, groom.surroundings).flatten(2)
+        return shape._replace(features=torch.cat([shape.features, around], dim=2))
 
     def network(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape) -> Tensor:
         """Rotation of the joint before every edge, see `DirectionNetwork`."""

@@ -14,12 +14,17 @@ from quaffure.benchmark.machine_facts import machine_facts
 from quaffure.benchmark.metrics import metrics
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper
+from quaffure.energies.by_name import ROD, hair_terms
+from quaffure.energies.design_terms import terms_of_design
+from quaffure.energies.energy_term import Terms
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.errors import InputError
 from quaffure.scene import Scene
 from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
-from quaffure.solvers.by_name import Solver, solver
+from quaffure.solvers.by_name import Solver
 from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
 from quaffure.solvers.stopping import energy_and_gradient, relative_gradient
+from quaffure.solvers.strand_newton import StrandNewtonDraper, StrandNewtonSetting
 from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting, paper_setting
 from quaffure.types import Positions
 
@@ -51,7 +56,7 @@ class Budget:
 
     solver: str
     effort: int
-    draper: Callable[[HairMaterial], Draper]
+    draper: Callable[[HairMaterial, Terms], Draper]
     share: float = 1.0
 
 
@@ -81,39 +86,51 @@ class Run:
     share: float
 
 
-def budgets(quick: bool = False) -> list[Budget]:
-    """The solvers of the benchmark with their budgets; `quick` runs show that everything works and little else."""
+def budgets(elastic: str = ROD, quick: bool = False) -> list[Budget]:
+    """The solvers of the benchmark with their budgets; `quick` runs show that everything works and little else.
+
+    Args:
+        elastic: the elastic model; `strand_newton` minimizes the rod alone, and the paper's setting of XPBD is for its
+            own.
+    """
     efforts = _QUICK if quick else _WHOLE
-    every = [Budget("posed", 0, PosedDraper)]
-    every += [Budget(name, effort, _WITH_EFFORT[name](effort)) for name, many in efforts.items() for effort in many]
-    if quick:
+    every = [Budget("posed", 0, lambda material, terms: PosedDraper(material))]
+    for name, many in efforts.items():
+        if name != StrandNewtonDraper.name or elastic == ROD:
+            every += [Budget(name, effort, _WITH_EFFORT[name](effort)) for effort in many]
+    if quick or elastic == ROD:
         return every
     part = replace(paper_setting(), steps=PAPER_STEPS)
     share = PAPER_STEPS / paper_setting().steps
-    return [*every, Budget(PAPER, PAPER_STEPS, lambda material: XpbdDraper(material, part), share)]
+    return [*every, Budget(PAPER, PAPER_STEPS, lambda material, terms: XpbdDraper(material, part, terms), share)]
 
 
 def run_benchmark(
     cases: Sequence[Case],
     chosen: Sequence[Budget],
-    material: HairMaterial | None = None,
+    elastic: str = ROD,
     on_run: Callable[[str], None] = lambda label: None,
 ) -> list[Run]:
-    """Every budget on every case.
+    """Every budget on every case whose terms its solver minimizes.
 
     Args:
+        elastic: the elastic model; the rod rests in the groom's design.
         on_run: called with what is about to run.
     """
-    material = material or HairMaterial()
-    _compile(cases[0], chosen, material)
+    material = HairMaterial()
+    _compile(cases[0], chosen, _energy_of(cases[0].scene, elastic, material))
     runs: list[Run] = []
     for case in cases:
-        energy = HairEnergy(case.scene.groom, material)
+        energy = _energy_of(case.scene, elastic, material)
         _ = case.scene.director, case.scene.surface, energy.rest.rest_density  # made before the clock starts
         of_case = []
         for budget in chosen:
             on_run(f"{budget.solver} {budget.effort or ''} on {case.name}")
-            of_case.append(_run(case, budget, energy))
+            try:
+                draper = budget.draper(material, energy.terms)
+            except InputError:  # it does not minimize one of them, such as the cohesion of tails
+                continue
+            of_case.append(_run(case, budget, draper, energy))
         least = min(run.energy for run in of_case)
         runs += [replace(run, excess_energy=run.energy - least) for run in of_case]
     return runs
@@ -129,8 +146,13 @@ def report(runs: Sequence[Run], chosen: Sequence[Budget]) -> dict[str, object]:
     }
 
 
-def _run(case: Case, budget: Budget, energy: HairEnergy) -> Run:
-    draper = budget.draper(energy.material)
+def _energy_of(scene: Scene, elastic: str, material: HairMaterial) -> HairEnergy:
+    is_rod = elastic == ROD
+    terms = terms_of_design(scene.groom, scene.bodies.body, material) if is_rod else hair_terms(elastic)
+    return HairEnergy(scene.groom, material, terms)
+
+
+def _run(case: Case, budget: Budget, draper: Draper, energy: HairEnergy) -> Run:
     wall, processor = time.perf_counter(), time.process_time()
     draped, stopped = draper.solve(case.scene) if isinstance(draper, Solver) else (draper.drape(case.scene), None)
     seconds, cpu_seconds = time.perf_counter() - wall, time.process_time() - processor
@@ -158,28 +180,44 @@ def _residual(draped: Positions, scene: Scene, energy: HairEnergy) -> float:
     return float(relative_gradient(energy, draped, gradient))
 
 
-def _compile(case: Case, chosen: Sequence[Budget], material: HairMaterial) -> None:
+def _compile(case: Case, chosen: Sequence[Budget], energy: HairEnergy) -> None:
     """Run every solver once, as briefly as it can, so that no time includes the compiler.
 
     On the whole groom: a few strands touch no others, and the kernels of hair against hair would not be compiled.
     """
     for name in {budget.solver for budget in chosen}:
-        draper = _WITH_EFFORT[name](1)(material) if name in _WITH_EFFORT else solver("posed", material)
-        draper.drape(case.scene)
+        if name in _WITH_EFFORT:
+            shortest = _QUICK[name][0] if name == StrandNewtonDraper.name else 1
+            _WITH_EFFORT[name](shortest)(energy.material, energy.terms).drape(case.scene)
+        else:
+            PosedDraper(energy.material).drape(case.scene)
 
 
-_WITH_EFFORT: dict[str, Callable[[int], Callable[[HairMaterial], Draper]]] = {
-    "adam": lambda effort: lambda material: AdamDraper(material, steps=effort),
-    "adam_positions": lambda effort: lambda material: AdamPositionsDraper(material, steps=effort),
-    "lbfgs": lambda effort: lambda material: LbfgsDraper(material, evaluations=effort),
-    "lbfgs_positions": lambda effort: lambda material: LbfgsPositionsDraper(material, evaluations=effort),
-    "xpbd": lambda effort: lambda material: XpbdDraper(material, XpbdSetting(steps=effort)),
+_WITH_EFFORT: dict[str, Callable[[int], Callable[[HairMaterial, Terms], Draper]]] = {
+    "strand_newton": lambda effort: (
+        lambda material, terms: StrandNewtonDraper(material, StrandNewtonSetting(passes=effort), terms)
+    ),
+    "adam": lambda effort: lambda material, terms: AdamDraper(material, steps=effort, terms=terms),
+    "adam_positions": lambda effort: lambda material, terms: AdamPositionsDraper(material, steps=effort, terms=terms),
+    "lbfgs": lambda effort: lambda material, terms: LbfgsDraper(material, evaluations=effort, terms=terms),
+    "lbfgs_positions": lambda effort: (
+        lambda material, terms: LbfgsPositionsDraper(material, evaluations=effort, terms=terms)
+    ),
+    "xpbd": lambda effort: lambda material, terms: XpbdDraper(material, XpbdSetting(steps=effort), terms),
 }
 _WHOLE = {
+    "strand_newton": (8, 12, 20, 40),
     "adam": (100, 300, 1000),
     "adam_positions": (300, 1000, 3000),
     "lbfgs": (100, 300, 1000),
     "lbfgs_positions": (300, 1000, 3000),
     "xpbd": (25, 50, 100, 200),
 }
-_QUICK = {"adam": (20, 60), "adam_positions": (60,), "lbfgs": (20, 60), "lbfgs_positions": (60,), "xpbd": (10, 30)}
+_QUICK = {
+    "strand_newton": (8, 12),
+    "adam": (20, 60),
+    "adam_positions": (60,),
+    "lbfgs": (20, 60),
+    "lbfgs_positions": (60,),
+    "xpbd": (10, 30),
+}

@@ -15,6 +15,7 @@ from quaffure.benchmark import inference_benchmark as inference
 from quaffure.benchmark.solver_benchmark import Budget, Case, Run, budgets, report, run_benchmark
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
+from quaffure.energies.by_name import MODIFIED_COSSERAT, ROD
 from quaffure.errors import InputError
 from quaffure.extras import is_installed
 from quaffure.hair.groom import Groom
@@ -25,7 +26,7 @@ from quaffure.model.quaffure_model import Quaffure, load_model
 from quaffure.scene import BodyBatch, Scene
 
 QUICK_STRANDS = 100
-_NAMES = tuple(dict.fromkeys(budget.solver for budget in budgets()))
+_NAMES = tuple(dict.fromkeys(budget.solver for kind in (ROD, MODIFIED_COSSERAT) for budget in budgets(kind)))
 _CLIPS = ("neck_turn", "bow", "shrug")
 
 
@@ -48,6 +49,8 @@ class SolversCommand:
     """Frames A:B:STEP of every motion, each a case; without it, the middle one."""
     solver: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar=f"{{{','.join(_NAMES)}}}")] = ()
     """A solver to run, with all its budgets; may be given several times. Without it, all."""
+    elastic: Annotated[str, tyro.conf.arg(metavar=f"{{{ROD},{MODIFIED_COSSERAT}}}")] = ROD
+    """The elastic model: the rod, at rest in the design, or the paper's, which strand_newton does not minimize."""
     strands: int | None = None
     """Drape only this many strands of each groom, evenly spaced."""
     quick: bool = False
@@ -66,7 +69,7 @@ class SolversCommand:
         finished = itertools.count()
         with progress_bar("compiling", len(cases) * len(chosen), transient=True) as update:
             runs = run_benchmark(
-                cases, chosen, on_run=lambda label: update(description=label, completed=next(finished))
+                cases, chosen, self.elastic, on_run=lambda label: update(description=label, completed=next(finished))
             )
         content = report(runs, chosen)
         message = _write_files(self.out, content, lambda plots, picture: plots.plot_runs(picture, runs))
@@ -80,11 +83,13 @@ class SolversCommand:
         console.print(message)
 
     def _budgets(self) -> list[Budget]:
-        every = budgets(self.quick)
+        if self.elastic not in (ROD, MODIFIED_COSSERAT):
+            raise InputError("--elastic", f"{ROD} or {MODIFIED_COSSERAT}", f"'{self.elastic}'")
+        every = budgets(self.elastic, self.quick)
         known = list(dict.fromkeys(budget.solver for budget in every))
         for name in self.solver:
             if name not in known:
-                source = "--solver with --quick" if self.quick and name in _NAMES else "--solver"
+                source = "--solver with these options" if name in _NAMES else "--solver"
                 raise InputError(source, f"one of {', '.join(known)}", f"'{name}'")
         return [budget for budget in every if not self.solver or budget.solver in self.solver]
 

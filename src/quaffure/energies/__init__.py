@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from quaffure.energies.gravity import Gravity, energy_gravity
     from quaffure.energies.hair_energy import HairEnergy
     from quaffure.energies.held_parts import held_up_to, released, tied_at, with_ties
+    from quaffure.energies.loading import STANDARD_LOADING, Loading
     from quaffure.energies.mass_spring import Springs, SpringStiffness
     from quaffure.energies.rest_state import RestState
     from quaffure.energies.rod import TWISTING_STIFFNESS, RodRest, energy_at_twist, energy_rod, stress_free_rest

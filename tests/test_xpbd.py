@@ -10,18 +10,19 @@ from scipy.spatial import ConvexHull
 
 from benchmarks.rods.closed_form import equilibrium_edges
 from quaffure.backend import Backend
+from quaffure.body import BodyModel
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies import HairEnergy, hair_terms
 from quaffure.energies.by_name import ROD
 from quaffure.energies.cohesion import Cohesion, tails_of
-from quaffure.errors import InputError
+from quaffure.energies.design_terms import terms_of_design
 from quaffure.geometry import Surface, posed_surface, surface_topology
 from quaffure.geometry.polyline import edges
 from quaffure.hair import Groom
 from quaffure.scene import PosedScene
-from quaffure.solvers import AdamDraper, LbfgsDraper, XpbdDraper, XpbdSetting, energy_and_gradient
+from quaffure.solvers import AdamDraper, LbfgsDraper, StrandNewtonDraper, XpbdDraper, XpbdSetting, energy_and_gradient
 from quaffure.solvers.xpbd import paper_setting
-from tests.scenes import posed_scene, sphere_groom
+from tests.scenes import clip_scene, few_strands, posed_scene, sphere_groom
 
 SOFT = HairMaterial(k_cosserat=5e-8)
 """Strands of 10 cm sag a good deal."""
@@ -196,10 +197,30 @@ def test_very_short_edges_keep_their_length_with_the_rod() -> None:
     assert (length / short.rest_lengths - 1).abs().max() < 1e-3
 
 
-def test_tails_that_cohere_are_refused() -> None:
-    groom = sphere_groom(strands=3)
-    tails = tails_of(replace(groom, tie_vertex=torch.ones(3, dtype=torch.int16)))
+def test_a_tail_settles_as_low_as_newtons_method_leaves_it(body: BodyModel, surface: Surface) -> None:
+    groom = few_strands(body, surface, "ponytail")
+    scene = clip_scene(groom, body, "neck_turn", slice(36, 37))
+    terms = terms_of_design(groom, body, HairMaterial())
+    energy = HairEnergy(groom, terms=terms)
+    by_xpbd, by_newton = (draper.drape(scene) for draper in (XpbdDraper(terms=terms), StrandNewtonDraper(terms=terms)))
+    ended, expected = (float(energy.per_vertex(energy.total(x, scene))) for x in (by_xpbd, by_newton))
+    assert ended < expected + 0.005
+
+
+def test_cohesion_draws_strands_together() -> None:
+    """Two strands whose tie lets them part hang closer to their centre line with the term than without it."""
+    length = torch.linspace(0, 0.1, 12)[:, None]
+    rest = torch.stack([length * torch.tensor([0.5, sideways, -0.6]) for sideways in (-0.4, 0.4)])
+    groom = replace(strands_by_hand(rest), tie_vertex=torch.ones(2, dtype=torch.int16))
+    scene, material = posed_scene(groom), HairMaterial(k_self_collision=0.0, k_body_collision=0.0)
+    tails = tails_of(groom)
     assert tails is not None
-    cohesion = Cohesion(tails)
-    with pytest.raises(InputError, match=r"solver xpbd: .*cohesion"):
-        XpbdDraper(terms=(*hair_terms(ROD), cohesion))
+    near = tails._replace(rest_distance=torch.zeros_like(tails.rest_distance))
+    apart, together = (
+        XpbdDraper(material, SETTLED, (*hair_terms(ROD), *terms)).drape(scene)
+        for terms in ((), (Cohesion(near, swelling=0.0, slack=0.0),))
+    )
+    expected = LbfgsDraper(material, terms=(*hair_terms(ROD), Cohesion(near, swelling=0.0, slack=0.0))).drape(scene)
+    distance = [near.from_centre(x).norm(dim=-1).mean() for x in (apart, together, expected)]
+    assert distance[1] < 0.9 * distance[0]
+    assert abs(distance[1] - distance[2]) < 0.02 * distance[2]

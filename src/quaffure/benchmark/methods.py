@@ -20,8 +20,9 @@ from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
 POSED, NETWORK, SETTLED = "posed", "neural", "neural_settled"
 GROOMGEN = GroomGenDraper.name
 """The row whose weights are those of `quaffure train-groomgen`."""
-SOLVER_ROWS = ("adam", "lbfgs", "strand_newton")
-FROM_NETWORK = {f"{name}_from_{NETWORK}": name for name in SOLVER_ROWS}
+STARTED_ROWS = ("adam", "lbfgs", "strand_newton")
+SOLVER_ROWS = (*STARTED_ROWS, "xpbd")
+FROM_NETWORK = {f"{name}_from_{NETWORK}": name for name in STARTED_ROWS}
 """Solvers that start from the network's drape instead of their own start. The lowest drape of a frame among these rows
 and `SOLVER_ROWS` is the reference of all rows."""
 ROWS = (POSED, *SOLVER_ROWS, *FROM_NETWORK, NETWORK, SETTLED, PAPER)

@@ -44,7 +44,8 @@ from numba import get_num_threads
 from quaffure.config import HairMaterial
 from quaffure.draper import StoppingReport
 from quaffure.energies.body_collision import contact_force
-from quaffure.energies.by_name import MODIFIED_COSSERAT, ROD
+from quaffure.energies.by_name import ROD
+from quaffure.energies.cohesion import Cohesion
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.fused_density import active_particles, density_gradient, sort_particles
 from quaffure.energies.hair_energy import HairEnergy
@@ -125,10 +126,12 @@ class XpbdDraper:
     ) -> None:
         """
         Raises:
-            InputError: terms other than Eqs. 6, 7, 9, 10 and 11, or the rod instead of Eq. 6, which it cannot project.
+            InputError: terms other than Eqs. 6, 7, 9, 10 and 11, or instead of Eq. 6 the rod and the cohesion of tails.
         """
-        elastic = ROD if terms is not None and any(isinstance(term, Rod) for term in terms) else MODIFIED_COSSERAT
-        refuse_other_terms(self.name, terms, elastic)
+        if terms is not None and any(isinstance(term, Rod) for term in terms):
+            refuse_other_terms(self.name, terms, ROD, optional=(Cohesion,))
+        else:
+            refuse_other_terms(self.name, terms)
         self.material = material or HairMaterial()
         self.setting = setting or XpbdSetting()
         self._terms = terms
@@ -142,7 +145,7 @@ class XpbdDraper:
         energy = HairEnergy(scene.groom, self.material, self._terms)
         draped = torch.empty_like(scene.posed)
         for sample in range(len(draped)):
-            hair = HairInMotion(scene, sample, energy)
+            hair = HairInMotion(scene.sample(sample), energy)
             for step in range(self.setting.steps):
                 hair.step(self.setting.time_step(step), self.setting)
             draped[sample] = torch.from_numpy(hair.world())
@@ -157,17 +160,21 @@ class HairInMotion:
     Multipliers carry the factor dt^2 / m_ref, m_ref the mean mass, which makes metres of them.
     """
 
-    def __init__(self, scene: HairScene, sample: int, energy: HairEnergy) -> None:
+    def __init__(self, scene: HairScene, energy: HairEnergy) -> None:
+        """
+        Args:
+            scene: of one sample.
+        """
         rest, material = energy.rest, energy.material
         self.material = material
         self.edges = EdgeConstants(rest)
         rod = next((term for term in energy.terms if isinstance(term, Rod)), None)
         self.springs: DirectorSprings | RodSprings = (
-            DirectorSprings(scene.director[sample].numpy(), rest, material)
+            DirectorSprings(scene.director[0].numpy(), rest, material)
             if rod is None
-            else RodSprings(rod.prepare(rest, scene), sample, rest, material)
+            else RodSprings(rod.prepare(rest, scene), scene, energy)
         )
-        posed = scene.posed[sample].detach().numpy()
+        posed = scene.posed[0].detach().numpy()
         self.roots = posed[:, 0].copy()
         self.x = packed(posed - self.roots[:, None].astype(np.float64))
         self.before = self.x
@@ -177,7 +184,7 @@ class HairInMotion:
         )
         self.contact = np.zeros_like(self.x)
         self.pushed = np.zeros_like(self.x)
-        self.margin, self.surface = rest.collision_margin.numpy(), scene.surface.sample_arrays(sample)
+        self.margin, self.surface = rest.collision_margin.numpy(), scene.surface.sample_arrays(0)
         shape = self.margin.shape
         self.last = PlaneSearch(posed.copy(), np.zeros(shape, np.float32), np.zeros(shape, np.int32))
         self.plane = np.zeros((*self.x.shape[:2], 4, LANES))

@@ -7,11 +7,15 @@ import torch
 from jaxtyping import Float as FloatOf
 
 from quaffure.config import HairMaterial
+from quaffure.energies.cohesion import Cohesion
+from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.rest_state import RestState
 from quaffure.energies.rod_kernels import rod_arrays, rod_energies_and_gradient
 from quaffure.energies.rod_term import PosedRod
 from quaffure.energies.stretch import stretch_force
 from quaffure.energies.stretch_shear import stretch_shear_force
+from quaffure.scene import HairScene
+from quaffure.solvers.stopping import energy_and_gradient
 from quaffure.solvers.xpbd_kernels import LANES
 
 ROD_BOUND = 1.5
@@ -80,7 +84,8 @@ class DirectorSprings:
 
 
 class RodSprings:
-    """The rod's force on each edge as that of a spring, exact where the strands are, and Eq. 7.
+    """The force of the rod and of the cohesion of tails on each edge, as that of a spring which gives it where the
+    strands are; and Eq. 7.
 
     In edges the rod's Hessian is nearly the block-tridiagonal one of sum B_i / 2 |t_i - t_(i-1)|^2: that is the change
     of the springs' forces until the next search. Along the edge a spring resists stretching, where the rod does not:
@@ -89,17 +94,28 @@ class RodSprings:
 
     change = True
 
-    def __init__(self, rod: PosedRod, sample: int, rest: RestState, material: HairMaterial) -> None:
-        self._rest, self._rotation = rod_arrays(rod.rest, torch.float64), rod.rotation[sample : sample + 1].double()
+    def __init__(self, rod: PosedRod, scene: HairScene, energy: HairEnergy) -> None:
+        """
+        Args:
+            scene: of one sample.
+        """
+        rest, material = energy.rest, energy.material
+        self._rest, self._rotation = rod_arrays(rod.rest, torch.float64), rod.rotation.double()
         bending = self._rest.bending
         beyond = np.pad(bending[:, 1:], ((0, 0), (0, 1)))
         self._length = rest.rest_length.numpy().astype(np.float64)
         self._stiffness = ROD_BOUND * (bending + beyond + self._rest.goal_weight) / self._length**2
         self._stretching = np.maximum(material.k_stretch - self._stiffness, 0.0)
+        coheres = any(isinstance(term, Cohesion) for term in energy.terms)
+        self._cohesion, self._scene = energy.only(Cohesion.name) if coheres else None, scene
+        self._roots = scene.posed[0, :, :1].double()
 
     def at(self, x: FloatOf[np.ndarray, "s n 3"]) -> Springs:
         """The springs of strands at these positions [m]."""
         _, gradient = rod_energies_and_gradient(torch.from_numpy(x)[None], self._rest, self._rotation)
+        if self._cohesion is not None:
+            world = (torch.from_numpy(x) + self._roots).float()[None]
+            gradient = gradient + energy_and_gradient(self._cohesion, self._scene, world)[1]
         # An edge moves all vertices beyond it.
         by_edge = gradient[0, :, 1:].flip(1).cumsum(1).flip(1).numpy()
         edges = np.diff(x, axis=1)

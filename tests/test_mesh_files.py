@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
 from quaffure.errors import InputError
-from quaffure.hair.export_clip import ExportClip, ExportSettings
+from quaffure.hair.export_clip import HAIR_COLOUR, ExportClip, ExportSettings
 from quaffure.io.glb import write_glb
 from quaffure.io.glb_asset import in_gltf
 from quaffure.io.hair_writer import write_hair
@@ -153,7 +153,8 @@ def test_ply_is_vertices_and_edges(tmp_path: Path) -> None:
     header, _, content = (tmp_path / "hair.ply").read_bytes().partition(b"end_header\n")
     assert b"element vertex 1200\n" in header
     assert b"element edge 1050\n" in header
-    vertices = np.frombuffer(content, [("position", "<f4", 3), ("strand", "<i4")], 1200)
+    vertices = np.frombuffer(content, [("position", "<f4", 3), ("strand", "<i4"), ("colour", "u1", 3)], 1200)
+    np.testing.assert_array_equal(vertices["colour"][0], np.rint(255 * np.array(HAIR_COLOUR)))
     edges = np.frombuffer(content, "<i4", offset=vertices.nbytes).reshape(-1, 2)
     np.testing.assert_array_equal(vertices["position"].reshape(150, 8, 3), sequence.strands[0])
     np.testing.assert_array_equal(vertices["strand"], np.repeat(np.arange(150), 8))

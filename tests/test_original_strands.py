@@ -1,5 +1,6 @@
 """`--strands original`: every strand of a groom's source on the draped ones."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,10 @@ import pytest
 import torch
 
 from quaffure.apps.cli.main import main
-from quaffure.body import BodyModel, bundled_clip, load_body
+from quaffure.apps.cli.outputs import write_output
+from quaffure.baselines import PosedDraper
+from quaffure.body import BodyModel, Motion, bundled_clip, load_body
+from quaffure.drape_motion import drape_motion
 from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import (
@@ -18,8 +22,10 @@ from quaffure.hair import (
     register_groom,
     resample_by_arc_length,
 )
+from quaffure.hair.export_clip import ExportClip
 from quaffure.hair.original_strands import PlacedStrands, original_strands, place_strands
 from quaffure.hair.registration_report import RegistrationReport
+from quaffure.hair.strand_attributes import StrandAttributes
 from quaffure.io.groom_file import read_source, write_groom
 from quaffure.io.load_groom import load_source
 from quaffure.io.read_strands import read_strands
@@ -134,7 +140,7 @@ def test_the_order_of_the_source_is_kept(shared_data: Path, body: BodyModel, sur
     placed = place_strands(strands, report, body)
     found = original_strands(placed, groom, body)
     posed = groom.rest_strands.numpy()
-    restored = found.points(posed, body.rest_vertices.numpy())
+    restored = found.points_of_source(posed, body.rest_vertices.numpy())
     expected = report.scale * strands.points @ report.rotation.T + report.translation
     assert 1e3 * np.linalg.norm(restored - expected, axis=1).mean() < 2.0
     assert found.vertex_count == 20
@@ -164,6 +170,41 @@ def test_groom_files_keep_the_source(case: Case, tmp_path: Path) -> None:
     np.savez(path, **arrays)
     with pytest.raises(InputError, match="source_counts of 2 and more"):
         read_source(path)
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".abc", ".hair", ".ply"])
+def test_every_format_keeps_what_the_source_says(case: Case, tmp_path: Path, suffix: str) -> None:
+    """Points a strand, widths, colours, ids, groups and root coordinates, in the order of the source."""
+    pytest.importorskip({".usda": "pxr", ".abc": "alembic3d"}.get(suffix, "numpy"))
+    strands = PlacedStrands(*(getattr(case.placed, name) for name in ("points", "counts", "from_tip", "on_scalp")))
+    count, random = len(strands), np.random.default_rng(0)
+    given = StrandAttributes(
+        width=random.uniform(5e-5, 2e-4, len(strands.points)),
+        colour=random.uniform(0, 1, (len(strands.points), 3)),
+        identifier=random.permutation(5000)[:count],
+        group=(np.arange(count) % 2).astype(np.int64),
+        root_uv=random.uniform(0, 1, (count, 2)),
+        group_names=("left", "right"),
+    )
+    original = original_strands(replace(strands, attributes=given), case.groom, case.body)
+    sequence = drape_motion(
+        PosedDraper(), case.groom, case.body, Motion(torch.zeros(1, 81), 30.0, "still"), torch.zeros(10)
+    )
+    path = tmp_path / f"hair{suffix}"
+    write_output(path, ExportClip(sequence, original))
+    found = read_strands(path)
+    assert len(set(strands.counts)) > 1
+    np.testing.assert_array_equal(found.counts, strands.counts)
+    metres = np.linalg.norm(np.ptp(strands.points, axis=0)) / np.linalg.norm(np.ptp(found.points, axis=0))
+    assert metres == pytest.approx(0.01 if suffix == ".abc" else 1.0, rel=1e-4)
+    if suffix != ".ply":
+        np.testing.assert_allclose(metres * found.attributes.width, given.width, rtol=1e-5)
+    np.testing.assert_allclose(found.attributes.colour, given.colour, atol=3e-3)
+    if suffix in (".usda", ".abc"):
+        np.testing.assert_array_equal(found.attributes.identifier, given.identifier)
+        np.testing.assert_allclose(found.attributes.root_uv, given.root_uv, rtol=1e-5)
+    if suffix == ".abc":
+        assert [found.attributes.group_names[group][-1] for group in found.attributes.group[:4]] == ["0", "1", "0", "1"]
 
 
 def test_the_command_writes_the_source(shared_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -14,6 +14,7 @@ from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom_binding import GroomBinding
 from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.hair.resample import arc_length_places, resample_held_parts
+from quaffure.hair.strand_attributes import NONE, StrandAttributes
 from quaffure.hair.strand_width import width_of
 from quaffure.hair.strands import GOAL_WEIGHT, STIFFNESS_SCALE, TIE_VERTEX, Strands, held_parts_of
 
@@ -96,18 +97,29 @@ class ExportClip:
             return np.arange(self.sequence.strands.shape[1])
         return np.asarray(spread_subset(self._rest_guides[:, 0], MOST_GUIDES))
 
+    @cached_property
+    def counts(self) -> Int32[np.ndarray, " m"]:
+        """Vertices of every strand: those of its source, or as many of all as the settings say."""
+        if self.interpolation is None or self.settings.points is not None:
+            return np.full(self.strand_count, self.point_count, np.int32)
+        return self.interpolation.counts.astype(np.int32)
+
+    def points(self, frame: int) -> Float32[np.ndarray, "v 3"]:
+        """Vertices of all strands of a frame one after another, as many of each as `counts` says [m, world]."""
+        return self._points(np.asarray(self.sequence.strands[frame]), self.sequence.body_vertices[frame])
+
+    @cached_property
+    def rest_points(self) -> Float32[np.ndarray, "v 3"]:
+        """The same at rest."""
+        return self._points(self._rest_guides, self._rest_body)
+
     def strands(self, frame: int) -> Float32[np.ndarray, "m p 3"]:
-        """Strands of a frame [m, world]."""
+        """Strands of a frame with as many vertices each [m, world]."""
         return self._resampled(self._between(self.sequence.strands[frame], self.sequence.body_vertices[frame]), False)
 
     def guides(self, frame: int) -> Float32[np.ndarray, "g p 3"]:
         """Guides of a frame [m, world]."""
         return self._resampled(np.asarray(self.sequence.strands[frame])[self.guide_index], True)
-
-    @cached_property
-    def rest_strands(self) -> Float32[np.ndarray, "m p 3"]:
-        """Strands at rest [m, world]."""
-        return self._resampled(self._dense_rest, False)
 
     @property
     def rest_guides(self) -> Float32[np.ndarray, "g p 3"]:
@@ -116,7 +128,9 @@ class ExportClip:
 
     @cached_property
     def root_uv(self) -> Float32[np.ndarray, "m 2"] | None:
-        """Texture coordinates of the body at the strands' roots, where a binding tells them."""
+        """Texture coordinates of the body at the strands' roots, where their source or a binding tells them."""
+        if self._attributes.root_uv is not None:
+            return self._attributes.root_uv.astype(np.float32)
         if self.binding is None:
             return None
         if self.interpolation is None:
@@ -147,10 +161,54 @@ class ExportClip:
         return (width_of(self.strand_count) * np.linspace(1.0, TIP_WIDTH, self.point_count)).astype(np.float32)
 
     @cached_property
+    def widths(self) -> Float32[np.ndarray, " v"]:
+        """Width of the strands at each of `points` [m]: that of their source, or tapering to the tip."""
+        if self._keeps_points and self._attributes.width is not None:
+            return self._attributes.width.astype(np.float32)
+        return (width_of(self.strand_count) * (1 - (1 - TIP_WIDTH) * self._share_of_way)).astype(np.float32)
+
+    @cached_property
+    def colours(self) -> Float32[np.ndarray, "v 3"]:
+        """Linear RGB at each of `points`: that of their source, or `HAIR_COLOUR`."""
+        if self._keeps_points and self._attributes.colour is not None:
+            return self._attributes.colour.astype(np.float32)
+        return np.tile(np.array(HAIR_COLOUR, np.float32), (int(self.counts.sum()), 1))
+
+    @property
+    def identifiers(self) -> Int32[np.ndarray, " m"] | None:
+        """Numbers that the strands have in their source, where it has some."""
+        found = self._attributes.identifier
+        return None if found is None else found.astype(np.int32)
+
+    @property
+    def groups(self) -> Int32[np.ndarray, " m"]:
+        """Index of every strand's group in `group_names`."""
+        found = self._attributes.group
+        return np.zeros(self.strand_count, np.int32) if found is None else found.clip(min=0).astype(np.int32)
+
+    @property
+    def has_groups(self) -> bool:
+        """Whether the source divides its strands into groups."""
+        return self._attributes.group is not None
+
+    @property
+    def group_names(self) -> tuple[str, ...]:
+        return self._attributes.group_names or (str(self.sequence.meta.get("groom", "hair")),)
+
+    @cached_property
     def held_parts(self) -> dict[str, np.ndarray]:
         """Those of `HELD_PARTS` that the drape has, of every strand: edges at their first vertices, the tip repeats the
-        last."""
-        return self._held_parts(slice(None) if self.interpolation is None else self.interpolation.guides[:, 0])
+        last; a value for each of `points`, of the tie one of each strand."""
+        chosen = slice(None) if self.interpolation is None else self.interpolation.guides[:, 0]
+        most, last = self.point_count - 1, self.counts - 1
+        at = np.repeat(np.arange(self.strand_count), self.counts), np.rint(most * self._share_of_way).astype(int)
+        parts = self._held_parts(chosen)
+        return {
+            name: np.where(values > 0, np.rint(values * last / most).clip(min=1), values).astype(values.dtype)
+            if name == TIE_VERTEX
+            else values[at]
+            for name, values in parts.items()
+        }
 
     @property
     def guide_held_parts(self) -> dict[str, np.ndarray]:
@@ -161,10 +219,35 @@ class ExportClip:
     def _rest_guides(self) -> Float[np.ndarray, "s n 3"]:
         return np.asarray(self.sequence.posed[0]) if self.binding is None else self.binding.strands
 
+    @property
+    def _rest_body(self) -> Float[np.ndarray, "b 3"]:
+        return np.asarray(self.sequence.body_vertices[0] if self.binding is None else self.binding.body_vertices)
+
     @cached_property
     def _dense_rest(self) -> Float32[np.ndarray, "m n 3"]:
-        body = self.sequence.body_vertices[0] if self.binding is None else self.binding.body_vertices
-        return self._between(self._rest_guides, body)
+        return self._between(self._rest_guides, self._rest_body)
+
+    @property
+    def _attributes(self) -> StrandAttributes:
+        return NONE if self.interpolation is None else self.interpolation.attributes
+
+    @property
+    def _keeps_points(self) -> bool:
+        """Whether strands have the points of their source."""
+        return self.settings.points is None
+
+    @cached_property
+    def _share_of_way(self) -> Float[np.ndarray, " v"]:
+        """How far along its strand each of `points` is, counted in vertices."""
+        starts = np.cumsum(self.counts) - self.counts
+        local = np.arange(self.counts.sum()) - np.repeat(starts, self.counts)
+        return local / np.repeat(np.maximum(self.counts - 1, 1), self.counts)
+
+    def _points(self, guides: np.ndarray, body_vertices: np.ndarray) -> Float32[np.ndarray, "v 3"]:
+        if self.interpolation is None or not self._keeps_points:
+            return self._resampled(self._between(guides, body_vertices), False).reshape(-1, 3)
+        guides, body_vertices = (np.ascontiguousarray(part, dtype=np.float32) for part in (guides, body_vertices))
+        return self.interpolation.points(guides, body_vertices)
 
     def _between(self, guides: np.ndarray, body_vertices: np.ndarray) -> Float32[np.ndarray, "m n 3"]:
         guides = np.ascontiguousarray(guides, dtype=np.float32)

@@ -26,6 +26,7 @@ from quaffure.hair.groom import Groom
 from quaffure.hair.guide_triangles import coherence, first_direction_vertex, sample_roots, triangulate
 from quaffure.hair.posing import nearest_scalp_vertex, triangle_frames
 from quaffure.hair.registration import nearest_on_scalp
+from quaffure.hair.strand_attributes import NONE, StrandAttributes
 from quaffure.hair.strands import held_parts_of
 
 AXIS_DEGREE = 4
@@ -59,6 +60,26 @@ class GuideInterpolation:
     def __len__(self) -> int:
         """Number of strands."""
         return len(self.guides)
+
+    @property
+    def counts(self) -> Int[np.ndarray, " m"]:
+        """Vertices of every strand, where they are not resampled."""
+        return np.full(len(self), self.vertex_count)
+
+    @property
+    def attributes(self) -> StrandAttributes:
+        """What is known of the strands besides; widths [m]."""
+        return NONE
+
+    def points(
+        self, guides: Float32[np.ndarray, "s n 3"], body_vertices: Float32[np.ndarray, "v 3"]
+    ) -> Float32[np.ndarray, "p 3"]:
+        """Vertices of all strands one after another, as many of each as `counts` says, roots first [m, world].
+
+        Args:
+            guides, body_vertices: as of `strands`.
+        """
+        return self.strands(guides, body_vertices).reshape(-1, 3)
 
     def strands(
         self,

@@ -45,7 +45,7 @@ class PlacedStrands:
         counts: vertices of each strand.
         from_tip: whether the source stores a strand from tip to root.
         on_scalp: whether a strand grows on the scalp; others are a beard, eyebrows, or too far from it.
-        attributes: what else the source says of them, its points in its own order.
+        attributes: what else the source says of them, widths [m].
     """
 
     points: Float32[np.ndarray, "p 3"]
@@ -102,7 +102,7 @@ class OriginalStrands(GuideInterpolation):
             guides, body_vertices: as of `points`.
             out: array for the result, if available.
         """
-        points = self._points(guides, body_vertices)
+        points = self.points(guides, body_vertices)
         counts, vertices = self.placed.counts, self.vertex_count
         if (counts == vertices).all():
             result = points.reshape(len(self), vertices, 3)
@@ -113,10 +113,24 @@ class OriginalStrands(GuideInterpolation):
         out[:] = result
         return out
 
+    @property
+    def counts(self) -> Int[np.ndarray, " m"]:
+        return self.placed.counts
+
+    @property
+    def attributes(self) -> StrandAttributes:
+        return self.placed.attributes
+
+    def points_of_source(
+        self, guides: Float[np.ndarray, "g n 3"], body_vertices: Float[np.ndarray, "v 3"]
+    ) -> Float32[np.ndarray, "p 3"]:
+        """`points` in the source's own order, which may begin at tips [m, world]."""
+        return self.points(guides, body_vertices)[_order(self.placed.counts, self.placed.from_tip)]
+
     def points(
         self, guides: Float[np.ndarray, "g n 3"], body_vertices: Float[np.ndarray, "v 3"]
     ) -> Float32[np.ndarray, "p 3"]:
-        """The strands of a frame, with the source's order of strands and points [m, world].
+        """The strands of a frame one after another in the source's order, roots first [m, world].
 
         Args:
             guides: the groom's strands, draped or posed [m, world].
@@ -125,9 +139,6 @@ class OriginalStrands(GuideInterpolation):
         Raises:
             InputError: strands of another groom.
         """
-        return self._points(guides, body_vertices)[_order(self.placed.counts, self.placed.from_tip)]
-
-    def _points(self, guides: np.ndarray, body_vertices: np.ndarray) -> Float32[np.ndarray, "p 3"]:
         rest = np.ascontiguousarray(self.groom.rest_strands.numpy(), dtype=np.float32)
         if guides.shape != rest.shape:
             raise InputError("guides", f"the {len(rest)} of {rest.shape[1]} vertices of the groom", f"{guides.shape}")
@@ -175,8 +186,9 @@ def place_strands(strands: Strands, report: RegistrationReport, body: BodyModel)
     on_scalp = (np.linalg.norm(closest - roots, axis=1) <= FARTHEST_ROOT) & ~report.off_scalp
     if not report.frame.registered:
         placed += np.repeat(np.where(on_scalp[:, None], closest - roots, 0.0), strands.counts, axis=0)
-    points = placed.astype(np.float32)
-    return PlacedStrands(points, strands.counts, from_tip ^ single, on_scalp, strands.attributes)
+    points, from_tip = placed.astype(np.float32), from_tip ^ single
+    attributes = strands.attributes.rearranged(_order(strands.counts, from_tip), report.scale)
+    return PlacedStrands(points, strands.counts, from_tip, on_scalp, attributes)
 
 
 def original_strands(placed: PlacedStrands, groom: Groom, body: BodyModel) -> OriginalStrands:

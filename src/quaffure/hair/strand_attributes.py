@@ -49,6 +49,11 @@ class StrandAttributes:
         broken: dict[str, Any] = {name: None for name, values in found.items() if not (np.abs(values) <= most).all()}
         return replace(self, **broken)
 
+    def rearranged(self, order: Int[np.ndarray, " p"], scale: float) -> "StrandAttributes":
+        """With the points in another order, each within its strand, and widths times a factor."""
+        width = None if self.width is None else scale * self.width[order]
+        return replace(self, width=width, colour=None if self.colour is None else self.colour[order])
+
     def select(self, kept: Bool[np.ndarray, " s"], counts: Int[np.ndarray, " s"]) -> "StrandAttributes":
         """Those of some of the strands.
 

@@ -1,8 +1,9 @@
 """Curves into an Alembic archive, in a process of its own: `python -m quaffure.io.alembic_archive FILE < ARRAYS`.
 
 The Alembic library ends the process where it cannot write, on a full disk for instance. The standard input holds
-arrays, one after another, each as numpy saves it: first a description, as JSON in a string (`Description`); then the
-attributes of all curves in its order; then the points of all curves of the first frame, of the second, and so on.
+arrays, one after another, each as numpy saves it: first a description, as JSON in a string (`Description`); then, of
+all curves in its order, how many points each has and the attributes; then the points of all curves of the first frame,
+of the second, and so on.
 """
 
 import json
@@ -38,11 +39,9 @@ class AttributeDescription(TypedDict):
 
 
 class CurvesDescription(TypedDict):
-    """Name of an object, number of its curves, points of each, and its attributes."""
+    """Name of an object, and the attributes of its curves."""
 
     name: str
-    count: int
-    points: int
     attributes: list[AttributeDescription]
 
 
@@ -140,7 +139,7 @@ class _Curves:
         # Blender and Maya show the name of the transform above the curves.
         node = AbcGeom.OXform(parent, description["name"])
         self._schema = AbcGeom.OCurves(node, CURVES, sampling).getSchema()
-        self._counts = np.full(description["count"], description["points"], np.int32)
+        self._counts = next(attributes)
         self._width = AbcGeom.OFloatGeomParamSample()
         for attribute in description["attributes"]:
             self._add(attribute, next(attributes))
@@ -149,7 +148,7 @@ class _Curves:
         parameters, scope = self._schema.getArbGeomParams(), SCOPES[attribute["scope"]]
         if attribute["kind"] == "text":
             parameter = AbcGeom.OStringGeomParam(parameters, attribute["name"], False, scope, 1)
-            parameter.set(AbcGeom.OStringGeomParamSample(StringArray(str(values), len(self._counts)), scope))
+            parameter.set(AbcGeom.OStringGeomParamSample(_texts(values), scope))
             return
         kind = KINDS[attribute["kind"]]
         sample = kind.sample(kind.array(np.ascontiguousarray(values, kind.dtype)), scope)
@@ -170,6 +169,13 @@ class _Curves:
             AbcGeom.BasisType.kNoBasis,
         )
         self._schema.set(sample)
+
+
+def _texts(values: np.ndarray) -> Any:
+    array = StringArray(str(values[0]), len(values))
+    for index in (values != values[0]).nonzero()[0].tolist():
+        array[index] = str(values[index])
+    return array
 
 
 def _holds(path: Path, description: Description, last: np.ndarray) -> bool:

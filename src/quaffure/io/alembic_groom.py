@@ -9,13 +9,13 @@ cache of its animation have the same curves in the same order.
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int32
 
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import HAIR_COLOUR, MOST_POINTS, ExportClip
@@ -56,7 +56,7 @@ def write_groom_cache(path: Path, clip: ExportClip, on_frame: Callable[[], objec
 
     def frames() -> Iterator[tuple[np.ndarray, ...]]:
         for frame in clip.frames:
-            yield clip.guides(frame), clip.strands(frame)
+            yield clip.guides(frame), clip.points(frame)
             on_frame()
 
     _write(path, clip, frames(), "groom cache")
@@ -68,13 +68,14 @@ def write_groom_asset(path: Path, clip: ExportClip) -> None:
     Raises:
         InputError: as `write_groom_cache`.
     """
-    _write(path, clip, [(clip.rest_guides, clip.rest_strands)], "groom asset")
+    _write(path, clip, [(clip.rest_guides, clip.rest_points)], "groom asset")
 
 
 def _write(path: Path, clip: ExportClip, frames: Iterable[tuple[np.ndarray, ...]], what: str) -> None:
     check_suffix(path, ALEMBIC_SUFFIX)
-    if clip.point_count > MOST_POINTS:
-        raise InputError(path, f"at most {MOST_POINTS} vertices a strand (--points)", f"{clip.point_count}")
+    most = max(int(clip.counts.max()), clip.point_count)
+    if most > MOST_POINTS:
+        raise InputError(path, f"at most {MOST_POINTS} vertices a strand (--points)", f"{most}")
     attributes = {GUIDES: _guide_attributes(clip), STRANDS: _strand_attributes(clip)}
     with replacing(path) as temporary:
         command = [sys.executable, "-P", "-m", "quaffure.io.alembic_archive", str(temporary.absolute())]
@@ -83,8 +84,10 @@ def _write(path: Path, clip: ExportClip, frames: Iterable[tuple[np.ndarray, ...]
             assert process.stdin is not None
             try:
                 _send(process.stdin, np.array(json.dumps(_description(clip, attributes, what))))
-                for attribute in (one for curves in attributes.values() for one in curves):
-                    _send(process.stdin, attribute.values)
+                for name, own in attributes.items():
+                    _send(process.stdin, _counts(clip, name))
+                    for attribute in own:
+                        _send(process.stdin, attribute.values)
                 for curves in (one for frame in frames for one in frame):
                     _send(process.stdin, _in_unreal(curves))
             except BrokenPipeError:  # it has ended, which its exit code explains
@@ -110,12 +113,9 @@ def _send(stream: IO[bytes], array: np.ndarray) -> None:
 
 def _description(clip: ExportClip, attributes: dict[str, list[_Attribute]], what: str) -> "Description":
     meta = {key: clip.sequence.meta.get(key, "") for key in ("groom", "licence", "motion", "draper")}
-    counts = {GUIDES: len(clip.guide_index), STRANDS: clip.strand_count}
     curves: list[CurvesDescription] = [
         {
             "name": name,
-            "count": counts[name],
-            "points": clip.point_count,
             "attributes": [{"name": one.name, "kind": one.kind, "scope": one.scope} for one in own],
         }
         for name, own in attributes.items()
@@ -134,33 +134,45 @@ def _description(clip: ExportClip, attributes: dict[str, list[_Attribute]], what
     }
 
 
+def _counts(clip: ExportClip, name: str) -> Int32[np.ndarray, " c"]:
+    """Points of every curve."""
+    return clip.counts if name == STRANDS else np.full(len(clip.guide_index), clip.point_count, np.int32)
+
+
 def _guide_attributes(clip: ExportClip) -> list[_Attribute]:
-    count = len(clip.guide_index)
-    return [*_common_attributes(clip, count, 0, True), *_root_uv(clip.guide_root_uv)]
+    """Guides are of the first group, and their ids follow those that strands have in their source."""
+    count, own = len(clip.guide_index), clip.identifiers
+    first = 0 if own is None else int(own.max()) + 1
+    return [
+        *_identity(np.arange(first, first + count), True, np.zeros(count, np.int32), clip.group_names),
+        _Attribute("groom_width", "float", "vertex", np.tile(CENTIMETRES * clip.strand_width, count)),
+        _Attribute(
+            "groom_color", "float3", "vertex", np.tile(np.array(HAIR_COLOUR, np.float32), (count * clip.point_count, 1))
+        ),
+        *_root_uv(clip.guide_root_uv),
+    ]
 
 
 def _strand_attributes(clip: ExportClip) -> list[_Attribute]:
-    """Ids continue those of the guides, so that every curve has its own."""
+    """Strands without ids of their own continue those of the guides, so that every curve has one."""
     guides, weights = clip.closest_guides
+    own = len(clip.guide_index) + np.arange(clip.strand_count) if clip.identifiers is None else clip.identifiers
     return [
-        *_common_attributes(clip, clip.strand_count, len(clip.guide_index), False),
+        *_identity(own, False, clip.groups, clip.group_names),
+        _Attribute("groom_width", "float", "vertex", CENTIMETRES * clip.widths),
+        _Attribute("groom_color", "float3", "vertex", clip.colours),
         *_root_uv(clip.root_uv),
         _Attribute("groom_closest_guides", "int3", "uniform", guides),
         _Attribute("groom_guide_weights", "float3", "uniform", weights),
     ]
 
 
-def _common_attributes(clip: ExportClip, count: int, first_id: int, are_guides: bool) -> list[_Attribute]:
-    width = np.tile(CENTIMETRES * clip.strand_width, count)
-    colour = np.tile(np.array(HAIR_COLOUR, np.float32), (count * clip.point_count, 1))
-    group = np.array(str(clip.sequence.meta.get("groom", "hair")))
+def _identity(identifiers: np.ndarray, are_guides: bool, groups: np.ndarray, names: Sequence[str]) -> list[_Attribute]:
     return [
-        _Attribute("groom_id", "int", "uniform", np.arange(first_id, first_id + count)),
-        _Attribute("groom_guide", "int", "uniform", np.full(count, int(are_guides))),
-        _Attribute("groom_group_id", "int", "uniform", np.zeros(count, np.int32)),
-        _Attribute("groom_group_name", "text", "uniform", group),
-        _Attribute("groom_width", "float", "vertex", width),
-        _Attribute("groom_color", "float3", "vertex", colour),
+        _Attribute("groom_id", "int", "uniform", identifiers),
+        _Attribute("groom_guide", "int", "uniform", np.full(len(groups), int(are_guides))),
+        _Attribute("groom_group_id", "int", "uniform", groups),
+        _Attribute("groom_group_name", "text", "uniform", np.array(names)[groups]),
     ]
 
 

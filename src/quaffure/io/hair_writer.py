@@ -1,18 +1,20 @@
 """Strands of one frame in Cem Yuksel's `.hair`; `quaffure.io.hair` describes the format, and reads it.
 
-Metres, z up, as the drape; thickness of every point [m] and one colour, linear RGB.
+Metres, z up, as the drape; thickness [m] and colour, linear RGB, of every point.
 """
 
 from pathlib import Path
 
 import numpy as np
 
+from quaffure.errors import InputError
 from quaffure.hair.export_clip import HAIR_COLOUR, ExportClip
 from quaffure.io.atomic import replacing
-from quaffure.io.hair import HEADER, POINTS, THICKNESS
+from quaffure.io.hair import COLOURS, HEADER, POINTS, SEGMENTS, THICKNESS
 from quaffure.io.output_path import check_one_frame, check_suffix
 
 HAIR_SUFFIX = ".hair"
+MOST_SEGMENTS = 2**16 - 1
 ABOUT = b"quaffure: metres, z up"
 
 
@@ -24,11 +26,16 @@ def write_hair(path: Path, clip: ExportClip) -> None:
     """
     check_suffix(path, HAIR_SUFFIX)
     check_one_frame(path, len(clip.frames))
-    strands = clip.strands(0)
-    count, points = strands.shape[:2]
-    width = clip.strand_width
-    sizes = (count, count * points, POINTS | THICKNESS, points - 1)
+    counts, points, widths = clip.counts, clip.points(0), clip.widths
+    of_all = int(counts[0]) - 1
+    if counts.max() > MOST_SEGMENTS + 1:
+        raise InputError(path, f"at most {MOST_SEGMENTS + 1} vertices a strand (--points)", f"{counts.max()}")
+    same = bool((counts == counts[0]).all())
+    arrays = POINTS | THICKNESS | COLOURS | (0 if same else SEGMENTS)
     with replacing(path) as temporary, temporary.open("wb") as file:
-        file.write(HEADER.pack(b"HAIR", *sizes, float(width[0]), 0.0, *HAIR_COLOUR, ABOUT))
-        file.write(strands.astype("<f4").data)
-        file.write(np.tile(width, count).astype("<f4").data)
+        sizes = (len(counts), len(points), arrays, of_all)
+        file.write(HEADER.pack(b"HAIR", *sizes, float(widths[0]), 0.0, *HAIR_COLOUR, ABOUT))
+        if not same:
+            file.write((counts - 1).astype("<u2").data)
+        for values in (points, widths, clip.colours):
+            file.write(np.ascontiguousarray(values, "<f4").data)

@@ -12,7 +12,8 @@ from quaffure.io.atomic import replacing
 from quaffure.io.output_path import check_one_frame, check_suffix
 
 PLY_SUFFIX = ".ply"
-VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("strand", "<i4")])
+COLOUR = ("red", "green", "blue")
+VERTEX = np.dtype([*((axis, "<f4") for axis in "xyz"), ("strand", "<i4"), *((name, "u1") for name in COLOUR)])
 
 
 def write_ply(path: Path, clip: ExportClip) -> None:
@@ -23,17 +24,21 @@ def write_ply(path: Path, clip: ExportClip) -> None:
     """
     check_suffix(path, PLY_SUFFIX)
     check_one_frame(path, len(clip.frames))
-    strands = clip.strands(0)
-    count, points = strands.shape[:2]
-    vertices = np.empty(count * points, VERTEX)
+    points, counts = clip.points(0), clip.counts
+    vertices = np.empty(len(points), VERTEX)
     for axis, name in enumerate("xyz"):
-        vertices[name] = strands[..., axis].ravel()
-    vertices["strand"] = np.repeat(np.arange(count), points)
-    first = np.arange(count * points, dtype="<i4").reshape(count, points)[:, :-1].ravel()
+        vertices[name] = points[:, axis]
+    for channel, name in enumerate(COLOUR):
+        vertices[name] = np.rint(255 * clip.colours[:, channel].clip(0, 1))
+    vertices["strand"] = np.repeat(np.arange(len(counts)), counts)
+    is_last = np.zeros(len(points), bool)
+    is_last[np.cumsum(counts) - 1] = True
+    first = np.flatnonzero(~is_last)
     header = (
         "ply\nformat binary_little_endian 1.0\n"
-        f"comment {count} strands of {points} vertices from root to tip, metres, z up\n"
+        f"comment {len(counts)} strands from root to tip, metres, z up\n"
         f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\nproperty int strand\n"
+        "property uchar red\nproperty uchar green\nproperty uchar blue\n"
         f"element edge {len(first)}\nproperty int vertex1\nproperty int vertex2\nend_header\n"
     )
     with replacing(path) as temporary, temporary.open("wb") as file:

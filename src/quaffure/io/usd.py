@@ -114,8 +114,10 @@ class _Curves:
         curves.CreateTypeAttr(UsdGeom.Tokens.cubic)
         curves.CreateBasisAttr(UsdGeom.Tokens.catmullRom)
         curves.CreateWrapAttr(UsdGeom.Tokens.pinned)
-        curves.CreateCurveVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(self.count, clip.point_count, np.int32)))
-        curves.CreateWidthsAttr(Vt.FloatArray.FromNumpy(np.tile(clip.strand_width, self.count)))
+        of_guides = np.full(self.count, clip.point_count, np.int32)
+        curves.CreateCurveVertexCountsAttr(Vt.IntArray.FromNumpy(of_guides if self.is_guide else clip.counts))
+        widths = np.tile(clip.strand_width, self.count) if self.is_guide else clip.widths
+        curves.CreateWidthsAttr(Vt.FloatArray.FromNumpy(widths))
         curves.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
         curves.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set([HAIR_COLOUR])
         if self.is_guide:
@@ -123,17 +125,21 @@ class _Curves:
         bind_material(curves.GetPrim(), f"{ROOT}/Materials/Hair")
         self._add_groom_attributes()
         self._add_held_parts(clip.guide_held_parts if self.is_guide else clip.held_parts)
-        rest = clip.rest_guides if self.is_guide else clip.rest_strands
+        rest = clip.rest_guides if self.is_guide else clip.rest_points
         self._add("rest", Sdf.ValueTypeNames.Point3fArray, UsdGeom.Tokens.vertex, _points(rest))
 
     def _add_groom_attributes(self) -> None:
-        """Attributes of Unreal's Alembic convention; ids of strands continue those of guides, where there are any."""
+        """Attributes of Unreal's Alembic convention. Ids of strands are those of their source, or continue those of the
+        guides, where there are any."""
         clip = self.clip
-        first = len(clip.guide_index) if clip.settings.guides and not self.is_guide else 0
-        self._add_integers("groom_id", np.arange(self.count) + first)
+        self._add_integers("groom_id", self._identifiers())
         self._add_integers("groom_guide", np.full(self.count, self.is_guide))
-        self._add_integers("groom_group_id", np.zeros(self.count))
-        colour = Vt.Vec3fArray(self.count * clip.point_count, HAIR_COLOUR)
+        self._add_integers("groom_group_id", np.zeros(self.count) if self.is_guide else clip.groups)
+        if clip.has_groups and not self.is_guide:
+            names = np.array(clip.group_names)[clip.groups].tolist()
+            self._add("groom_group_name", Sdf.ValueTypeNames.StringArray, UsdGeom.Tokens.uniform, names)
+        of_guides = self.count * clip.point_count
+        colour = Vt.Vec3fArray(of_guides, HAIR_COLOUR) if self.is_guide else Vt.Vec3fArray.FromNumpy(clip.colours)
         self._add("groom_color", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex, colour)
         root_uv = clip.guide_root_uv if self.is_guide else clip.root_uv
         if root_uv is not None:
@@ -154,6 +160,12 @@ class _Curves:
                 Vt.Vec3fArray.FromNumpy(weights),
             )
 
+    def _identifiers(self) -> np.ndarray:
+        own, guides = self.clip.identifiers, self.clip.settings.guides
+        if self.is_guide:
+            return np.arange(self.count) + (0 if own is None else int(own.max()) + 1)
+        return np.arange(self.count) + (len(self.clip.guide_index) if guides else 0) if own is None else own
+
     def _add_held_parts(self, parts: dict[str, np.ndarray]) -> None:
         for name, values in parts.items():
             if name == TIE_VERTEX:
@@ -173,9 +185,9 @@ class _Curves:
 def _animate(layer: Sdf.Layer, stage: Usd.Stage, clip: ExportClip, on_frame: Callable[[], object]) -> None:
     """Write points and extents, frame by frame."""
     body, strands = UsdGeom.Mesh.Get(stage, BODY), UsdGeom.BasisCurves.Get(stage, STRANDS)
-    width, unsaved = float(clip.strand_width.max()), 0.0
+    width, unsaved = float(clip.widths.max()), 0.0
     for frame in clip.frames:
-        points = clip.strands(frame)
+        points = clip.points(frame)
         _set_points(body, np.asarray(clip.sequence.body_vertices[frame]), frame, margin=0.0)
         _set_points(strands, points, frame, margin=width)
         if clip.settings.guides:

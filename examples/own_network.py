@@ -14,8 +14,7 @@ from torch import nn
 
 import quaffure as qf
 from quaffure.body import load_pose_prior
-from quaffure.model import DirectionNetwork, NetworkConfig, NetworkInputs, NeuralDraper
-from quaffure.model.quaffure_network import FEATURE_SIZE
+from quaffure.model import DirectionNetwork, NetworkConfig, NetworkInputs, NeuralDraper, feature_size
 from quaffure.training import DecoderRecipe, PoseSampler, TrainConfig, Training, prior_validation
 from quaffure.types import Float, Tensor
 
@@ -25,18 +24,18 @@ class SkipNetwork(DirectionNetwork):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
-        self.skip = nn.Linear(FEATURE_SIZE, self.strand[-1].out_features, bias=False)
+        self.skip = nn.Linear(feature_size(config), self.strand[-1].out_features, bias=False)
         nn.init.zeros_(self.skip.weight)
 
     def forward(self, inputs: NetworkInputs, features: Float[Tensor, "b s columns"]) -> Float[Tensor, "b s e 3"]:
         changes = super().forward(inputs, features)
-        return changes + self.skip(features[..., :FEATURE_SIZE]).to(changes).unflatten(-1, changes.shape[2:])
+        return changes + self.skip(features[..., : self.skip.in_features]).to(changes).unflatten(-1, changes.shape[2:])
 
 
 def main(steps: int = 3) -> list[float]:
     """Train on one small groom, drape with what came out; the losses [m g L per vertex]."""
     body, groom = qf.load_body(), qf.load_groom("bob")
-    groom = groom.select(torch.linspace(0, len(groom) - 1, 200).long())
+    groom = groom.thinned(200)
     config = TrainConfig(steps=steps, runs=1, frames=2, warmup=1)
     sampler = PoseSampler(load_pose_prior())
     with TemporaryDirectory() as folder:

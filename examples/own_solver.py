@@ -36,8 +36,7 @@ class MomentumDraper(DescentDraper):
 
 def main(strands: int = 200, steps: int = 200) -> dict[str, float]:
     """Energy above that of Adam's drape [m g L per vertex], at the start and at the end."""
-    groom = qf.load_groom("bob")
-    groom = groom.select(torch.linspace(0, len(groom) - 1, strands).long())
+    groom = qf.load_groom("bob").thinned(strands)
     scene = Scene(groom, BodyBatch(qf.load_body(), torch.zeros(1, 81), torch.zeros(1, 10)))
     energy = qf.HairEnergy(groom)
 

@@ -13,12 +13,15 @@ from typing import TYPE_CHECKING
 from quaffure._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from quaffure.apps.drape_clip import drape_clip, draw, save_drape
     from quaffure.body.body_model import BodyModel, load_body
     from quaffure.config import HairMaterial
     from quaffure.energies.hair_energy import HairEnergy
     from quaffure.errors import InputError
+    from quaffure.hair.drape_sequence import DrapeSequence
     from quaffure.hair.groom import Groom
     from quaffure.io.load_groom import load_groom
+    from quaffure.io.load_motion import load_motion
     from quaffure.model.quaffure_model import Quaffure, load_model
 
 __version__ = version("quaffure")

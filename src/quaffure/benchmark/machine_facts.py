@@ -24,8 +24,12 @@ def machine_facts() -> dict[str, object]:
 
 def machine() -> str:
     """The same in one line, as the evaluation's results have it."""
-    # Python names the processor on few systems; Linux has it here.
-    named = re.search(r"model name\s*: (.+)", CPU_INFO.read_text()) if CPU_INFO.is_file() else None
-    processor = named[1] if named else platform.processor() or platform.machine()
     threads = f"torch {torch.get_num_threads()}, numba {get_num_threads()} threads"
-    return f"{processor}, {os.cpu_count()} processors, {threads}"
+    return f"{processor()}, {os.cpu_count()} processors, {threads}"
+
+
+def processor() -> str:
+    """Name of the processor."""
+    # Python names it on few systems; Linux has it here.
+    named = re.search(r"model name\s*: (.+)", CPU_INFO.read_text()) if CPU_INFO.is_file() else None
+    return named[1] if named else platform.processor() or platform.machine()

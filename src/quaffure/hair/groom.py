@@ -73,8 +73,15 @@ class Groom:
         """The groom of some of its strands, in the given order."""
         return self._map_tensors(lambda tensor: tensor[strands])
 
-    def to(self, device: torch.device | str) -> "Groom":
-        """The same groom on a device; the same object if it is there already, so that caches by identity find it."""
+    def thinned(self, count: int) -> "Groom":
+        """The groom of so many of its strands, evenly spaced in their order; all of them where there are fewer."""
+        return self.select(torch.linspace(0, len(self) - 1, min(count, len(self))).round().long())
+
+    def to(self, device: torch.device | torch.dtype | str) -> "Groom":
+        """The same groom on a device or in a float dtype; the same object if it is there already, so that caches by
+        identity find it."""
+        if isinstance(device, torch.dtype):
+            return self._map_tensors(lambda tensor: tensor.to(device) if tensor.is_floating_point() else tensor)
         if self.rest_strands.device == torch.device(device):
             return self
         return self._map_tensors(lambda tensor: tensor.to(device))

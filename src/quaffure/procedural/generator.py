@@ -8,6 +8,7 @@ from quaffure.energies.held_parts import with_ties
 from quaffure.errors import InputError
 from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import arc_lengths, pushed_out, rest_surface
+from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
 from quaffure.hair.scalp_roots import ScalpRoots, spread_roots
 from quaffure.hair.scalp_texture import select_guides
@@ -48,7 +49,7 @@ def make_groom(style: str | HairStyle, body: BodyModel, seed: int = 0, surface: 
     in_band = vertex_in_band(fine, tied)
     strands = pushed_out(resample_evenly(fine, tied, in_band), surface)
     strands[:, 0] = roots.points
-    groom = Groom(name, strands, roots.faces, roots.barycentric, roots.uv, LICENCE)
+    groom = Groom(name, without_folds(strands), roots.faces, roots.barycentric, roots.uv, LICENCE)
     if controls.ties:
         groom = with_ties(groom, _tie_vertices(controls, tie_of_strand(controls, roots), in_band))
     # Rounding can move a root across a texel's border, to where another one is.

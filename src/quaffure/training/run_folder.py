@@ -11,7 +11,6 @@ from typing import Any, Literal, get_args
 
 import torch
 
-import quaffure
 from quaffure.body.body_model import BodyModel
 from quaffure.digest import array_digest
 from quaffure.errors import InputError, refused
@@ -144,7 +143,7 @@ def body_digest(body: BodyModel) -> str:
 def code_version() -> str:
     """Version of the package, and in a git checkout of its source also the commit."""
     released = version("quaffure")
-    root = Path(quaffure.__file__).parents[2]
+    root = Path(__file__).parents[3]
     if not (root / ".git").exists():
         return released
     try:

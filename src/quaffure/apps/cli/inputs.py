@@ -8,15 +8,13 @@ import torch
 
 from quaffure.apps.cli.console import console
 from quaffure.body.body_model import BodyModel
-from quaffure.body.clips import CLIP_NAMES, bundled_clip
-from quaffure.body.motion import Motion, resample
+from quaffure.body.motion import Motion
 from quaffure.body.pose_limits import check_body_shape
 from quaffure.energies.gravity import Acceleration
 from quaffure.errors import InputError
 from quaffure.input_file import read_text
-from quaffure.io.read_motion import read_motion
+from quaffure.io.load_motion import load_motion
 from quaffure.npz import read_numbers
-from quaffure.training.pose_sampler import FPS
 from quaffure.types import Float, Tensor
 
 SHAPE_SUFFIXES = (".csv", ".npz", ".txt")
@@ -24,25 +22,11 @@ MAX_ACCELERATION = 100.0  # m/s^2; ten times gravity
 
 
 def motion_of(text: str, body: BodyModel, in_place: bool = False, joints: Path | None = None) -> Motion:
-    """A bundled clip by name, or the motion in a file, at 30 frames per second; prints what its reader guessed.
-
-    Args:
-        in_place: without the path of the body through the world.
-        joints: a joint map for a .bvh file.
-
-    Raises:
-        InputError: neither; or what the file's reader refuses.
-    """
-    if text in CLIP_NAMES:
-        if joints is not None:
-            raise InputError(joints, "a joint map for a .bvh file", f"the bundled motion {text}")
-        return bundled_clip(text, body)
-    if not Path(text).suffix:
-        raise InputError(f"motion '{text}'", f"a file or one of {', '.join(CLIP_NAMES)}", "neither")
-    motion = resample(read_motion(Path(text), body, joints), FPS)
+    """`load_motion`, printing what the file's reader guessed."""
+    motion = load_motion(text, body, in_place, joints)
     for note in motion.notes:
         console.print(f"{text}: {note}", markup=False, highlight=False)
-    return motion.in_place() if in_place else motion
+    return motion
 
 
 def body_shape_of(text: str) -> Float[Tensor, "10"]:

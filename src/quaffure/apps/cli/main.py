@@ -12,6 +12,7 @@ import tyro
 
 from quaffure.apps.cli.benchmark import BenchmarkCommand
 from quaffure.apps.cli.console import console
+from quaffure.apps.cli.doctor import DoctorCommand
 from quaffure.apps.cli.drape import DrapeCommand
 from quaffure.apps.cli.evaluate import EvaluateCommand, ScoreCommand
 from quaffure.apps.cli.export_onnx import ExportOnnxCommand
@@ -43,6 +44,7 @@ Command = (
     | Annotated[GroomCommand, tyro.conf.subcommand("groom")]
     | Annotated[InspectCommand, tyro.conf.subcommand("inspect")]
     | Annotated[InfoCommand, tyro.conf.subcommand("info")]
+    | Annotated[DoctorCommand, tyro.conf.subcommand("doctor")]
 )
 
 

@@ -11,9 +11,7 @@ from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.pose_features import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
-from quaffure.energies.rod import previous_frames
 from quaffure.errors import InputError
-from quaffure.geometry.polyline import directors
 from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
 from quaffure.io.load_groom import load_groom
@@ -93,8 +91,7 @@ class TrainCommand:
         # The name of a groom is in its file, whatever the name of the file.
         refuse_evaluation_data(groom.name for groom in own)
         surface = rest_surface(body)
-        drawn = (drawn.groom(body, surface) for drawn in family_grooms(range(self.family)))
-        return (*own, *(groom for groom in drawn if _is_rod(groom)))
+        return (*own, *(drawn.groom(body, surface) for drawn in family_grooms(range(self.family))))
 
     def _sampler(self, body: BodyModel) -> PoseSampler:
         clips = tuple(motion_of(str(path), body) for path in self.motion)
@@ -110,15 +107,6 @@ class TrainCommand:
         if self.config.network not in (TrainConfig().network, network.config):
             raise InputError("--weights", f"the options of their network, {network.config}", f"{self.config.network}")
         return network
-
-
-def _is_rod(groom: Groom) -> bool:
-    """Whether no strand folds back: of a continuous family, some draws have strands that do."""
-    try:
-        previous_frames(directors(groom.rest_strands))
-    except InputError:
-        return False
-    return True
 
 
 def _bar_text(values: dict[str, float]) -> str:

@@ -11,6 +11,7 @@ from PIL import Image
 from quaffure.apps.render.camera import AZIMUTHS, Camera
 from quaffure.apps.render.framing import MARGIN, facing_deg, frame_hair, hair_box
 from quaffure.apps.render.scene import CHESTNUT, StrandRenderer
+from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.io.atomic import replacing
@@ -65,6 +66,29 @@ def write_picture(
             cameras = [Camera.view(view, centre, extent, facing_deg(seq, f)) for view in AZIMUTHS]
             rows.append(draw_frame(renderer, seq, f, interpolation, cameras))
     save_tiles(path, rows)
+
+
+def frame_picture(
+    seq: DrapeSequence, frame: int, view: str, interpolation: GuideInterpolation | None = None, size: int = TILE
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Draw one frame from one side of the head.
+
+    Args:
+        view: a key of `AZIMUTHS`.
+        size: width and height [pixels].
+
+    Raises:
+        InputError: no such frame or view, or no OpenGL on this machine.
+    """
+    if not -len(seq) <= frame < len(seq):
+        raise InputError("frame", f"one of {len(seq)}", f"{frame}")
+    if view not in AZIMUTHS:
+        raise InputError("view", f"one of {', '.join(AZIMUTHS)}", f"'{view}'")
+    seq = seq.in_place()
+    centre, extent = frame_hair(seq)
+    with StrandRenderer(size, size) as renderer:
+        camera = Camera.view(view, centre, extent, facing_deg(seq, frame))
+        return draw_frame(renderer, seq, frame, interpolation, [camera])[0]
 
 
 def draw_frame(

@@ -1,0 +1,77 @@
+"""A clip in a line of Python: draped, written, drawn; what `quaffure drape` does without its reports."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+
+from quaffure.body.body_model import load_body
+from quaffure.body.motion import Motion
+from quaffure.drape_motion import drape_motion
+from quaffure.draper import Draper
+from quaffure.extras import require_extra
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.groom import Groom
+from quaffure.hair.guide_interpolation import groom_of_drape, interpolation_of
+from quaffure.solvers.coherent_clip import CoherentDraper
+from quaffure.types import Float, Tensor
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+SHOWN_STRANDS = 12_000
+
+
+def drape_clip(
+    groom: Groom, motion: Motion, body_shape: Float[Tensor, "10"] | None = None, draper: Draper | None = None
+) -> DrapeSequence:
+    """A groom on the bundled body in every frame of a motion.
+
+    Args:
+        body_shape: beta [standard deviations]; the mean body by default.
+        draper: `CoherentDraper()` by default, which lets hair follow from frame to frame.
+    """
+    shape = torch.zeros(10) if body_shape is None else body_shape
+    return drape_motion(draper or CoherentDraper(), groom, load_body(), motion, shape)
+
+
+def save_drape(sequence: DrapeSequence, path: str | Path, strands: int | None = None) -> None:
+    """Write a drape as the suffix says: .npz, .usd, .usda, .usdc, .abc, .glb, .png, .mp4, and of one frame .hair, .ply.
+
+    Args:
+        strands: to interpolate between the draped ones; an .npz always holds the draped ones.
+
+    Raises:
+        InputError: another suffix, a missing package, or not writable.
+    """
+    from quaffure.apps.cli.outputs import check_frames, check_outputs, known_groom, write_output
+    from quaffure.hair.export_clip import ExportClip
+    from quaffure.hair.groom_binding import groom_binding
+
+    path, body = Path(path), load_body()
+    check_outputs((path,), ())
+    check_frames((path,), len(sequence))
+    groom = known_groom(sequence, body)
+    interpolation = None if strands is None else interpolation_of(groom_of_drape(sequence, body), body, strands)
+    binding = None if groom is None else groom_binding(groom, body, torch.from_numpy(sequence.body_shape))
+    write_output(path, ExportClip(sequence, interpolation, binding))
+
+
+def draw(sequence: DrapeSequence, frame: int = 0, view: str = "front", size: int = 512) -> "Image":
+    """A frame as a picture, which notebooks show by themselves.
+
+    Args:
+        view: front, 3/4, side or back.
+        size: width and height [pixels].
+
+    Raises:
+        InputError: missing packages, or no OpenGL on this machine.
+    """
+    require_extra("render", "draw")
+    from PIL import Image
+
+    from quaffure.apps.render.pictures import frame_picture
+
+    body = load_body()
+    interpolation = interpolation_of(groom_of_drape(sequence, body), body, SHOWN_STRANDS)
+    return Image.fromarray(frame_picture(sequence, frame, view, interpolation, size))

@@ -28,7 +28,7 @@ GUIDE = [
 COMMANDS = (
     *("drape", "train", "train-code", "groomgen-data", "train-groomgen", "render", "view", "evaluate", "score"),
     *("benchmark inference", "benchmark solvers", "grooms", "groom new", "groom import", "inspect", "info"),
-    *("export-onnx", "rig"),
+    *("export-onnx", "rig", "crowd", "doctor"),
 )
 
 WORDS = {
@@ -85,6 +85,7 @@ CLASSES = {
 }
 ALLOWED = (
     r"[\"']slides[\"']|--(?:no-)?slides",  # a key of weights files and its option
+    r"[\"]crowd[\"]|quaffure crowd|\[CROWD OPTIONS\]",  # the command for many characters
 )
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, NoReturn
 import tyro
 
 from quaffure.apps.cli.benchmark import BenchmarkCommand
+from quaffure.apps.cli.characters import CharactersCommand
 from quaffure.apps.cli.console import console
 from quaffure.apps.cli.doctor import DoctorCommand
 from quaffure.apps.cli.drape import DrapeCommand
@@ -33,6 +34,7 @@ Command = (
     | Annotated[TrainCodeCommand, tyro.conf.subcommand("train-code")]
     | Annotated[GroomgenDataCommand, tyro.conf.subcommand("groomgen-data")]
     | Annotated[TrainGroomgenCommand, tyro.conf.subcommand("train-groomgen")]
+    | Annotated[CharactersCommand, tyro.conf.subcommand("crowd")]
     | Annotated[RenderCommand, tyro.conf.subcommand("render")]
     | Annotated[ExportOnnxCommand, tyro.conf.subcommand("export-onnx")]
     | Annotated[RigCommand, tyro.conf.subcommand("rig")]

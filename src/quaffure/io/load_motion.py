@@ -23,7 +23,7 @@ def load_motion(
         joints: a joint map for a .bvh file.
 
     Returns:
-        The motion; its `notes` say what the file's reader guessed, `frames("10:40:2")` is a part of it.
+        The motion; its `notes` say what the reader of the file guessed, and `Motion.frames` is a part of it.
 
     Raises:
         InputError: neither; or what the file's reader refuses.

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from quaffure._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from quaffure.energies.loading import Loading
     from quaffure.model.checkpoint import load_network, save_network
     from quaffure.model.groom_autoencoder import GroomAutoencoder
     from quaffure.model.groom_code import load_groom_autoencoder

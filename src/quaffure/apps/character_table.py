@@ -18,6 +18,7 @@ from numba import set_num_threads
 
 from quaffure.apps.drape_clip import drape_clip, save_drape
 from quaffure.body.body_model import load_body
+from quaffure.body.motion import Motion
 from quaffure.draper import Draper
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError, refused
@@ -153,13 +154,12 @@ def drape_row(row: CharacterRow, draper: str) -> None:
     Raises:
         InputError: what the row names cannot be read or draped, or its output not be written.
     """
-    motion = load_motion(row.motion).frames(row.frames)
-    loading = Loading(stiffness=_number(row, "stiffness"))
-    loading.check()
+    motion = _motion(row.motion).frames(row.frames)
     shape = torch.tensor([_float(row, "shape", text) for text in row.shape.split()] or [0.0] * 10)
     if len(shape) != 10:
         raise InputError(f"shape of {row.out}", "10 coefficients", f"{len(shape)}")
-    hair = drape_clip(_groom(row.groom, int(_number(row, "seed"))), motion, shape, _draper(draper, loading))
+    groom, own_draper = _groom(row.groom, int(_number(row, "seed"))), _draper(draper, _number(row, "stiffness"))
+    hair = drape_clip(groom, motion, shape, own_draper)
     save_drape(hair, row.out)
 
 
@@ -168,7 +168,15 @@ def _groom(name: str, seed: int) -> Groom:
     return make_groom(name, load_body(), seed) if name in STYLES else load_groom(name)
 
 
-def _draper(name: str, loading: Loading) -> Draper:
+@cache
+def _motion(name: str) -> Motion:
+    return load_motion(name)
+
+
+@cache
+def _draper(name: str, stiffness: float) -> Draper:
+    loading = Loading(stiffness=stiffness)
+    loading.check()
     if name == NEURAL:
         return _network().under(loading)
     return CoherentDraper(StrandNewtonDraper().under(loading))

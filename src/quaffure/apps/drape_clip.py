@@ -44,14 +44,14 @@ def save_drape(sequence: DrapeSequence, path: str | Path, strands: int | None = 
     Raises:
         InputError: another suffix, a missing package, or not writable.
     """
-    from quaffure.apps.cli.outputs import check_frames, check_outputs, known_groom, write_output
+    from quaffure.apps.cli.outputs import check_frames, check_outputs, is_export, known_groom, write_output
     from quaffure.hair.export_clip import ExportClip
     from quaffure.hair.groom_binding import groom_binding
 
     path, body = Path(path), load_body()
     check_outputs((path,), ())
     check_frames((path,), len(sequence))
-    groom = known_groom(sequence, body)
+    groom = known_groom(sequence, body) if is_export((path,)) else None
     interpolation = None if strands is None else interpolation_of(groom_of_drape(sequence, body), body, strands)
     binding = None if groom is None else groom_binding(groom, body, torch.from_numpy(sequence.body_shape))
     write_output(path, ExportClip(sequence, interpolation, binding))

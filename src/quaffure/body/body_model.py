@@ -185,11 +185,20 @@ class BodyModel:
 def load_body(path: Path | None = None) -> BodyModel:
     """The body that the package ships, or one baked to `path` in the same layout (`scripts/bake_body.py`).
 
+    The shipped one is the same object every time: what is prepared for a groom on a body is kept by the body.
+
     Raises:
         InputError: the file is missing, is no body file, or its arrays contradict each other.
     """
-    if path is None:
-        path = Path(str(files("quaffure") / "assets" / "body.npz"))
+    return _shipped_body() if path is None else _read_body(path)
+
+
+@cache
+def _shipped_body() -> BodyModel:
+    return _read_body(Path(str(files("quaffure") / "assets" / "body.npz")))
+
+
+def _read_body(path: Path) -> BodyModel:
     arrays, sizes = read_arrays(path, FILE_ARRAYS, "a body file (.npz)")
     _check_indices(arrays, sizes, path)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -32,7 +32,7 @@ class CharactersCommand:
     draper: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(DRAPERS)}}}")] = NEURAL
     """The network, or the solver, whose clips do not jump."""
     workers: int = 0
-    """Processes; 0 is one for each processor. Each takes about a gigabyte."""
+    """Processes; 0 is one for each processor. Each takes up to 2 GB."""
     retries: int = 1
     """How often a row is tried again that failed for another reason than its input."""
     json: bool = False

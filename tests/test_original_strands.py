@@ -23,8 +23,8 @@ from quaffure.hair import (
     resample_by_arc_length,
 )
 from quaffure.hair.export_clip import ExportClip
-from quaffure.hair.original_strands import PlacedStrands, original_strands, place_strands
 from quaffure.hair.registration_report import RegistrationReport
+from quaffure.hair.source_strands import PlacedStrands, original_strands, place_strands
 from quaffure.hair.strand_attributes import StrandAttributes
 from quaffure.io.groom_file import read_source, write_groom
 from quaffure.io.load_groom import load_source

@@ -7,7 +7,7 @@ import pytest
 
 from quaffure.body import BodyModel
 from quaffure.hair import Strands, concatenate_strands
-from quaffure.hair.original_strands import PlacedStrands
+from quaffure.hair.source_strands import PlacedStrands
 from quaffure.hair.strand_attributes import StrandAttributes, along_points
 from quaffure.io.groom_file import read_source, write_groom
 from quaffure.io.hair import read_hair

@@ -1,6 +1,6 @@
 """Where the network is worst: frames of the evaluation with most hair inside the body, and with most energy to spare.
 
-Reads docs/evaluation_results.json. Above the network's drape, below it that of XPBD.
+Reads docs/evaluation_results.json. Above the network's drape, below it that of `strand_newton`.
 """
 
 import json
@@ -24,11 +24,12 @@ from quaffure.apps.render import NATURAL_COLOURS
 from quaffure.benchmark import DataFolders, load_cases, load_evaluation_set
 from quaffure.model import load_model
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers import XpbdDraper
+from quaffure.solvers import StrandNewtonDraper
 
 OUT = FIGURES / "worst_cases.jpg"
 RESULTS = FIGURES.parent / "evaluation_results.json"
-GROOM_FOLDER = Path("data/grooms")
+GROOM_FOLDERS = (Path("data/grooms"), Path("data/grooms_evaluation"))
+MOTION_FOLDERS = (MOTION_FOLDER, Path("data/motion_evaluation"))
 SHOWN = (("body_intersection_percent", "{:.2f} % inside"), ("excess_energy", "{:.2f} m g L above"))
 COUNT = 3
 VIEW = View(15.0, extent=0.72, below_head=0.14)
@@ -56,17 +57,19 @@ def worst_frames(metric: str, text: str) -> list[Worst]:
     return worst
 
 
-def main(motion_folder: Path = MOTION_FOLDER, groom_folder: Path = GROOM_FOLDER) -> list[Path]:
+def main(
+    motion_folder: tuple[Path, ...] = MOTION_FOLDERS, groom_folder: tuple[Path, ...] = GROOM_FOLDERS
+) -> list[Path]:
     model, of = load_model(), load_evaluation_set()
     entries = {entry.name: entry for entry in of.cases}
     columns = []
     with TileRenderer(240, 280) as renderer:
         for worst in [each for metric, text in SHOWN for each in worst_frames(metric, text)]:
             entry = entries[worst.case]
-            (case,) = load_cases([entry], of, DataFolders((motion_folder,), (groom_folder,)), model.body)
+            (case,) = load_cases([entry], of, DataFolders(motion_folder, groom_folder), model.body)
             bodies = BodyBatch(model.body, case.motion.body_pose[worst.frame : worst.frame + 1], case.body_shape[None])
             scene = Scene(case.groom, bodies)
-            drapes = (model.draper.drape(scene), XpbdDraper(model.draper.material).drape(scene))
+            drapes = (model.draper.drape(scene), StrandNewtonDraper(model.draper.material).drape(scene))
             pair = [renderer.tiles(scene, draped, VIEW, NATURAL_COLOURS[1])[0] for draped in drapes]
             where = f"{entry.clip} {case.frames[worst.frame]}, body {entry.shape}"
             columns.append(captioned(np.vstack(pair), Caption(entry.groom, (where, worst.text))))

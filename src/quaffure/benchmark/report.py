@@ -1,5 +1,6 @@
 """The page of an evaluation, in Markdown: nothing on it that `results.json` does not hold."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,8 @@ def write_report(folder: Path, results: Results) -> list[Path]:
 
         plot_results(picture, results)
         drawn = [picture]
+    # As the file of results has them, from which the page can be made again: JSON knows no tuples.
+    results = json.loads(json.dumps(results))
     with replacing(folder / PAGE) as temporary:
         temporary.write_text(page(results, with_picture=bool(drawn)), encoding="utf-8")
     return [folder / PAGE, *drawn]

@@ -10,12 +10,12 @@ if TYPE_CHECKING:
     from quaffure.hair.file_frame import FileFrame
     from quaffure.hair.groom import Groom
     from quaffure.hair.guide_interpolation import GuideInterpolation, groom_of_drape, interpolation_of, with_strands
-    from quaffure.hair.original_strands import OriginalStrands, original_strands, place_strands
     from quaffure.hair.posing import posed_strands, root_positions, root_rotations, triangle_frames
     from quaffure.hair.registration import HeadMesh, register_groom
     from quaffure.hair.resample import concatenate_strands, polyline_lengths, resample_by_arc_length
     from quaffure.hair.scalp_roots import ScalpRoots, spread_roots
     from quaffure.hair.scalp_texture import select_guides
+    from quaffure.hair.source_strands import OriginalStrands, original_strands, place_strands
     from quaffure.hair.strands import Strands
     from quaffure.hair.tie_detection import FoundTie, find_ties
 

@@ -1,4 +1,4 @@
-"""Kernels of `quaffure.hair.original_strands`: rotations along guides, and strands that follow them."""
+"""Kernels of `quaffure.hair.source_strands`: rotations along guides, and strands that follow them."""
 
 from typing import NamedTuple
 

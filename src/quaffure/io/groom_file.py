@@ -8,7 +8,7 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.hair.groom import LARGEST_COORDINATE, Groom, check_groom
-from quaffure.hair.original_strands import PlacedStrands
+from quaffure.hair.source_strands import PlacedStrands
 from quaffure.hair.strand_attributes import POINT_ATTRIBUTES, StrandAttributes
 from quaffure.hair.strands import held_parts_of
 from quaffure.io.atomic import replacing

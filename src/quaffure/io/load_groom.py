@@ -12,9 +12,9 @@ from quaffure.errors import InputError
 from quaffure.hair.file_frame import UNKNOWN, FileFrame
 from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
-from quaffure.hair.original_strands import PlacedStrands, place_strands
 from quaffure.hair.registration import HeadMesh, register_groom
 from quaffure.hair.scalp_texture import select_guides
+from quaffure.hair.source_strands import PlacedStrands, place_strands
 from quaffure.input_file import read_text
 from quaffure.io.groom_file import is_groom_file, read_groom, read_source
 from quaffure.io.ply_strands import read_ply_mesh

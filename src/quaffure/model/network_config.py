@@ -27,7 +27,7 @@ class InitialShapeConfig:
     body: MlsBodyConfig = field(default_factory=MlsBodyConfig)
     passes: int = 2
     """Gauss-Newton passes without contact (`quaffure.model.free_rod`)."""
-    least_disturbance: float = 0.1
+    least_disturbance: float = 0.05
     """Rotation of an edge from the posed design at which the network moves its strand half as far as others [rad]."""
     decay_length: float = 0.05
     """Length along a strand over which edges return to their own directions after a contact [m]."""

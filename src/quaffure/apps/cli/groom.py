@@ -19,11 +19,11 @@ from quaffure.errors import InputError
 from quaffure.hair.clearance import rest_surface
 from quaffure.hair.file_frame import FileFrame
 from quaffure.hair.groom import Groom
-from quaffure.hair.original_strands import place_strands
 from quaffure.hair.registration import HeadMesh, register_groom
 from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.resample import concatenate_strands, resample_by_arc_length, without_degenerate
 from quaffure.hair.scalp_texture import select_guides
+from quaffure.hair.source_strands import place_strands
 from quaffure.hair.strands import Strands
 from quaffure.hair.tie_detection import FoundTie, find_ties
 from quaffure.io.groom_file import LONGEST_STRAND, write_groom

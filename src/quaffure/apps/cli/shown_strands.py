@@ -6,7 +6,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of
-from quaffure.hair.original_strands import original_strands
+from quaffure.hair.source_strands import original_strands
 from quaffure.io.load_groom import load_source
 
 ORIGINAL = "original"

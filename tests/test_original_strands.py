@@ -172,7 +172,7 @@ def test_groom_files_keep_the_source(case: Case, tmp_path: Path) -> None:
         read_source(path)
 
 
-@pytest.mark.parametrize("suffix", [".usda", ".abc", ".hair", ".ply"])
+@pytest.mark.parametrize("suffix", [".usda", ".abc", ".hair", ".ply", ".data", ".bin"])
 def test_every_format_keeps_what_the_source_says(case: Case, tmp_path: Path, suffix: str) -> None:
     """Points a strand, widths, colours, ids, groups and root coordinates, in the order of the source."""
     pytest.importorskip({".usda": "pxr", ".abc": "alembic3d"}.get(suffix, "numpy"))
@@ -196,7 +196,11 @@ def test_every_format_keeps_what_the_source_says(case: Case, tmp_path: Path, suf
     assert len(set(strands.counts)) > 1
     np.testing.assert_array_equal(found.counts, strands.counts)
     metres = np.linalg.norm(np.ptp(strands.points, axis=0)) / np.linalg.norm(np.ptp(found.points, axis=0))
-    assert metres == pytest.approx(0.01 if suffix == ".abc" else 1.0, rel=1e-4)
+    assert metres == pytest.approx({".abc": 0.01, ".bin": 0.001}.get(suffix, 1.0), rel=1e-4)
+    if suffix in (".data", ".bin"):
+        x, y, z = (0.001 if suffix == ".bin" else 1.0) * found.points.T
+        np.testing.assert_allclose(np.stack([x, -z, y], axis=1), ExportClip(sequence, original).points(0), atol=1e-6)
+        return
     if suffix != ".ply":
         np.testing.assert_allclose(metres * found.attributes.width, given.width, rtol=1e-5)
     np.testing.assert_allclose(found.attributes.colour, given.colour, atol=3e-3)

@@ -64,8 +64,8 @@ class DrapeCommand:
     """A bundled groom (see `quaffure grooms`) or a file: .abc, .bin, .data, .hair, .npy, .npz, .ply, .tfx, .usd."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
     """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .abc, .glb,
-    .hair and .ply (of one frame), .png, .mp4. An .abc, for Unreal a groom cache, comes with its groom asset:
-    walk_groom.abc beside walk.abc."""
+    .hair, .ply, .data and .bin (of one frame), .png, .mp4. An .abc, for Unreal a groom cache, comes with its groom
+    asset: walk_groom.abc beside walk.abc."""
     motion: str = "neck_turn"
     """A bundled clip, or a file: .bvh of any skeleton, .npz of AMASS, SMPL-X or poses of this body."""
     joints: Path | None = None

@@ -17,7 +17,7 @@ from quaffure.io.output_path import check_distinct, check_one_frame, check_outpu
 PICTURES = (".png", ".mp4")
 USD = (".usd", ".usda", ".usdc")
 EXPORTS = (*USD, ".abc")
-ONE_FRAME = (".hair", ".ply")
+ONE_FRAME = (".hair", ".ply", ".data", ".bin")
 SUFFIXES = (".npz", *EXPORTS, ".glb", *ONE_FRAME, *PICTURES)
 EXTRA_OF = {**dict.fromkeys(PICTURES, "render"), **dict.fromkeys(USD, "usd"), ".abc": "alembic"}
 SHOWN_BYTES = 2e8
@@ -48,7 +48,7 @@ def check_frames(paths: Iterable[Path], frames: int) -> None:
     """Refuse more frames than a format takes, before the work for them.
 
     Raises:
-        InputError: more than one for .hair or .ply.
+        InputError: more than one for a format of one frame.
     """
     for path in paths:
         if path.suffix.lower() in ONE_FRAME:
@@ -120,6 +120,14 @@ def write_output(path: Path, clip: ExportClip) -> None:
         from quaffure.io.ply import write_ply
 
         write_ply(path, clip)
+    elif suffix == ".data":
+        from quaffure.io.counted_writer import write_hairsalon
+
+        write_hairsalon(path, clip)
+    elif suffix == ".bin":
+        from quaffure.io.counted_writer import write_ct2hair
+
+        write_ct2hair(path, clip)
     elif suffix == ".hair":
         from quaffure.io.hair_writer import write_hair
 

@@ -25,7 +25,8 @@ class RenderCommand:
     """A drape file (.npz)."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
     """Where to write; may be given several times. The suffix picks the format: .png, .mp4, .usd, .usda, .usdc, .glb,
-    .hair and .ply (of one frame), .abc (with its groom asset beside it, walk_groom.abc beside walk.abc)."""
+    .hair, .ply, .data and .bin (of one frame), .abc (with its groom asset beside it: walk_groom.abc beside
+    walk.abc)."""
     strands: int | None = None
     """Strands to interpolate between the draped ones: 10,000 to 100,000 are a full head of hair. Without it, the draped
     strands are drawn."""

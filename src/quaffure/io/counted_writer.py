@@ -1,8 +1,8 @@
 """Strands of one frame in USC-HairSalon's `.data` and CT2Hair's `.bin`; `quaffure.io.counted_strands` describes them.
 
-Y up and the face towards +z, as in those programs: (x, y, z) of the drape is (x, z, -y). `.data` is in metres. `.bin` is
-in millimetres, with the direction away from the middle of all roots as the normal of each point, and the strand's group
-as its label.
+Y up and the face towards +z, as in those programs: (x, y, z) of the drape is (x, z, -y). `.data` is in metres. `.bin`
+is in millimetres, with the direction away from the middle of all roots as the normal of each point, and the strand's
+group as its label.
 """
 
 from pathlib import Path

@@ -7,13 +7,13 @@ from benchmarks.rods.elastic_potentials import MODELS, ElasticPotential, cossera
 from quaffure.energies import ELASTIC_MODELS, RodStiffness, hair_terms
 from quaffure.energies.cosserat import (
     bend_twist_strain,
+    cosserat_stretch_shear_strain,
     energy_bend_twist,
-    energy_stretch_shear,
+    energy_cosserat_stretch_shear,
     energy_unit_quaternion,
     nearer_sign,
     relative_rotations,
     strain_angles,
-    stretch_shear_strain,
     third_axis,
     transported_frames,
 )
@@ -123,9 +123,9 @@ def test_one_bent_twisted_and_stretched_pair_by_hand() -> None:
     k = STIFF.k_bend_twist(length[:, :1])
     assert energy_bend_twist(strain, k).item() == pytest.approx(0.5 * 3e-9 * 0.02 * (100 * math.sin(0.2)) ** 2)
     x = torch.tensor([[[[0, 0, 0], [0, 0, 0.025], [0.02, 0, 0.025]]]], dtype=torch.float64)
-    gamma = stretch_shear_strain(x, twisted, length)
+    gamma = cosserat_stretch_shear_strain(x, twisted, length)
     assert gamma.flatten().tolist() == pytest.approx([0, 0, 0.25, 1, 0, -1])
-    energy = energy_stretch_shear(gamma, STIFF.k_stretch_shear(length)).item()
+    energy = energy_cosserat_stretch_shear(gamma, STIFF.k_stretch_shear(length)).item()
     assert energy == pytest.approx(0.5 * 0.02 * 0.02 * (0.25**2 + 2))
     assert energy_unit_quaternion(1.5 * twisted, 4.0).item() == pytest.approx(0.5 * 4 * 2 * 0.25)
     assert strain_angles(relative_rotations(twisted), straight.view(1, 1, 1, 4)).item() == pytest.approx(

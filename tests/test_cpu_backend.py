@@ -255,12 +255,12 @@ def test_the_network_laid_out_for_speed_is_the_same(
     features = 0.1 * torch.randn(2, 50, 184)
     fast = network.for_inference(dtype == torch.bfloat16)
     assert isinstance(fast, InferenceNetwork)
-    encoded = fast.encode(inputs.groom_code.expand(2, -1), inputs.pose_code)
+    textures = fast.decode_texture(inputs.groom_code.expand(2, -1), inputs.pose_code)
     texels = StrandTexels(inputs.texels, texture_rows(inputs.texels, 64))
     for sample, expected in enumerate(network(inputs, features)):
         memory = torch.empty(50, fast.columns, dtype=fast.dtype)
         memory[:, :184] = features[sample]
-        changes = fast.changes(encoded[sample], texels, memory)
+        changes = fast.changes(textures[sample], texels, memory)
         assert expected.abs().mean() > 0.05
         torch.testing.assert_close(changes.float(), expected.flatten(1), atol=tolerance, rtol=tolerance)
 

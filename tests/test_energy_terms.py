@@ -155,5 +155,8 @@ def test_parts_of_an_energy_add_up_and_names_are_unique() -> None:
     sums = sum(part.total(positions, scene) for part in parts)
     torch.testing.assert_close(sums, energy.total(positions, scene), rtol=1e-5, atol=0)
     assert energy.only().total(positions, scene).tolist() == [0.0]
+    for part in (energy.only, energy.without):
+        with pytest.raises(InputError, match=r"stretch, .*found strech"):
+            part("strech")
     with pytest.raises(InputError, match="names that differ"):
         HairEnergy(groom, terms=(SPRING, SPRING))

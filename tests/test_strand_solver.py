@@ -18,9 +18,9 @@ from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import Groom
 from quaffure.scene import PosedScene, Scene
-from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, energy_and_gradient
+from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, energy_and_gradient, solver
+from quaffure.solvers.by_name import DesignSolver
 from quaffure.solvers.coherent_clip import CoherentSetting
-from quaffure.solvers.design_solver import DesignSolver
 from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonSetting
 from quaffure.solvers.strand_recursion import LEAST_ALIGNMENT, StrandModel, newton_rotations
@@ -218,6 +218,15 @@ def test_a_tail_stays_a_tail_and_out_of_the_head(body: BodyModel, surface: Surfa
     assert float(energy.metrics(draped, scene)["cohesion"]) < 2e-3
     apart = StrandNewtonDraper(terms=energy.without("cohesion").terms).drape(scene)
     assert float(energy.metrics(apart, scene)["cohesion"]) > 1e-2
+
+
+@pytest.mark.parametrize("name", ["lbfgs", "xpbd"])
+def test_a_solver_without_terms_keeps_the_design(body: BodyModel, surface: Surface, name: str) -> None:
+    """As `strand_newton` does: the paper's energy lets upright hair sag."""
+    scene = upright_scene(few_strands(body, surface, "bob", count=60), body)
+    own, paper = (solver(name, terms=terms).drape(scene) for terms in (None, hair_terms()))
+    assert float((own - scene.posed).norm(dim=-1).mean()) < 2e-4
+    assert float((paper - scene.posed).norm(dim=-1).mean()) > 1e-3
 
 
 def test_a_design_solver_reads_loading_and_start(body: BodyModel, surface: Surface) -> None:

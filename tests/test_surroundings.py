@@ -8,11 +8,10 @@ from quaffure.body import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.geometry import Surface
 from quaffure.geometry.polyline import integrate_directions
-from quaffure.model.initial_shape import bits
+from quaffure.model.bfloat16 import bits
+from quaffure.model.network_config import DensityGridConfig
 from quaffure.model.prepared_groom import surroundings_of
 from quaffure.model.surroundings import (
-    CELL,
-    MARGIN_UNIT,
     NODES,
     SURROUNDING_FEATURES,
     Surroundings,
@@ -23,6 +22,7 @@ from quaffure.model.surroundings import (
 from tests.scenes import few_strands
 
 VERTICES = 6
+GRID = DensityGridConfig()
 
 
 def random_strands(count: int = 200) -> tuple[torch.Tensor, torch.Tensor, Surroundings]:
@@ -39,9 +39,9 @@ def random_strands(count: int = 200) -> tuple[torch.Tensor, torch.Tensor, Surrou
 def test_the_kernel_is_its_twin(dtype: torch.dtype, tolerance: float) -> None:
     roots, edges, strands = random_strands()
     features = torch.full((2, len(strands.mass), SURROUNDING_FEATURES * (VERTICES - 1)), torch.nan, dtype=dtype)
-    fill_surroundings(strands, roots, edges, bits(features))
+    fill_surroundings(strands, roots, edges, GRID, bits(features))
     positions = integrate_directions(roots, edges, strands.rest_length)
-    expected = surroundings_reference(positions, strands).flatten(2)
+    expected = surroundings_reference(positions, strands, GRID).flatten(2)
     assert expected.std() > 0.5
     torch.testing.assert_close(features.float(), expected, atol=tolerance, rtol=tolerance)
 
@@ -52,14 +52,15 @@ def test_the_gradient_is_that_of_the_density() -> None:
     positions = integrate_directions(roots, edges, strands.rest_length)[:1].double()
     mass = strands.mass.double()
     mass[0] = 0.0
-    _, slope = coarse_density(positions, mass)
+    _, slope = coarse_density(positions, mass, GRID.cell)
     for axis in range(3):
         step = torch.zeros(3, dtype=torch.float64)
         step[axis] = 1e-7
         ahead, behind = positions.clone(), positions.clone()
         ahead[0, 0] += step
         behind[0, 0] -= step
-        difference = (coarse_density(ahead, mass)[0] - coarse_density(behind, mass)[0])[0, 0] / 2e-7
+        change = coarse_density(ahead, mass, GRID.cell)[0] - coarse_density(behind, mass, GRID.cell)[0]
+        difference = change[0, 0] / 2e-7
         torch.testing.assert_close(slope[0, 0, :, axis], difference, rtol=1e-5, atol=1e-3)
 
 
@@ -67,21 +68,23 @@ def test_mass_is_kept_and_space_repeats_itself() -> None:
     """A vertex in a node's place finds its own mass in one cell, wherever it is."""
     mass = torch.tensor([[2e-6]])
     for node in ([0, 0, 0], [-3, 5, 70], [200, -90, 1000]):
-        density, slope = coarse_density(CELL * torch.tensor(node).reshape(1, 1, 1, 3).double(), mass.double())
-        assert float(density) == pytest.approx(2e-6 / CELL**3, rel=1e-4)
+        density, slope = coarse_density(
+            GRID.cell * torch.tensor(node).reshape(1, 1, 1, 3).double(), mass.double(), GRID.cell
+        )
+        assert float(density) == pytest.approx(2e-6 / GRID.cell**3, rel=1e-4)
         assert slope.shape == (1, 1, 1, 3)
-    apart = CELL * torch.tensor([[0.5, 0.5, 0.5], [0.5 + NODES[0], 0.5, 0.5]]).double()[None, :, None]
-    both, _ = coarse_density(apart, mass.double().expand(2, 1))
-    alone, _ = coarse_density(apart[:, :1], mass.double())
+    apart = GRID.cell * torch.tensor([[0.5, 0.5, 0.5], [0.5 + NODES[0], 0.5, 0.5]]).double()[None, :, None]
+    both, _ = coarse_density(apart, mass.double().expand(2, 1), GRID.cell)
+    alone, _ = coarse_density(apart[:, :1], mass.double(), GRID.cell)
     assert both[0, 0, 0] == pytest.approx(2 * float(alone), rel=1e-6)
 
 
 def test_the_design_upright_is_in_excess_nowhere(body: BodyModel, surface: Surface) -> None:
     groom = few_strands(body, surface)
-    margin = torch.full(groom.rest_strands.shape[:2], 2 * MARGIN_UNIT)
-    strands = surroundings_of(groom, body, HairMaterial(), margin)
+    margin = torch.full(groom.rest_strands.shape[:2], 2 * GRID.margin_unit)
+    strands = surroundings_of(groom, body, HairMaterial(), margin, GRID)
     head = body.posed_joints(torch.zeros(1, 81), torch.zeros(1, 10))[1][0, body.joint_names.index("Head")]
-    features = surroundings_reference((groom.rest_strands - head)[None], strands)
+    features = surroundings_reference((groom.rest_strands - head)[None], strands, GRID)
     assert features[..., 0].abs().max() < 1e-4
     assert features[..., 1:4].abs().mean() > 0.01
     np.testing.assert_allclose(features[..., 4], 2.0, rtol=1e-5)

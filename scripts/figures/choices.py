@@ -13,7 +13,7 @@ from training_curves import plot_curves, read_curve
 
 from quaffure.body import load_body
 from quaffure.config import HairMaterial
-from quaffure.energies import HairEnergy
+from quaffure.energies import HairEnergy, hair_terms
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import solver
@@ -49,7 +49,7 @@ def _solved() -> dict[str, float]:
     scene = Scene(make_groom(GROOM, body), BodyBatch(body, poses.body_pose, poses.body_shape))
     energy = HairEnergy(scene.groom, material)
     print(f"unit of the loss: {loss_unit(energy) / energy.per_vertex_unit:.3g} m g L a vertex")
-    return validation_metrics(solver(REFERENCE, material), [(scene, energy)])
+    return validation_metrics(solver(REFERENCE, material, hair_terms()), [(scene, energy)])
 
 
 if __name__ == "__main__":

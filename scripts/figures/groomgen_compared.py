@@ -15,7 +15,7 @@ from quaffure.baselines import load_groomgen
 from quaffure.benchmark.metrics import inside_body, metrics
 from quaffure.body import BodyModel, turned_head
 from quaffure.draper import Draper
-from quaffure.energies import HairEnergy
+from quaffure.energies import HairEnergy, hair_terms
 from quaffure.io.load_groom import load_groom
 from quaffure.model import load_model
 from quaffure.scene import BodyBatch, Scene
@@ -38,7 +38,7 @@ def main(weights: Path = WEIGHTS) -> list[Path]:
     rows: dict[str, Draper] = {
         "groomgen": groomgen,
         "neural": model.draper,
-        notes["solver"]: solver(notes["solver"], material),
+        notes["solver"]: solver(notes["solver"], material, hair_terms()),
     }
     columns = []
     with TileRenderer(WIDTH, WIDTH) as renderer, TileRenderer(INSET_WIDTH, INSET_WIDTH) as small:

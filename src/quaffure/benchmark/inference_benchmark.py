@@ -134,7 +134,7 @@ def time_parts(model: Quaffure, groom: Groom) -> dict[str, float]:
     hair = backend.integrate(prepared, posed, shape, changes)
     parts: dict[str, tuple[Callable[[], object], int]] = {
         "body": (lambda: pose(False), BATCH),
-        "texture": (lambda: backend.layout.encode(code, codes), BATCH),
+        "texture": (lambda: backend.layout.decode_texture(code, codes), BATCH),
         "strands_before": (lambda: backend.initial_shape(prepared, posed), 1),
         "strand_layers": (lambda: backend.network(prepared, posed, shape), 1),
         "strands_after": (lambda: backend.integrate(prepared, posed, shape, changes), 1),

@@ -14,7 +14,7 @@ from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_model import PAPER, load_model
-from quaffure.solvers.design_solver import DesignSolver
+from quaffure.solvers.by_name import DesignSolver
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
 
 POSED, NETWORK, SETTLED = "posed", "neural", "neural_settled"

@@ -18,7 +18,6 @@ from quaffure.energies.by_name import ROD, hair_terms
 from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.hair_energy import HairEnergy
-from quaffure.errors import InputError
 from quaffure.scene import Scene
 from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
 from quaffure.solvers.by_name import Solver
@@ -111,11 +110,14 @@ def run_benchmark(
     elastic: str = ROD,
     on_run: Callable[[str], None] = lambda label: None,
 ) -> list[Run]:
-    """Every budget on every case whose terms its solver minimizes.
+    """Every budget on every case.
 
     Args:
         elastic: the elastic model; the rod rests in the groom's design.
         on_run: called with what is about to run.
+
+    Raises:
+        InputError: a solver that does not minimize this model.
     """
     material = HairMaterial()
     _compile(cases[0], chosen, _energy_of(cases[0].scene, elastic, material))
@@ -126,11 +128,7 @@ def run_benchmark(
         of_case = []
         for budget in chosen:
             on_run(f"{budget.solver} {budget.effort or ''} on {case.name}")
-            try:
-                draper = budget.draper(material, energy.terms)
-            except InputError:  # it does not minimize one of them, such as the cohesion of tails
-                continue
-            of_case.append(_run(case, budget, draper, energy))
+            of_case.append(_run(case, budget, budget.draper(material, energy.terms), energy))
         least = min(run.energy for run in of_case)
         runs += [replace(run, excess_energy=run.energy - least) for run in of_case]
     return runs
@@ -186,11 +184,10 @@ def _compile(case: Case, chosen: Sequence[Budget], energy: HairEnergy) -> None:
     On the whole groom: a few strands touch no others, and the kernels of hair against hair would not be compiled.
     """
     for name in {budget.solver for budget in chosen}:
-        if name in _WITH_EFFORT:
-            shortest = _QUICK[name][0] if name == StrandNewtonDraper.name else 1
-            _WITH_EFFORT[name](shortest)(energy.material, energy.terms).drape(case.scene)
-        else:
-            PosedDraper(energy.material).drape(case.scene)
+        kind = XpbdDraper.name if name == PAPER else name
+        if kind in _WITH_EFFORT:
+            shortest = _QUICK[kind][0] if kind == StrandNewtonDraper.name else 1
+            _WITH_EFFORT[kind](shortest)(energy.material, energy.terms).drape(case.scene)
 
 
 _WITH_EFFORT: dict[str, Callable[[int], Callable[[HairMaterial, Terms], Draper]]] = {

@@ -27,23 +27,23 @@ POSE_CODE_SIZE = 10 + 81 + FEATURE_COUNT
 
 
 class HeadFrameBody(NamedTuple):
-    """A batch of posed bodies; positions are relative to the head joint and in the head's frame [m].
+    """A batch of posed bodies; positions are relative to the head joint and in its frame [m], if not said otherwise.
 
     Attributes:
         world_from_head: rotation of the head.
-        head: position of its joint in the world [m].
+        head_position: of its joint in the world [m].
         pose_code: beta, theta without heading, pose features.
         scalp: posed vertices of `scalp_vertices`.
         surface: point-sampled skin that hair can touch.
-        skin: vertices of `collision_skin`, in the world [m]; none where they are not asked for.
+        world_skin: vertices of `collision_skin`, in the world [m]; none where they are not asked for.
     """
 
     world_from_head: Float[Tensor, "b 3 3"]
-    head: Float[Tensor, "b 3"]
+    head_position: Float[Tensor, "b 3"]
     pose_code: Float[Tensor, "b code"]
     scalp: Float[Tensor, "b c 3"]
     surface: MlsSurface
-    skin: Float[Tensor, "b v 3"]
+    world_skin: Float[Tensor, "b v 3"]
 
     def sample(self, index: int) -> "HeadFrameBody":
         """One of the bodies."""
@@ -123,7 +123,7 @@ class _HeadFrame(NamedTuple):
     """The first fields of `HeadFrameBody`."""
 
     world_from_head: np.ndarray
-    head: np.ndarray
+    head_position: np.ndarray
     pose_code: np.ndarray
 
 
@@ -166,7 +166,7 @@ def _pose_bodies(
         rest, rotations, centres = joints.rest[sample], joints.rotations[sample], joints.positions[sample]
         frame, origin, code = rotations[joints.near[0]], centres[joints.near[0]], frames.pose_code[sample]
         frames.world_from_head[sample] = frame
-        frames.head[sample] = origin
+        frames.head_position[sample] = origin
         own_transforms = transforms[sample].reshape((len(rest), 3, 4))
         _write_transforms(rest, rotations, centres, frame, origin, own_transforms)
         _write_features(centres, joints.near, frame, origin, own_transforms, code[-FEATURE_COUNT:])

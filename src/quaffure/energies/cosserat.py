@@ -99,7 +99,9 @@ def relative_rotations(quaternion: Float[Tensor, "*batch m 4"]) -> Float[Tensor,
     return quaternion_multiply(conjugate, quaternion[..., 1:, :])
 
 
-def stretch_shear_strain(positions: Positions, quaternion: Quaternions, rest_length: RestLengths) -> EdgeVectors:
+def cosserat_stretch_shear_strain(
+    positions: Positions, quaternion: Quaternions, rest_length: RestLengths
+) -> EdgeVectors:
     """Stretch-shear strain (Gamma, below Eq. 3), dimensionless, in the world's axes."""
     return edges(positions) / rest_length[..., None] - third_axis(quaternion)
 
@@ -126,7 +128,7 @@ def bend_twist_strain(
     return 2 / pair_length[..., None] * (nearer_sign(relative, rest_relative) - rest_relative)[..., 1:]
 
 
-def energy_stretch_shear(strain: EdgeVectors, k_stretch_shear: Float[Tensor, "#s #e"]) -> Energy:
+def energy_cosserat_stretch_shear(strain: EdgeVectors, k_stretch_shear: Float[Tensor, "#s #e"]) -> Energy:
     """Eq. 3: half k_stretch_shear [J] times the squared strain of every edge."""
     return 0.5 * (k_stretch_shear * strain.square().sum(-1)).sum(dim=(-2, -1))
 
@@ -184,10 +186,10 @@ class CosseratRod:
 
     def energy(self, positions: Positions, quaternion: Quaternions) -> Energy:
         """Eq. 2, the sum of Eqs. 3-5 [J]; a rod of one sample serves a batch of positions [m]."""
-        gamma = stretch_shear_strain(positions, quaternion, self.rest_length)
+        gamma = cosserat_stretch_shear_strain(positions, quaternion, self.rest_length)
         omega = bend_twist_strain(self.relative(quaternion), self.rest_relative, self.pair_length)
         return (
-            energy_stretch_shear(gamma, self.stiffness.k_stretch_shear(self.rest_length))
+            energy_cosserat_stretch_shear(gamma, self.stiffness.k_stretch_shear(self.rest_length))
             + energy_bend_twist(omega, self.stiffness.k_bend_twist(self.pair_length))
             + energy_unit_quaternion(quaternion, self.stiffness.k_unit_quaternion)
         )

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numba import get_num_threads, njit, prange
-from torch.autograd.function import FunctionCtx
 
 from quaffure.config import HairMaterial
+from quaffure.energies.known_gradient import with_gradient
 from quaffure.energies.rest_state import RestState
 from quaffure.energies.smoothing_kernel import kernel_slope, kernel_value
 from quaffure.geometry.cell_list import cell_columns, check_finite, interleaved, sort_into_cells
@@ -26,7 +26,9 @@ def fused_self_collision(positions: Positions, rest: RestState, material: HairMa
         ValueError: a coordinate is not finite.
     """
     check_finite(positions)
-    return _SelfCollision.apply(positions, rest, material)  # type: ignore[no-untyped-call]
+    found = [self_collision_and_gradient(sample.detach(), rest, material) for sample in positions]
+    energy = positions.new_tensor([own for own, _ in found])
+    return with_gradient(positions, energy, torch.stack([gradient for _, gradient in found]))
 
 
 class Particles(NamedTuple):
@@ -42,19 +44,6 @@ class Particles(NamedTuple):
     z: np.ndarray
     weight: np.ndarray
     start: np.ndarray
-
-
-class _SelfCollision(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: FunctionCtx, positions: Tensor, rest: RestState, material: HairMaterial) -> Tensor:
-        found = [self_collision_and_gradient(sample.detach(), rest, material) for sample in positions]
-        ctx.save_for_backward(torch.stack([gradient for _, gradient in found]))
-        return positions.new_tensor([energy for energy, _ in found])
-
-    @staticmethod
-    def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor, None, None]:
-        (gradient,) = ctx.saved_tensors  # type: ignore[attr-defined]
-        return gradient * upstream[0][:, None, None, None], None, None
 
 
 def self_collision_and_gradient(

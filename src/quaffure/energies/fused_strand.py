@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numba import get_num_threads, njit, prange
-from torch.autograd.function import FunctionCtx
 
 from quaffure.config import HairMaterial
 from quaffure.energies.body_collision import contact_force
 from quaffure.energies.gravity import GRAVITY, Acceleration
+from quaffure.energies.known_gradient import with_gradient
 from quaffure.energies.rest_state import RestState
 from quaffure.energies.stretch import stretch_force
 from quaffure.energies.stretch_shear import stretch_shear_force
@@ -64,39 +64,16 @@ def strand_energy(
     check_finite(positions)
     if director.requires_grad or surface.vertices.requires_grad:
         raise ValueError("expected directors and a body without gradient: `Backend.TORCH` differentiates those")
-    return _StrandEnergy.apply(positions, director, rest, material, surface, acceleration)  # type: ignore[no-untyped-call]
-
-
-class _StrandEnergy(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: FunctionCtx,
-        positions: Tensor,
-        director: Tensor,
-        rest: RestState,
-        material: HairMaterial,
-        surface: Surface,
-        acceleration: Acceleration,
-    ) -> tuple[Tensor, Tensor]:  # fmt: skip
-        positions = positions.contiguous()
-        gradient = torch.empty_like(positions)
-        per_strand = np.empty((*positions.shape[:2], len(TERMS)), np.float64)
-        stiffness = (material.k_cosserat, material.k_stretch, material.k_body_collision)
-        fields = (director.detach().contiguous(), rest.rest_length, rest.mass, rest.collision_margin)
-        directors, rest_length, mass, margin = (field.numpy() for field in fields)
-        hair = _Strands(
-            directors, rest_length, mass, margin, np.array(stiffness, np.float32), np.array(acceleration, np.float32)
-        )
-        _strands(positions.detach().numpy(), hair, surface.arrays, get_num_threads(), per_strand, gradient.numpy())
-        ctx.save_for_backward(gradient)
-        terms = torch.from_numpy(per_strand.sum(axis=1)).to(positions.dtype)
-        ctx.mark_non_differentiable(terms)
-        return terms.sum(dim=1), terms
-
-    @staticmethod
-    def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor, None, None, None, None, None]:
-        (gradient,) = ctx.saved_tensors  # type: ignore[attr-defined]
-        return gradient * upstream[0][:, None, None, None], None, None, None, None, None
+    vertices = positions.detach().contiguous()
+    gradient, per_strand = torch.empty_like(vertices), np.empty((*vertices.shape[:2], len(TERMS)), np.float64)
+    stiffness = np.array((material.k_cosserat, material.k_stretch, material.k_body_collision), np.float32)
+    directors, margin = director.detach().contiguous().numpy(), rest.collision_margin.numpy()
+    hair = _Strands(
+        directors, rest.rest_length.numpy(), rest.mass.numpy(), margin, stiffness, np.array(acceleration, np.float32)
+    )
+    _strands(vertices.numpy(), hair, surface.arrays, get_num_threads(), per_strand, gradient.numpy())
+    terms = torch.from_numpy(per_strand.sum(axis=1)).to(positions.dtype)
+    return with_gradient(positions, terms.sum(dim=1), gradient), terms
 
 
 @njit(cache=True, parallel=True, fastmath=True)

@@ -12,7 +12,7 @@ from quaffure.backend import Backend, choose_backend
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.body_collision import BodyCollision
 from quaffure.energies.by_name import hair_terms
-from quaffure.energies.energy_term import HairState, Terms
+from quaffure.energies.energy_term import EnergyTerm, HairState, Terms
 from quaffure.energies.fused_density import fused_self_collision
 from quaffure.energies.fused_strand import TERMS, strand_energy
 from quaffure.energies.gravity import NO_ACCELERATION, Gravity
@@ -70,12 +70,26 @@ class HairEnergy:
         self._use(terms)
 
     def only(self, *names: str) -> "HairEnergy":
-        """The same energy with the terms of these names alone."""
+        """The same energy with the terms of these names alone.
+
+        Raises:
+            InputError: there is no term of a name.
+        """
+        self._check_names(names)
         return copy(self)._use(tuple(term for term in self.terms if term.name in names))
 
     def without(self, *names: str) -> "HairEnergy":
-        """The same energy without the terms of these names."""
+        """The same energy without the terms of these names.
+
+        Raises:
+            InputError: there is no term of a name.
+        """
+        self._check_names(names)
         return copy(self)._use(tuple(term for term in self.terms if term.name not in names))
+
+    def of_kind(self, kind: type[EnergyTerm]) -> "HairEnergy":
+        """The same energy with the terms of this kind alone; there may be none."""
+        return copy(self)._use(tuple(term for term in self.terms if isinstance(term, kind)))
 
     def of_terms(self, terms: Terms) -> "HairEnergy":
         """The same energy with other terms of the same kinds: another stiffness or another acceleration."""
@@ -136,6 +150,12 @@ class HairEnergy:
     def per_vertex(self, energy: Energy) -> Float[Tensor, " b"]:
         """Energy [J] in units of `scale`, per vertex: dimensionless, comparable between grooms."""
         return energy / self.per_vertex_unit
+
+    def _check_names(self, names: tuple[str, ...]) -> None:
+        known = [term.name for term in self.terms]
+        unknown = [name for name in names if name not in known]
+        if unknown:
+            raise InputError("energy terms", f"names among {', '.join(known)}", ", ".join(unknown))
 
     def _use(self, terms: Terms) -> "HairEnergy":
         names = [term.name for term in terms]

@@ -24,6 +24,7 @@ import torch
 from quaffure.energies.cosserat import RodStiffness
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import directors
+from quaffure.geometry.rotation import any_normal
 from quaffure.types import EdgeVectors, Energy, Float, Positions, RestLengths, Tensor
 
 BENDING_STIFFNESS, TWISTING_STIFFNESS = RodStiffness.bend, RodStiffness.twist
@@ -108,12 +109,6 @@ def transported_normals(
         before = direction
         normals.append(normal)
     return torch.stack(normals, dim=-2)
-
-
-def any_normal(tangent: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
-    """Some unit vector across a unit vector: the axis that it leans to least, made perpendicular."""
-    axis = torch.nn.functional.one_hot(tangent.abs().argmin(-1), 3).to(tangent)
-    return torch.nn.functional.normalize(axis - (axis * tangent).sum(-1, keepdim=True) * tangent, dim=-1)
 
 
 def in_frames(

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numba import get_num_threads, njit, prange
-from torch.autograd.function import FunctionCtx
 
+from quaffure.energies.known_gradient import with_gradient
 from quaffure.energies.rod import (
     EXACT_BELOW,
     LEAST_ALIGNMENT,
@@ -83,7 +83,8 @@ def fused_rod(positions: Positions, rest: RodArrays, rotation: RootRotations) ->
     check_finite(positions)
     if rotation.requires_grad:
         raise ValueError("expected rotations without gradient: `energy_rod` differentiates those")
-    return _FusedRod.apply(positions, rest, rotation)  # type: ignore[no-untyped-call]
+    energy, gradient = rod_energies_and_gradient(positions, rest, rotation)
+    return with_gradient(positions, energy.double().sum(dim=1).to(positions), gradient)
 
 
 def rod_energies_and_gradient(
@@ -94,19 +95,6 @@ def rod_energies_and_gradient(
     energy, gradient = positions.new_empty(positions.shape[:2]), torch.zeros_like(positions)
     _rods(positions.numpy(), rotation.numpy(), rest, get_num_threads(), energy.numpy(), gradient.numpy())
     return energy, gradient
-
-
-class _FusedRod(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: FunctionCtx, positions: Tensor, rest: RodArrays, rotation: Tensor) -> Tensor:
-        energy, gradient = rod_energies_and_gradient(positions, rest, rotation)
-        ctx.save_for_backward(gradient)
-        return energy.double().sum(dim=1).to(positions)
-
-    @staticmethod
-    def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor, None, None]:
-        (gradient,) = ctx.saved_tensors  # type: ignore[attr-defined]
-        return gradient * upstream[0][:, None, None, None], None, None
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")

@@ -115,7 +115,7 @@ def shortest_arc(a: Float[Tensor, "*#batch 3"], b: Float[Tensor, "*#batch 3"]) -
     a, b = torch.broadcast_tensors(a, b)
     middle = a + b
     opposite = middle.norm(dim=-1, keepdim=True) < ANTIPARALLEL_LENGTH
-    middle = torch.nn.functional.normalize(torch.where(opposite, _perpendicular(a), middle), dim=-1)
+    middle = torch.nn.functional.normalize(torch.where(opposite, any_normal(a), middle), dim=-1)
     return _half_turn(middle) @ _half_turn(torch.nn.functional.normalize(a, dim=-1))
 
 
@@ -146,7 +146,7 @@ def _half_turn(axis: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     return 2 * axis[..., :, None] * axis[..., None, :] - identity
 
 
-def _perpendicular(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
-    """Some vector across a unit vector, never short: its cross product with the axis it leans to least."""
-    least = torch.nn.functional.one_hot(vector.abs().argmin(-1), 3).to(vector.dtype)
-    return torch.linalg.cross(vector, least)
+def any_normal(direction: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Some unit vector across a unit vector: the axis that it leans to least, made perpendicular."""
+    axis = torch.nn.functional.one_hot(direction.abs().argmin(-1), 3).to(direction)
+    return torch.nn.functional.normalize(axis - (axis * direction).sum(-1, keepdim=True) * direction, dim=-1)

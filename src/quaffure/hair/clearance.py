@@ -3,15 +3,15 @@
 import torch
 
 from quaffure.body.body_model import BodyModel
+from quaffure.config import HairMaterial
 from quaffure.geometry.polyline import integrate_directions_reference
 from quaffure.geometry.signed_distance import closest_points
 from quaffure.geometry.surface import Surface, posed_surface
 from quaffure.types import Bool, Float, Tensor
 
-CLEARANCE = 3e-3
-"""Distance that rest strands keep from the skin [m]."""
-# A root lies on the skin: increase of the clearance per length of strand [-].
-CLEARANCE_RAMP = 0.25
+# Grooms are laid out for the collision margins of hair as it is by default.
+CLEARANCE, CLEARANCE_RAMP = HairMaterial.collision_margin, HairMaterial.collision_ramp
+"""Distance that rest strands keep from the skin [m], and its increase per length of strand from the root."""
 # Smallest clearance of a vertex, next to the root: the sign of a distance of zero is rounding [m].
 LEAST_CLEARANCE = 1e-4
 # Share of a vertex's displacement that its successor and its predecessor take, so that the strand bends smoothly.

@@ -7,9 +7,10 @@ such folds where strands were cut or resampled.
 import math
 
 import torch
-from torch.nn.functional import normalize, one_hot
+from torch.nn.functional import normalize
 
 from quaffure.geometry.polyline import directors, integrate_directions
+from quaffure.geometry.rotation import any_normal
 from quaffure.types import Float, Tensor
 
 LARGEST_BEND = math.radians(177.0)
@@ -28,9 +29,7 @@ def without_folds(strands: Float[Tensor, "s n 3"]) -> Float[Tensor, "s n 3"]:
         before, now = edges[edge - 1], edges[edge]
         along = (now * before).sum(-1, keepdim=True)
         across = now - along * before
-        axis = one_hot(before.abs().argmin(-1), 3).to(before)
-        axis = axis - (axis * before).sum(-1, keepdim=True) * before
-        across = torch.where(across.norm(dim=-1, keepdim=True) > 1e-6, across, axis)
+        across = torch.where(across.norm(dim=-1, keepdim=True) > 1e-6, across, any_normal(before))
         edges[edge] = torch.where(along < cosine, cosine * before + sine * normalize(across, dim=-1), now)
     opened = integrate_directions(strands[None, :, 0], torch.stack(edges, dim=1)[None], lengths)[0]
     changed = folded.any(dim=1)[:, None, None]

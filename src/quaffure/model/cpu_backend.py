@@ -13,7 +13,8 @@ from quaffure.body.head_frame import HeadFrameBody, head_frame_body
 from quaffure.body.kinematics import PosedJoints
 from quaffure.energies.loading import Loading
 from quaffure.geometry.mls_surface import FAST
-from quaffure.model.initial_shape import InitialShape, bits, empty_shape, fill_initial_shape
+from quaffure.model.bfloat16 import bits
+from quaffure.model.initial_shape import InitialShape, empty_shape, fill_initial_shape
 from quaffure.model.loading_features import loading_features
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project
@@ -32,13 +33,13 @@ class CpuPosed(NamedTuple):
 
     Attributes:
         body: a batch of one.
-        encoded: by the network.
+        texture: of the strands' codes, by the network's decoder.
         memory: for the initial shape; of all drapes of a batch, so that it is still in the processor's cache.
         skin: faces that hair is projected out of.
     """
 
     body: HeadFrameBody
-    encoded: Any
+    texture: Any
     memory: InitialShape
     skin: CollisionSkin
 
@@ -57,7 +58,7 @@ class CpuBackend:
         self.network_seconds = 0.0
 
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, CpuPosed]]:
-        """Each groom with the body of its row; bodies are posed, and grooms encoded, `BATCH` at a time."""
+        """Each groom with the body of its row; bodies are posed, and textures decoded, `BATCH` at a time."""
         body, config = bodies.body, self.config
         skin = collision_skin(body, self.config.projection.most)
         rest, rotations, positions = bodies.joints
@@ -72,11 +73,11 @@ class CpuBackend:
                 most = max(most, groom.blocks.rows.size)
             begun = time.perf_counter()
             pose_codes = pose_code(config, batch.pose_code, loading_features(self._loading, batch.world_from_head))
-            encoded = self.layout.encode(torch.stack(codes), pose_codes)
+            texture = self.layout.decode_texture(torch.stack(codes), pose_codes)
             self.network_seconds += time.perf_counter() - begun
             memory = empty_shape(1, most, self.layout.columns, self.layout.dtype)
             for row, groom in enumerate(part):
-                yield groom, CpuPosed(batch.sample(row), encoded[row], memory, skin)
+                yield groom, CpuPosed(batch.sample(row), texture[row], memory, skin)
 
     def initial_shape(self, groom: PreparedGroom, posed: CpuPosed) -> InitialShape:
         """Row by row of the kernels' blocks."""
@@ -85,15 +86,15 @@ class CpuBackend:
         shape = InitialShape(roots[:, :count], edges[:, :count], compliance[:, :count], features[:, :count])
         fill_initial_shape(groom.blocks, rows, posed.body, self._loading, self.config.initial_shape, shape)
         if self.config.surroundings:
-            fill_surroundings(
-                groom.blocks.surroundings, shape.roots, shape.edges, bits(shape.features)[..., OWN_FEATURES:]
-            )
+            around = bits(shape.features)[..., OWN_FEATURES:]
+            grid, strands = self.config.density_grid, groom.blocks.surroundings
+            fill_surroundings(strands, shape.roots, shape.edges, grid, around)
         return shape
 
     def network(self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape) -> Float[Tensor, "row outputs"]:
         """Rotation of the joint before every edge, see `DirectionNetwork`."""
         begun = time.perf_counter()
-        changes = self.layout.changes(posed.encoded, groom.blocks.texels, shape.features[0])
+        changes = self.layout.changes(posed.texture, groom.blocks.texels, shape.features[0])
         self.network_seconds += time.perf_counter() - begun
         return changes
 
@@ -102,10 +103,10 @@ class CpuBackend:
     ) -> Positions:
         """Vertices [m, world] of edges rotated by the sum of all joints before them."""
         hair, strand = torch.empty(1, *groom.margin.shape, 3), groom.blocks.strands.strand.reshape(-1)
+        rotation, position = posed.body.world_from_head[0].numpy(), posed.body.head_position[0].numpy()
         _integrate(
             _ShapeRows(shape.roots[0].numpy(), shape.edges[0].numpy(), shape.compliance[0].numpy(), strand),
-            bits(changes), groom.rest_length.numpy(), posed.body.world_from_head[0].numpy(), posed.body.head[0].numpy(),
-            get_num_threads(), hair[0].numpy(),
+            bits(changes), groom.rest_length.numpy(), rotation, position, get_num_threads(), hair[0].numpy(),
         )  # fmt: skip
         return hair
 
@@ -113,8 +114,8 @@ class CpuBackend:
         """Hair projected out of the skin [m, world]."""
         if not self.config.contact:
             return hair
-        strands, config = (hair[0], posed.body.skin[0], groom.rest_length, groom.clearance), self.config.projection
-        return project(*strands, posed.skin, posed.body.head[0], config)[None]
+        body, strands = posed.body, (hair[0], posed.body.world_skin[0], groom.rest_length, groom.clearance)
+        return project(*strands, posed.skin, body.head_position[0], self.config.projection)[None]
 
 
 class CpuTrainingBackend(TorchBackend):
@@ -125,11 +126,12 @@ class CpuTrainingBackend(TorchBackend):
         return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, bodies.joints, config, self.projects)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
-        shape = empty_shape(len(posed.body.head), len(groom.margin), feature_size(self.config), torch.float32)
+        shape = empty_shape(len(posed.body.head_position), len(groom.margin), feature_size(self.config), torch.float32)
         config, rows = self.config.initial_shape, groom.blocks.strands.strand
         fill_initial_shape(groom.blocks, rows, posed.body, self._loading, config, shape)
         if self.config.surroundings:
-            fill_surroundings(groom.surroundings, shape.roots, shape.edges, bits(shape.features)[..., OWN_FEATURES:])
+            around = bits(shape.features)[..., OWN_FEATURES:]
+            fill_surroundings(groom.surroundings, shape.roots, shape.edges, self.config.density_grid, around)
         return shape
 
     def project(self, groom: PreparedGroom, posed: TorchPosed, hair: Positions) -> Positions:
@@ -139,7 +141,7 @@ class CpuTrainingBackend(TorchBackend):
         skin, config = collision_skin(posed.bodies.body, self.config.projection.most), self.config.projection
         projected = [
             project(own, vertices, groom.rest_length, groom.clearance, skin, head, config)
-            for own, vertices, head in zip(hair.detach(), posed.body.skin, posed.body.head)
+            for own, vertices, head in zip(hair.detach(), posed.body.world_skin, posed.body.head_position)
         ]
         return hair + (torch.stack(projected) - hair.detach())
 

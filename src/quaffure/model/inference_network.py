@@ -55,7 +55,7 @@ class StrandTexels(NamedTuple):
 
     Attributes:
         flat: row times size plus column.
-        rows: of `InferenceNetwork.encode`, see `texture_rows`.
+        rows: of `InferenceNetwork.decode_texture`, see `texture_rows`.
     """
 
     flat: Int[Tensor, " s"]
@@ -70,16 +70,16 @@ class ForwardNetwork:
     def __init__(self, network: nn.Module, features: int, bf16: bool) -> None:
         self._network, self.columns, self._bf16 = network, features, bf16
 
-    def encode(
+    def decode_texture(
         self, groom_codes: Float[Tensor, "b 16"], pose_code: Float[Tensor, "b code"]
     ) -> list[tuple[Tensor, Tensor]]:
         return list(zip(groom_codes, pose_code.split(1)))
 
     @torch.no_grad()
     def changes(
-        self, encoded: tuple[Tensor, Tensor], texels: StrandTexels, features: Float[Tensor, "s columns"]
+        self, texture: tuple[Tensor, Tensor], texels: StrandTexels, features: Float[Tensor, "s columns"]
     ) -> Float[Tensor, "s outputs"]:
-        code, pose_code = encoded
+        code, pose_code = texture
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bf16):
             return self._network(NetworkInputs(code, texels.flat, pose_code), features[None])[0].flatten(1).float()
 
@@ -132,7 +132,7 @@ class InferenceNetwork:
         self._outputs = plain_linear(*self._strand[-1])
 
     @torch.inference_mode()
-    def encode(
+    def decode_texture(
         self, groom_codes: Float[Tensor, "b 16"], pose_code: Float[Tensor, "b code"]
     ) -> Float[Tensor, "b texels channels"]:
         """Output of `DeformationDecoder`, blocks of 2 x 2 texels one after another; see `texture_rows`."""
@@ -147,16 +147,16 @@ class InferenceNetwork:
 
     @torch.inference_mode()
     def changes(
-        self, encoded: Float[Tensor, "texels channels"], texels: StrandTexels, features: Float[Tensor, "s columns"]
+        self, texture: Float[Tensor, "texels channels"], texels: StrandTexels, features: Float[Tensor, "s columns"]
     ) -> Float[Tensor, "s outputs"]:
         """Rotation of the joint before every edge, see `DirectionNetwork`.
 
         Args:
-            encoded: a row of `encode`.
+            texture: a row of `decode_texture`.
             features: a strand's positions [m] and local features in the first `feature_size` columns; the others are
                 filled with its texel.
         """
-        torch.index_select(encoded, 0, texels.rows, out=features[:, self.feature_size :])
+        torch.index_select(texture, 0, texels.rows, out=features[:, self.feature_size :])
         values = features
         for layer in self._strand_layers:
             values = layer.run(values)
@@ -202,7 +202,7 @@ class InferenceNetwork:
 
 
 def texture_rows(texels: Int[Tensor, " s"], size: int) -> Int[Tensor, " s"]:
-    """Rows of `InferenceNetwork.encode` of texels given by row times size plus column."""
+    """Rows of `InferenceNetwork.decode_texture` of texels given by row times size plus column."""
     row, column = texels // size, texels % size
     return ((row // 2) * (size // 2) + column // 2) * 4 + (row % 2) * 2 + column % 2
 

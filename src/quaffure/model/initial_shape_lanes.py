@@ -20,6 +20,7 @@ from quaffure.geometry.mls_surface import (
 )
 from quaffure.geometry.rotation import LEAST_ALIGNMENT
 from quaffure.model import free_rod_lanes as rod
+from quaffure.model.bfloat16 import rounded
 
 # How much farther than needed a block's list of skin points reaches, and how far ahead its centre is [radii].
 _SLACK, _AHEAD = 0.1, 0.15
@@ -301,5 +302,4 @@ def write_features(rows: np.ndarray, row_of: np.ndarray, edge: int, count: int, 
 def _round(bits: np.ndarray) -> None:
     """float32 to bfloat16, to nearest even, in the lower half of each number of `_ROUNDED`."""
     for i in range(DIRECTION):
-        odd = (bits[i] >> np.uint32(16)) & np.uint32(1)
-        bits[_ROUNDED + i] = (bits[i] + np.uint32(0x7FFF) + odd) >> np.uint32(16)
+        bits[_ROUNDED + i] = rounded(bits[i])

@@ -54,6 +54,24 @@ class InitialShapeConfig:
 
 
 @dataclass(frozen=True)
+class DensityGridConfig:
+    """Grid of the density of other hair, and units of what strands read of it (`quaffure.model.surroundings`)."""
+
+    cell: float = 0.008
+    """Side of a cell [m]; the kernel of Eq. 13 reaches 1 cm."""
+    excess_unit: float = 0.5
+    """Density above that in the design beyond which its feature grows as a logarithm [kg/m^3]."""
+    slope_unit: float = 100.0
+    """The same for its gradient [kg/m^4]."""
+    margin_unit: float = 0.01
+    """Unit of the collision margin [m]."""
+
+    def __post_init__(self) -> None:
+        if min(self.cell, self.excess_unit, self.slope_unit, self.margin_unit) <= 0:
+            raise ValueError(f"expected a cell and units above 0, found {self}")
+
+
+@dataclass(frozen=True)
 class ProjectionConfig:
     """Strands projected out of the skin after the network (`quaffure.model.projection`)."""
 
@@ -107,6 +125,7 @@ class NetworkConfig:
     """The initial strand is kept out of the point-sampled body, and the hair projected out of the skin after the
     network, or, with `--no-slides`, neither (`directions` only)."""
     initial_shape: InitialShapeConfig = field(default_factory=InitialShapeConfig)
+    density_grid: DensityGridConfig = field(default_factory=DensityGridConfig)
     projection: ProjectionConfig = field(default_factory=ProjectionConfig)
 
     def __post_init__(self) -> None:
@@ -122,7 +141,12 @@ class NetworkConfig:
 
     def __repr__(self) -> str:
         """By the keys of files, without what is as by default: checkpoints of runs are found by this text."""
-        default = {"surroundings": False, "initial_shape": InitialShapeConfig(), "projection": ProjectionConfig()}
+        default = {
+            "surroundings": False,
+            "initial_shape": InitialShapeConfig(),
+            "density_grid": DensityGridConfig(),
+            "projection": ProjectionConfig(),
+        }
         values = {name: getattr(self, name) for name in (f.name for f in fields(self))}
         shown = (
             f"{_KEYS_OF_FIELDS.get(name, name)}={value!r}"
@@ -148,6 +172,7 @@ def from_file_values(values: Mapping[str, Any]) -> NetworkConfig:
         shape = known_fields(dict(named["initial_shape"]), InitialShapeConfig)
         body = MlsBodyConfig(**known_fields(shape.pop("body", {}), MlsBodyConfig))
         named["initial_shape"] = InitialShapeConfig(**shape, body=body)
-    if "projection" in named:
-        named["projection"] = ProjectionConfig(**known_fields(named["projection"], ProjectionConfig))
+    for name, kind in (("density_grid", DensityGridConfig), ("projection", ProjectionConfig)):
+        if name in named:
+            named[name] = kind(**known_fields(named[name], kind))
     return NetworkConfig(**known_fields(named, NetworkConfig))

@@ -59,8 +59,8 @@ def drape(backend: DrapeBackend, grooms: Sequence[PreparedGroom], bodies: BodyBa
 class NeuralDraper:
     """hair = posed + deformation, the deformation from a network.
 
-    Where contact is resolved before the network, `drape` projects hair out of the skin after it; `deform`, which
-    trainings differentiate, and the paper's configuration do not.
+    Where contact is resolved before the network, `drape` projects hair out of the skin after it; the paper's
+    configuration does not.
 
     Attributes:
         network: either configuration. Its weights and layers may change between drapes, but weights not in place
@@ -123,6 +123,9 @@ class NeuralDraper:
 
     def deform(self, scene: Scene, projects: bool = False) -> Positions:
         """Vertices [m, world], differentiable in the network's weights.
+
+        Args:
+            projects: project hair out of the skin as `drape` does; trainings do.
 
         By the backend `TORCH` differentiable in pose, shape and material too, not in the encoder's weights.
         """

@@ -21,7 +21,13 @@ from quaffure.hair.strand_blocks import RestStrands, StrandBlocks, in_blocks, re
 from quaffure.model.groom_code import groom_code
 from quaffure.model.groom_encoder import GroomEncoder
 from quaffure.model.inference_network import StrandTexels, texture_rows
-from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE, InitialShapeConfig, NetworkConfig
+from quaffure.model.network_config import (
+    POSE_SIZE,
+    SHAPE_SIZE,
+    DensityGridConfig,
+    InitialShapeConfig,
+    NetworkConfig,
+)
 from quaffure.model.surroundings import Surroundings, coarse_density
 from quaffure.types import Float, Int, RestLengths, Tensor
 
@@ -164,19 +170,23 @@ def prepare_groom(
         groom.rest_lengths,
         margin,
         clearance,
-        surroundings_of(groom, body, material, design_margin),
+        surroundings_of(groom, body, material, design_margin, config.density_grid),
         neighbours_together(positions, LANES),
     )
 
 
 def surroundings_of(
-    groom: Groom, body: BodyModel, material: HairMaterial, margin: Float[Tensor, "s n"]
+    groom: Groom, body: BodyModel, material: HairMaterial, margin: Float[Tensor, "s n"], grid: DensityGridConfig
 ) -> Surroundings:
-    """What the surroundings of strands are measured against: upright, no density is in excess."""
+    """What the surroundings of strands are measured against: upright, on the mean body, no density is in excess.
+
+    Args:
+        margin: distance from the body that each vertex is to keep [m].
+    """
     mass = rest_state(groom.rest_strands, material).mass
     _, joints = body.posed_joints(mass.new_zeros(1, POSE_SIZE), mass.new_zeros(1, SHAPE_SIZE))
     head = joints[0, body.joint_names.index(HEAD)]
-    density, _ = coarse_density((groom.rest_strands - head)[None], mass)
+    density, _ = coarse_density((groom.rest_strands - head)[None], mass, grid.cell)
     return Surroundings(groom.rest_lengths, mass, density[0], margin)
 
 

@@ -12,18 +12,14 @@ import torch
 from numba import get_num_threads, njit, prange
 
 from quaffure.geometry.mls_surface import FAST
+from quaffure.model.bfloat16 import rounded
+from quaffure.model.network_config import DensityGridConfig
 from quaffure.types import EdgeVectors, Float, Positions, RestLengths, Tensor
 
 SURROUNDING_FEATURES = 5
 """Numbers of a vertex: excess of the density over that in the design, its gradient, and the collision margin."""
-CELL = 0.008
-"""Side of a cell [m]."""
 NODES = (64, 64, 128)
 """Nodes along each axis of the head's frame before the grid repeats itself; powers of two."""
-EXCESS_UNIT, SLOPE_UNIT = 0.5, 100.0
-"""Density [kg/m^3] and gradient [kg/m^4] beyond which features grow as a logarithm."""
-MARGIN_UNIT = 0.01
-"""Unit of the collision margin [m]."""
 
 
 class Surroundings(NamedTuple):
@@ -42,26 +38,43 @@ class Surroundings(NamedTuple):
     margin: Float[Tensor, "s n"]
 
 
-def surroundings_reference(positions: Positions, strands: Surroundings) -> Float[Tensor, "b s e 5"]:
+class _Units(NamedTuple):
+    """Inverse units: of a position, the density's excess, its change along a cell, and the margin."""
+
+    cell: np.float32
+    excess: np.float32
+    slope: np.float32
+    margin: np.float32
+
+
+def surroundings_reference(
+    positions: Positions, strands: Surroundings, config: DensityGridConfig
+) -> Float[Tensor, "b s e 5"]:
     """Torch twin of `fill_surroundings`: asinh of the excess density, the gradient, as long as the asinh of its length,
     and the margin.
 
     Args:
         positions: in the head's frame [m].
     """
-    density, slope = coarse_density(positions, strands.mass)
-    excess = ((density - strands.rest_density) / EXCESS_UNIT).asinh()
-    size = slope.square().sum(dim=-1, keepdim=True).clamp(min=1e-12).sqrt() / SLOPE_UNIT
-    margin = (strands.margin / MARGIN_UNIT).expand_as(excess)
-    turned = slope / SLOPE_UNIT * size.asinh() / size
+    density, slope = coarse_density(positions, strands.mass, config.cell)
+    excess = ((density - strands.rest_density) / config.excess_unit).asinh()
+    size = slope.square().sum(dim=-1, keepdim=True).clamp(min=1e-12).sqrt() / config.slope_unit
+    margin = (strands.margin / config.margin_unit).expand_as(excess)
+    turned = slope / config.slope_unit * size.asinh() / size
     return torch.cat([excess[..., None], turned, margin[..., None]], dim=-1)[:, :, 1:]
 
 
 def coarse_density(
-    positions: Positions, mass: Float[Tensor, "s n"]
+    positions: Positions, mass: Float[Tensor, "s n"], cell: float
 ) -> tuple[Float[Tensor, "b s n"], Float[Tensor, "b s n 3"]]:
-    """Density on the grid at every vertex [kg/m^3], and its gradient [kg/m^4]."""
-    places = positions / CELL
+    """Density on the grid at every vertex [kg/m^3], and its gradient [kg/m^4].
+
+    Args:
+        positions: in the head's frame [m].
+        mass: of every vertex [kg].
+        cell: side of a cell [m].
+    """
+    places = positions / cell
     first = places.floor()
     share = places - first
     nodes = positions.new_tensor(NODES, dtype=torch.long)
@@ -74,50 +87,56 @@ def coarse_density(
     for sample in range(len(positions)):
         grid = positions.new_zeros(NODES[0] * NODES[1] * NODES[2])
         for node, along, _ in corners:
-            grid = grid.index_add(0, node[sample].flatten(), (mass * along[sample].prod(-1)).flatten() / CELL**3)
+            grid = grid.index_add(0, node[sample].flatten(), (mass * along[sample].prod(-1)).flatten() / cell**3)
         for node, along, sign in corners:
             value, (x, y, z) = grid[node[sample]], along[sample].unbind(-1)
             density[sample] = density[sample] + value * x * y * z
             turned = torch.stack([y * z, x * z, x * y], dim=-1) * sign
-            slope[sample] = slope[sample] + value[..., None] * turned / CELL
+            slope[sample] = slope[sample] + value[..., None] * turned / cell
     return density, slope
 
 
 def fill_surroundings(
-    strands: Surroundings, roots: Float[Tensor, "b r 3"], edges: EdgeVectors, features: np.ndarray
+    strands: Surroundings,
+    roots: Float[Tensor, "b r 3"],
+    edges: EdgeVectors,
+    config: DensityGridConfig,
+    features: np.ndarray,
 ) -> None:
     """Write the features of all vertices but the root; float32, on the CPU.
 
     Args:
         strands: of the rows; there may be more rows, which are left out.
         roots, edges: of each row in the head's frame [m]; unit edges.
-        features: [batch, row, column] to write, bits of float32 or bfloat16 (`quaffure.model.initial_shape.bits`).
+        features: [batch, row, column] to write, bits of float32 or bfloat16 (`quaffure.model.bfloat16.bits`).
     """
     rest_length, mass, rest_density, margin = (values.numpy() for values in strands)
     positions, grid = np.empty((*mass.shape, 3), np.float32), np.empty(NODES, np.float32)
+    per_slope = 1 / (config.cell * config.slope_unit)
+    units = _Units(*map(np.float32, (1 / config.cell, 1 / config.excess_unit, per_slope, 1 / config.margin_unit)))
     for own_roots, own_edges, own_features in zip(roots.numpy(), edges.numpy(), features):
         grid.fill(0.0)
-        _spread(own_roots, own_edges, rest_length, mass, positions, grid)
-        _read(positions, rest_density, margin, grid, get_num_threads(), own_features)
+        _spread(own_roots, own_edges, rest_length, mass, units.cell, positions, grid)
+        _read(positions, rest_density, margin, grid, units, get_num_threads(), own_features)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
-def _place(value: float) -> tuple[int, float]:
+def _node_and_share(value: np.float32, per_cell: np.float32) -> tuple[int, np.float32]:
     """Node before a coordinate, and the share of the way to the next one."""
-    scaled = value * np.float32(1 / CELL)
+    scaled = value * per_cell
     first = np.floor(scaled)
     return int(first), scaled - first
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _spread(
-    roots: np.ndarray, edges: np.ndarray, rest_length: np.ndarray, mass: np.ndarray, positions: np.ndarray,
-    grid: np.ndarray,
+    roots: np.ndarray, edges: np.ndarray, rest_length: np.ndarray, mass: np.ndarray, per_cell: np.float32,
+    positions: np.ndarray, grid: np.ndarray,
 ) -> None:  # fmt: skip
     """Fill the strands' vertices and add their masses to the grid."""
     count, vertices = mass.shape
-    per_volume = np.float32(1 / CELL**3)
-    a, b, c = np.int64(NODES[0] - 1), np.int64(NODES[1] - 1), np.int64(NODES[2] - 1)
+    per_volume = per_cell * per_cell * per_cell
+    mask_x, mask_y, mask_z = np.int64(NODES[0] - 1), np.int64(NODES[1] - 1), np.int64(NODES[2] - 1)
     for row in range(count):
         x, y, z = roots[row, 0], roots[row, 1], roots[row, 2]
         for vertex in range(vertices):
@@ -128,10 +147,11 @@ def _spread(
                 z += length * edges[row, vertex - 1, 2]
             positions[row, vertex, 0], positions[row, vertex, 1], positions[row, vertex, 2] = x, y, z
             own = per_volume * mass[row, vertex]
-            i, u = _place(x)
-            j, v = _place(y)
-            k, w = _place(z)
-            i0, i1, j0, j1, k0, k1 = i & a, (i + 1) & a, j & b, (j + 1) & b, k & c, (k + 1) & c
+            i, u = _node_and_share(x, per_cell)
+            j, v = _node_and_share(y, per_cell)
+            k, w = _node_and_share(z, per_cell)
+            i0, i1, j0, j1 = i & mask_x, (i + 1) & mask_x, j & mask_y, (j + 1) & mask_y
+            k0, k1 = k & mask_z, (k + 1) & mask_z
             near, far = own * (np.float32(1) - u), own * u
             left = np.float32(1) - v
             low = np.float32(1) - w
@@ -147,24 +167,23 @@ def _spread(
 
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def _read(
-    positions: np.ndarray, rest_density: np.ndarray, margin: np.ndarray, grid: np.ndarray, threads: int,
-    features: np.ndarray,
+    positions: np.ndarray, rest_density: np.ndarray, margin: np.ndarray, grid: np.ndarray,
+    per: _Units, threads: int, features: np.ndarray,
 ) -> None:  # fmt: skip
     """Write the features of all vertices but the first."""
-    a, b, c = np.int64(NODES[0] - 1), np.int64(NODES[1] - 1), np.int64(NODES[2] - 1)
+    mask_x, mask_y, mask_z = np.int64(NODES[0] - 1), np.int64(NODES[1] - 1), np.int64(NODES[2] - 1)
     one = np.float32(1)
-    spaces = np.empty((threads, SURROUNDING_FEATURES), np.float32)
-    shift = np.uint32(32 - 8 * features.itemsize)
-    half = np.uint32(0x7FFF) if features.itemsize == 2 else np.uint32(0)
+    workspace = np.empty((threads, SURROUNDING_FEATURES), np.float32)
     for thread in prange(threads):
-        values = spaces[thread]
+        values = workspace[thread]
         words = values.view(np.uint32)
         for row in range(thread, len(positions), threads):
             for vertex in range(1, positions.shape[1]):
-                i, u = _place(positions[row, vertex, 0])
-                j, v = _place(positions[row, vertex, 1])
-                k, w = _place(positions[row, vertex, 2])
-                i0, i1, j0, j1, k0, k1 = i & a, (i + 1) & a, j & b, (j + 1) & b, k & c, (k + 1) & c
+                i, u = _node_and_share(positions[row, vertex, 0], per.cell)
+                j, v = _node_and_share(positions[row, vertex, 1], per.cell)
+                k, w = _node_and_share(positions[row, vertex, 2], per.cell)
+                i0, i1, j0, j1 = i & mask_x, (i + 1) & mask_x, j & mask_y, (j + 1) & mask_y
+                k0, k1 = k & mask_z, (k + 1) & mask_z
                 g000, g001, g010, g011 = grid[i0, j0, k0], grid[i0, j0, k1], grid[i0, j1, k0], grid[i0, j1, k1]
                 g100, g101, g110, g111 = grid[i1, j0, k0], grid[i1, j0, k1], grid[i1, j1, k0], grid[i1, j1, k1]
                 # Along z, then y, then x.
@@ -177,14 +196,11 @@ def _read(
                 dz = (one - u) * ((one - v) * (g001 - g000) + v * (g011 - g010)) + u * (
                     (one - v) * (g101 - g100) + v * (g111 - g110)
                 )
-                values[0] = np.arcsinh((density - rest_density[row, vertex]) * np.float32(1 / EXCESS_UNIT))
-                per = np.float32(1 / (CELL * SLOPE_UNIT))
-                size = per * np.sqrt(dx * dx + dy * dy + dz * dz)
-                scale = per * np.arcsinh(size) / max(size, np.float32(1e-6))
+                values[0] = np.arcsinh((density - rest_density[row, vertex]) * per.excess)
+                size = per.slope * np.sqrt(dx * dx + dy * dy + dz * dz)
+                scale = per.slope * np.arcsinh(size) / max(size, np.float32(1e-6))
                 values[1], values[2], values[3] = scale * dx, scale * dy, scale * dz
-                values[4] = np.float32(1 / MARGIN_UNIT) * margin[row, vertex]
+                values[4] = per.margin * margin[row, vertex]
                 at = SURROUNDING_FEATURES * (vertex - 1)
                 for n in range(SURROUNDING_FEATURES):
-                    odd = (words[n] >> shift) & np.uint32(1)
-                    rounded = words[n] if features.itemsize == 4 else words[n] + half + odd
-                    features[row, at + n] = rounded >> shift
+                    features[row, at + n] = words[n] if features.itemsize == 4 else rounded(words[n])

@@ -66,7 +66,7 @@ class TorchBackend:
         if not self.config.surroundings:
             return shape
         positions = integrate_directions(shape.roots, shape.edges, groom.rest_length)
-        around = surroundings_reference(positions, groom.surroundings).flatten(2)
+        around = surroundings_reference(positions, groom.surroundings, self.config.density_grid).flatten(2)
         return shape._replace(features=torch.cat([shape.features, around], dim=2))
 
     def network(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape) -> Tensor:
@@ -85,11 +85,11 @@ class TorchBackend:
         self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape, changes: Float[Tensor, "b s e 3"]
     ) -> Positions:
         """Vertices [m, world] of edges rotated by the sum of all joints before them."""
-        world_from_head = posed.body.world_from_head[:, None].mT
+        rotation = posed.body.world_from_head[:, None].mT  # vectors are rows
         turn = (0.5 * shape.compliance[..., None] * changes).cumsum(dim=2)
         # As a Gibbs vector: the rotation of the quaternion 1 + turn, but for its length.
-        edges = rotate_by_gibbs(turn, shape.edges) @ world_from_head
-        roots = (shape.roots[:, :, None] @ world_from_head)[:, :, 0] + posed.body.head[:, None]
+        edges = rotate_by_gibbs(turn, shape.edges) @ rotation
+        roots = (shape.roots[:, :, None] @ rotation)[:, :, 0] + posed.body.head_position[:, None]
         return integrate_directions(roots, edges, groom.rest_length)
 
     def project(self, groom: PreparedGroom, posed: TorchPosed, hair: Positions) -> Positions:
@@ -100,7 +100,7 @@ class TorchBackend:
         with torch.no_grad():
             projected = [
                 project_reference(own, vertices, groom.rest_length, groom.clearance, skin, self.config.projection)
-                for own, vertices in zip(hair, posed.body.skin)
+                for own, vertices in zip(hair, posed.body.world_skin)
             ]
         return hair + (torch.stack(projected) - hair.detach())
 
@@ -126,4 +126,4 @@ class DisplacementBackend(TorchBackend):
     def integrate(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape, changes: Positions) -> Positions:
         """Displaced vertices [m, world]."""
         positions = shape.features.unflatten(2, (-1, 3)) + changes
-        return positions @ posed.body.world_from_head[:, None].mT + posed.body.head[:, None, None]
+        return positions @ posed.body.world_from_head[:, None].mT + posed.body.head_position[:, None, None]

@@ -1,12 +1,15 @@
 """Every draper that needs no weights, by name."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 from quaffure.baselines.posed import PosedDraper
 from quaffure.config import HairMaterial
-from quaffure.draper import Draper, StoppingReport
+from quaffure.draper import Draper, LoadedDraper, StoppingReport
+from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.energy_term import Terms
+from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.errors import InputError
 from quaffure.scene import Scene
 from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
@@ -38,9 +41,9 @@ def _with_terms(kind: Callable[..., Draper]) -> Callable[[HairMaterial, Terms | 
     return lambda material, terms: kind(material, terms=terms)
 
 
-_CLASSES = (StrandNewtonDraper, AdamDraper, AdamPositionsDraper, LbfgsDraper, LbfgsPositionsDraper, XpbdDraper)
+_OF_TERMS = (AdamDraper, AdamPositionsDraper, LbfgsDraper, LbfgsPositionsDraper, XpbdDraper)
 _DRAPERS: dict[str, Callable[[HairMaterial, Terms | None], Draper]] = {
-    **{kind.name: _with_terms(kind) for kind in _CLASSES},
+    **{kind.name: _with_terms(kind) for kind in (StrandNewtonDraper, *_OF_TERMS)},
     "xpbd_paper": lambda material, terms: XpbdDraper(material, paper_setting(), terms),
     PosedDraper.name: lambda material, terms: PosedDraper(material),
 }
@@ -51,12 +54,48 @@ def solver(name: str, material: HairMaterial | None = None, terms: Terms | None 
     """The draper of that name with its default setting.
 
     Args:
-        terms: of the energy (`quaffure.energies.by_name`); where none are given, those of the sag-free rod for
-            `strand_newton`, Eqs. 6, 7, 9, 10 and 11 for the others.
+        terms: of the energy (`quaffure.energies.by_name`); where none are given, those of the sag-free rod of every
+            groom that is draped (`DesignSolver`), for `xpbd_paper` Eqs. 6, 7, 9, 10 and 11.
 
     Raises:
         InputError: no draper of that name, or one that does not accept these terms.
     """
     if name not in _DRAPERS:
         raise InputError("draper", f"one of {', '.join(SOLVERS)}", repr(name))
+    if terms is None and any(name == kind.name for kind in _OF_TERMS):
+        return DesignSolver(name, material or HairMaterial())
     return _DRAPERS[name](material or HairMaterial(), terms)
+
+
+@dataclass(frozen=True)
+class DesignSolver:
+    """The solver of a name on the energy of the sag-free rod: a groom's rest shape is found when it is draped.
+
+    Attributes:
+        name: one of `SOLVERS`.
+        loading: stiffness, gravity and wind.
+        start: whose drape the solver starts from; where there is none, the solver's own start.
+    """
+
+    name: str
+    material: HairMaterial
+    loading: Loading = STANDARD_LOADING
+    start: LoadedDraper | None = None
+
+    def under(self, loading: Loading) -> "DesignSolver":
+        """The same solver under another loading."""
+        return replace(self, loading=loading, start=self.start and self.start.under(loading))
+
+    def drape(self, scene: Scene) -> Positions:
+        """Draped vertices of every sample [m, world].
+
+        Raises:
+            InputError: a solver without the rod, or one that cannot start from a drape where it shall.
+        """
+        terms = terms_of_design(scene.groom, scene.bodies.body, self.material, self.loading)
+        draper = solver(self.name, self.material, terms)
+        if self.start is None:
+            return draper.drape(scene)
+        if not isinstance(draper, StartedSolver):
+            raise InputError("solver", "one that can start from a drape", self.name)
+        return draper.drape_from(scene, self.start.drape(scene))

@@ -22,9 +22,9 @@ from quaffure.geometry.cell_list import check_finite
 from quaffure.geometry.polyline import directors
 from quaffure.scene import HairScene
 from quaffure.solvers.strand_kernels import (
+    DensityModel,
     Evaluation,
     StrandArrays,
-    Surroundings,
     evaluate_strands,
     limit_rotations,
     resolve_strands,
@@ -92,7 +92,7 @@ class StrandDescent:
         if direction is not None:
             check_finite(direction)
         self._energy, self._scene, self._control = energy, scene, control or StepControl()
-        self._cohesion = energy.only(Cohesion.name)
+        self._cohesion = energy.of_kind(Cohesion)
         rest = energy.rest
         posed_rod = _rod_of(energy, scene)
         self._rod = posed_rod.arrays
@@ -110,7 +110,7 @@ class StrandDescent:
         self._own_weight = max(STANDARD_GRAVITY, math.hypot(*energy.acceleration)) * mass
         self._most_force = MAX_FORCE * self._own_weight.sum(axis=1, keepdims=True)
         self._now, self._trial = _evaluation(strands, vertices), _evaluation(strands, vertices)
-        self._around = Surroundings(
+        self._around = DensityModel(
             np.zeros((strands, vertices, 3), np.float32),
             np.zeros((strands, vertices), np.float32),
             np.zeros((strands, vertices, 3), np.float32),

@@ -43,7 +43,7 @@ class StrandArrays(NamedTuple):
     margin: np.ndarray
 
 
-class Surroundings(NamedTuple):
+class DensityModel(NamedTuple):
     """Quadratic model of the energy of hair against hair, at every vertex.
 
     Attributes:
@@ -76,7 +76,7 @@ class Evaluation(NamedTuple):
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def evaluate_strands(
-    direction: np.ndarray, strands: np.ndarray, hair: StrandArrays, rest: RodArrays, around: Surroundings,
+    direction: np.ndarray, strands: np.ndarray, hair: StrandArrays, rest: RodArrays, around: DensityModel,
     body: SurfaceArrays, k_body_collision: float | np.floating, out: Evaluation,
 ) -> None:  # fmt: skip
     """Evaluate the `strands` listed, whose edges have the `direction` [strand edge 3]; no contact where its stiffness
@@ -91,7 +91,7 @@ def evaluate_strands(
 
 @njit(cache=True, fastmath=True, error_model="numpy")
 def _evaluate_run(
-    direction: np.ndarray, strands: np.ndarray, hair: StrandArrays, rest: RodArrays, around: Surroundings,
+    direction: np.ndarray, strands: np.ndarray, hair: StrandArrays, rest: RodArrays, around: DensityModel,
     body: SurfaceArrays, k_body_collision: float | np.floating, out: Evaluation,
 ) -> None:  # fmt: skip
     work = rod_workspace(direction.shape[1], direction)

@@ -92,7 +92,13 @@ class StrandNewtonDraper:
         self._energy: tuple[GroomCopy, tuple[BodyModel | None, Loading], HairEnergy] | None = None
 
     def under(self, loading: Loading) -> "StrandNewtonDraper":
-        """The same solver, without terms, under another loading."""
+        """The same solver under another loading.
+
+        Raises:
+            InputError: the draper has terms of its own, which say what loads hair.
+        """
+        if self._terms is not None:
+            raise InputError(f"solver {self.name}", "no energy terms, to drape under another loading", "terms")
         other = StrandNewtonDraper(self.material, self.setting)
         other.loading = loading
         return other

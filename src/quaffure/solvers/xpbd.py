@@ -58,7 +58,7 @@ from quaffure.solvers.xpbd_kernels import (
     FAR_AWAY,
     LANES,
     PlaneSearch,
-    StrandBlocks,
+    XpbdBlocks,
     excess_and_mobility,
     find_planes,
     sweep_strands,
@@ -95,6 +95,15 @@ class XpbdSetting:
     spring_refresh: int = 5
     relaxation: float = 1.5
     density_relaxation: float = 0.2
+
+    def __post_init__(self) -> None:
+        """Raises:
+        ValueError: a count below 1, or a time step or a relaxation that is not above 0.
+        """
+        if min(self.steps, self.iterations, self.refresh, self.spring_refresh) < 1:
+            raise ValueError(f"expected 1 or more steps, iterations and sweeps between two searches, found {self}")
+        if min(self.first_time_step, self.last_time_step, self.relaxation, self.density_relaxation) <= 0:
+            raise ValueError(f"expected time steps and relaxations above 0, found {self}")
 
     def time_step(self, step: int) -> float:
         """dt of a step [s]."""
@@ -217,9 +226,9 @@ class HairInMotion:
                 self.pushed += shift
             left = min(setting.refresh, setting.iterations - done)
             while left > 0:
-                sweeps = min(left, setting.spring_refresh if self.springs.change else left)
+                sweeps = min(left, setting.spring_refresh if self.springs.depend_on_positions else left)
                 constants, pull = self.edges.at(time_step, self.springs.at(unpacked(self.x, len(self.roots))))
-                blocks = StrandBlocks(
+                blocks = XpbdBlocks(
                     self.x, self.tension, self.contact, self.plane, self.edges.inverse_mass, constants, pull
                 )
                 sweep_strands(blocks, stiffness, setting.relaxation, MOST_PUSH, sweeps)

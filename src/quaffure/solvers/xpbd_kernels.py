@@ -25,7 +25,7 @@ FAR_AWAY = -1.0
 """Plane offset [m] of a vertex that touches nothing."""
 
 
-class StrandBlocks(NamedTuple):
+class XpbdBlocks(NamedTuple):
     """Strands in blocks, the lane last, with the multipliers and constants of their constraints.
 
     Attributes:
@@ -64,7 +64,7 @@ class PlaneSearch(NamedTuple):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def sweep_strands(
-    strands: StrandBlocks, contact_stiffness: float, relaxation: float, most_push: float, sweeps: int
+    strands: XpbdBlocks, contact_stiffness: float, relaxation: float, most_push: float, sweeps: int
 ) -> None:
     """Project the edges and contacts of all strands `sweeps` times, in turn from root to tip and back.
 
@@ -82,7 +82,7 @@ def sweep_strands(
 # Called, not written out in the parallel loop: numba may drop assignments to fields of a tuple there as dead code.
 @njit(cache=True, fastmath=True)
 def _sweep_block(
-    block: int, strands: StrandBlocks, contact_stiffness: float, relaxation: float, most_push: float, sweeps: int
+    block: int, strands: XpbdBlocks, contact_stiffness: float, relaxation: float, most_push: float, sweeps: int
 ) -> None:
     x, tension, contact = strands.x[block], strands.tension[block], strands.contact[block]
     plane, inverse_mass = strands.plane[block], strands.inverse_mass[block]
@@ -160,7 +160,7 @@ def find_planes(
     Args:
         surface: of one sample.
         last: changed.
-        plane: as in `StrandBlocks`; changed.
+        plane: as in `XpbdBlocks`; changed.
     """
     for strand in prange(len(margin)):
         _find_planes_of_strand(strand, positions, roots, margin, surface, last, plane)

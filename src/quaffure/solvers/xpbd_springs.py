@@ -19,10 +19,10 @@ from quaffure.solvers.stopping import energy_and_gradient
 from quaffure.solvers.xpbd_kernels import LANES
 
 ROD_BOUND = 1.5
-"""Stiffness of an edge's spring for the rod, in sums of the bending stiffnesses of its two joints."""
+"""Stiffness of an edge's spring for the rod, in sums of the bending stiffnesses of its two joints (docs/solvers.md)."""
 
 
-class Springs(NamedTuple):
+class EdgeSprings(NamedTuple):
     """What resists the motion of each edge.
 
     Attributes:
@@ -52,8 +52,8 @@ class EdgeConstants:
         self.coupling = inverse[:, 1:] + inverse[:, :-1]
         self.rest_length = rest.rest_length.numpy().astype(np.float64)
 
-    def at(self, time_step: float, springs: Springs) -> tuple[FloatOf[np.ndarray, "k e 3 8"], ...]:
-        """`edge` and `pull` of `StrandBlocks` for a time step [s]."""
+    def at(self, time_step: float, springs: EdgeSprings) -> tuple[FloatOf[np.ndarray, "k e 3 8"], ...]:
+        """`edge` and `pull` of `XpbdBlocks` for a time step [s]."""
         scaled = self.coupling * time_step**2 / self.mass_unit
         # The force of Eq. 7 is linear in the length: -k_s l where it is zero.
         stretch_stiffness, _ = stretch_force(1.0, 0.0, springs.stretching)
@@ -67,32 +67,32 @@ class DirectorSprings:
     """Eqs. 6 and 7. The force of Eq. 6 is linear in the edge: -k_c / l d3 where it is zero.
 
     Attributes:
-        change: whether the springs depend on where the strands are.
+        depend_on_positions: whether the springs change as the strands move.
     """
 
-    change = False
+    depend_on_positions = False
 
     def __init__(self, director: FloatOf[np.ndarray, "s e 3"], rest: RestState, material: HairMaterial) -> None:
         inverse = 1 / rest.rest_length.numpy().astype(np.float64)
         stiffness, _ = stretch_shear_force(1.0, 0.0, inverse, material.k_cosserat)
         at_zero, _ = stretch_shear_force(0.0, director.astype(np.float64), inverse[..., None], material.k_cosserat)
-        self._springs = Springs(stiffness, -at_zero, np.full_like(stiffness, material.k_stretch))
+        self._springs = EdgeSprings(stiffness, -at_zero, np.full_like(stiffness, material.k_stretch))
 
-    def at(self, x: FloatOf[np.ndarray, "s n 3"]) -> Springs:
+    def at(self, x: FloatOf[np.ndarray, "s n 3"]) -> EdgeSprings:
         """The same wherever the strands are."""
         return self._springs
 
 
 class RodSprings:
     """The force of the rod and of the cohesion of tails on each edge, as that of a spring which gives it where the
-    strands are; and Eq. 7.
+    strands are, if the edge is no shorter than at rest; and Eq. 7.
 
     In edges the rod's Hessian is nearly the block-tridiagonal one of sum B_i / 2 |t_i - t_(i-1)|^2: that is the change
     of the springs' forces until the next search. Along the edge a spring resists stretching, where the rod does not:
     Eq. 7 does the rest. Only edges under a few millimetres have springs stiffer than Eq. 7.
     """
 
-    change = True
+    depend_on_positions = True
 
     def __init__(self, rod: PosedRod, scene: HairScene, energy: HairEnergy) -> None:
         """
@@ -106,14 +106,13 @@ class RodSprings:
         self._length = rest.rest_length.numpy().astype(np.float64)
         self._stiffness = ROD_BOUND * (bending + beyond + self._rest.goal_weight) / self._length**2
         self._stretching = np.maximum(material.k_stretch - self._stiffness, 0.0)
-        coheres = any(isinstance(term, Cohesion) for term in energy.terms)
-        self._cohesion, self._scene = energy.only(Cohesion.name) if coheres else None, scene
+        self._cohesion, self._scene = energy.of_kind(Cohesion), scene
         self._roots = scene.posed[0, :, :1].double()
 
-    def at(self, x: FloatOf[np.ndarray, "s n 3"]) -> Springs:
+    def at(self, x: FloatOf[np.ndarray, "s n 3"]) -> EdgeSprings:
         """The springs of strands at these positions [m]."""
         _, gradient = rod_energies_and_gradient(torch.from_numpy(x)[None], self._rest, self._rotation)
-        if self._cohesion is not None:
+        if self._cohesion.terms:
             world = (torch.from_numpy(x) + self._roots).float()[None]
             gradient = gradient + energy_and_gradient(self._cohesion, self._scene, world)[1]
         # An edge moves all vertices beyond it.
@@ -121,8 +120,9 @@ class RodSprings:
         edges = np.diff(x, axis=1)
         stretched = np.linalg.norm(edges, axis=2).clip(min=1e-12) / self._length
         at_rest_length = edges / stretched[..., None]
+        # The rod depends on directions: its force on an edge grows as that shortens. This is the one at rest length.
         by_edge *= np.minimum(stretched, 1.0)[..., None]
-        return Springs(self._stiffness, self._stiffness[..., None] * at_rest_length - by_edge, self._stretching)
+        return EdgeSprings(self._stiffness, self._stiffness[..., None] * at_rest_length - by_edge, self._stretching)
 
 
 def packed(array: FloatOf[np.ndarray, "s n c"]) -> FloatOf[np.ndarray, "k n c 8"]:

@@ -50,6 +50,8 @@ from quaffure.types import Float, Positions, Tensor
 
 NEURAL, GROOMGEN = "neural", GroomGenDraper.name
 DRAPERS = (*SOLVERS, NEURAL, GROOMGEN)
+OF_PAPER = ("xpbd_paper", GROOMGEN)
+"""Drapers that know the paper's elastic model alone."""
 FAULTS_FOUND = 3
 """Exit code with --strict."""
 MOST_SCALE = 100.0
@@ -86,8 +88,8 @@ class DrapeCommand:
     settle: int = 0
     """Passes of strand_newton from the output of another draper; 0 is that draper alone."""
     elastic: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = None
-    """The elastic model: rod with strand_newton and the network, else modified_cosserat, the paper's; xpbd accepts
-    both, adam and lbfgs in all their forms any. Metrics are those of the same model."""
+    """The elastic model: rod, but modified_cosserat, the paper's, with xpbd_paper, groomgen and --model paper; xpbd
+    accepts both, adam and lbfgs in all their forms any. Metrics are those of the same model."""
     rest: Literal["design", "stress-free"] | None = None
     """With --elastic rod: the rest shape that keeps hair as designed on the mean body (design, the default), or the
     groom itself, from which gravity bends it."""
@@ -229,8 +231,8 @@ class DrapeCommand:
 
     @property
     def _elastic(self) -> str:
-        has_rod = (self._name in (StrandNewtonDraper.name, NEURAL) and self.model != PAPER) or self.settle
-        return self.elastic or (ROD if has_rod else MODIFIED_COSSERAT)
+        of_paper = self.model == PAPER or self._name in OF_PAPER
+        return self.elastic or (MODIFIED_COSSERAT if of_paper and not self.settle else ROD)
 
     @property
     def _rest(self) -> str:
@@ -285,7 +287,7 @@ class DrapeCommand:
             material = replace(material, k_cosserat=self.stiffness * material.k_cosserat)
         terms = self._terms(groom, body, material)
         if self._name in SOLVERS:
-            start = hair_terms(acceleration=self._acceleration) if self.settle else terms
+            start = hair_terms(acceleration=self._acceleration) if self.settle and self._name in OF_PAPER else terms
             draper = solver(self._name, material, start)
         if self.settle:
             draper = SettledDraper(draper, StrandNewtonDraper(material, terms=terms), self.settle)

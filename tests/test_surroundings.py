@@ -11,15 +11,12 @@ from quaffure.geometry.polyline import integrate_directions
 from quaffure.model.initial_shape import bits
 from quaffure.model.prepared_groom import surroundings_of
 from quaffure.model.surroundings import (
-    CELL,
-    MARGIN_UNIT,
-    NODES,
-    SURROUNDING_FEATURES,
     Surroundings,
     coarse_density,
     fill_surroundings,
     surroundings_reference,
 )
+from quaffure.model.surroundings_kernels import CELL, MARGIN_UNIT, NODES, SURROUNDING_FEATURES
 from tests.scenes import few_strands
 
 VERTICES = 6

@@ -35,15 +35,19 @@ def _fill_joints(
     local = np.empty((3, 3))
     for sample in range(len(body_pose)):
         rest, rotations, positions = rest_joints[sample], world_rotations[sample], world_positions[sample]
-        rest[:] = skeleton.rest
-        for coefficient in range(body_shape.shape[1]):
-            rest += np.float64(body_shape[sample, coefficient]) * skeleton.directions[coefficient]
+        for joint in range(len(rest)):
+            for axis in range(3):
+                rest[joint, axis] = skeleton.rest[joint, axis]
+                for coefficient in range(body_shape.shape[1]):
+                    change = skeleton.directions[coefficient, joint, axis]
+                    rest[joint, axis] += np.float64(body_shape[sample, coefficient]) * change
         for joint in range(len(rest)):
             parent = skeleton.parents[joint]
             axis_angle = body_pose[sample, 3 * joint : 3 * joint + 3]
             if parent < 0:
                 write_rotation(axis_angle, rotations[joint])
-                positions[joint] = rest[joint]
+                for axis in range(3):
+                    positions[joint, axis] = rest[joint, axis]
                 continue
             write_rotation(axis_angle, local)
             for i in range(3):

@@ -1,13 +1,10 @@
-"""`quaffure crowd`: rows on several processes, rows that fail, rows that are there already."""
+"""`quaffure crowd`: tables, rows that fail, rows that are there already."""
 
-from concurrent.futures import ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from unittest import mock
 
 import pytest
 
-from quaffure.apps.character_table import CharacterRow, drape_rows, read_table
+from quaffure.apps.character_table import CharacterRow, drape_row, read_table
 from quaffure.apps.cli.main import main
 from quaffure.errors import InputError
 from quaffure.io import read_drape
@@ -49,40 +46,16 @@ def test_rows_are_draped_failures_named_and_finished_rows_left(
     assert out[0].stat().st_mtime_ns == written
 
 
-def test_a_row_is_tried_again_unless_its_input_is_at_fault() -> None:
-    rows = [CharacterRow("bob", "nod", name) for name in ("fine", "ended", "lost", "broken")]
-    tries: list[str] = []
-
-    def drape_row(row: CharacterRow, draper: str) -> None:
-        tries.append(row.out)
-        if row.out == "ended" and tries.count("ended") == 1:
-            raise BrokenProcessPool
-        if row.out == "lost":
-            raise InputError("lost", "a file", "none")
-        if row.out == "broken":
-            raise RuntimeError("no memory")
-
-    with (
-        mock.patch("quaffure.apps.character_table.drape_row", drape_row),
-        mock.patch("quaffure.apps.character_table._pool", lambda workers: ThreadPoolExecutor(workers)),
-    ):
-        found = {finished.row.out: finished.error for finished in drape_rows(rows, "neural", 2, retries=2)}
-    assert found == {
-        "fine": "",
-        "ended": "",
-        "lost": "lost: expected a file, found none",
-        "broken": "RuntimeError: no memory",
-    }
-    assert {name: tries.count(name) for name in found} == {"fine": 1, "ended": 2, "lost": 1, "broken": 3}
-
-
 @pytest.mark.parametrize(
     ("text", "found"),
     [
         ("groom,motion\nbob,nod\n", "columns groom, motion, out"),
         ("groom,motion,out,colour\nbob,nod,a.npz,red\n", "colour"),
-        (HEADER, "at least one row"),
-        ("groom,motion,out\nbob,nod,a.npz\nbob,nod,a.npz\n", "a.npz twice"),
+        (HEADER, "1 to 1000000 rows, found none"),
+        ("groom,motion,out\nbob,nod,a.npz\nbob,nod,a.npz\n", "a.npz' 2 times"),
+        ("groom,groom,motion,out\nbob,bob,nod,a.npz\n", "columns groom"),
+        ("groom,motion,out\nbob,nod\n", "line 2: expected .* found no out"),
+        ("groom,motion,out\nbob,nod,a.npz,0:1\n", "line 2: expected .* more values"),
     ],
 )
 def test_tables_that_are_none_are_refused(tmp_path: Path, text: str, found: str) -> None:
@@ -90,3 +63,22 @@ def test_tables_that_are_none_are_refused(tmp_path: Path, text: str, found: str)
     path.write_text(text)
     with pytest.raises(InputError, match=found):
         read_table(path)
+
+
+@pytest.mark.parametrize(
+    ("values", "found"),
+    [
+        ({"shape": "1 2"}, "10 coefficients, found 2"),
+        ({"shape": "nan" + 9 * " 0"}, "a number, found 'nan'"),
+        ({"stiffness": "-1"}, "factors above 0"),
+        ({"seed": "1.5"}, "a whole number"),
+        ({"seed": "1e300"}, "a whole number"),
+        ({"frames": "9:3"}, "0 <= A < B"),
+        ({"motion": "none"}, "neither"),
+    ],
+)
+def test_rows_that_cannot_be_draped_are_refused(tmp_path: Path, values: dict[str, str], found: str) -> None:
+    fields = {"groom": "bob", "motion": "nod", "out": str(tmp_path / "a.npz"), "frames": "0"} | values
+    with pytest.raises(InputError, match=found):
+        drape_row(CharacterRow(**fields), "neural")
+    assert not (tmp_path / "a.npz").exists()

@@ -155,9 +155,9 @@ def test_torch_drapes_are_differentiable(body: BodyModel, varied: str) -> None:
 def test_frames_are_posed_once(tiny_groom_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Draping, writing and measuring share the joints; in batches of frames."""
     posed: list[int] = []
-    compiled = kinematics._forward_kinematics
+    compiled = kinematics.forward_kinematics
     monkeypatch.setattr(
-        kinematics, "_forward_kinematics", lambda pose, *rest: (posed.append(len(pose)), compiled(pose, *rest))[1]
+        kinematics, "forward_kinematics", lambda pose, *rest: (posed.append(len(pose)), compiled(pose, *rest))[1]
     )
     # The network's groom is prepared at the rest pose, once, and not here.
     in_torch = BodyModel.forward_kinematics

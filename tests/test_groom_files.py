@@ -376,3 +376,16 @@ def test_real_grooms(names, strands, count, low, high, longest_segment):
     assert (points.max((0, 1)) - points.min((0, 1)) > 0.9 * (np.array(high) - low)).all()
     # A wrong stride or offset would join points of different strands.
     assert np.linalg.norm(np.diff(points, axis=1), axis=2).max() < longest_segment
+
+
+def test_signalling_nan_makes_no_warning(tmp_path: Path) -> None:
+    """A NaN that the processor reports where it is converted or added to: of widths left out, of points the end."""
+    signalling = np.array([0x7F800001], "<u4").tobytes()
+    widths = hair_bytes(EVEN, 2 | 4, default_segments=1).replace(floats([7.0]), signalling, 1)
+    strands = read_strands(saved(tmp_path, ".hair", widths))
+    assert strands.attributes.width is None
+    rooted = np.zeros((2, 3, 3), np.float32)
+    rooted[:, 1:, 2] = [[1, 2], [1, 3]]
+    rooted.view("<u4")[1, 2, 1] = 0x7F800001
+    content = npz_bytes(strands=rooted, roots=np.float32([[1, 0, 0], [2, 0, 0]]))
+    assert read_strands(saved(tmp_path, ".npz", content)).counts.tolist() == [3, 2]

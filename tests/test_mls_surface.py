@@ -4,7 +4,8 @@ from torch.nn.functional import normalize
 from quaffure.body import BodyModel, MlsBodyConfig
 from quaffure.body.mls_body import mls_body
 from quaffure.geometry import MlsSurface, posed_surface, resolve_contact_reference
-from quaffure.geometry.mls_surface import LEAF, local_features, local_features_reference
+from quaffure.geometry.mls_kernels import LEAF
+from quaffure.geometry.mls_surface import local_features, local_features_reference
 from quaffure.geometry.signed_distance import signed_distance
 
 RADIUS = 0.3

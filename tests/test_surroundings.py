@@ -8,17 +8,16 @@ from quaffure.body import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.geometry import Surface
 from quaffure.geometry.polyline import integrate_directions
-from quaffure.model.bfloat16 import bits
+from quaffure.model.initial_shape import bits
 from quaffure.model.network_config import DensityGridConfig
 from quaffure.model.prepared_groom import surroundings_of
 from quaffure.model.surroundings import (
-    NODES,
-    SURROUNDING_FEATURES,
     Surroundings,
     coarse_density,
     fill_surroundings,
     surroundings_reference,
 )
+from quaffure.model.surroundings_kernels import NODES, SURROUNDING_FEATURES
 from tests.scenes import few_strands
 
 VERTICES = 6

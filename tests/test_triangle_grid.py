@@ -15,9 +15,9 @@ from quaffure.geometry.triangle_grid import (
     NONE,
     OUT_OF_BAND,
     nearest_triangle_in_band,
-    nearest_triangle_in_band_reference,
     triangle_grid,
 )
+from quaffure.geometry.triangle_grid_reference import nearest_triangle_in_band_reference
 from quaffure.scene import BodyBatch
 
 

@@ -6,6 +6,9 @@ from dataclasses import dataclass, fields
 STANDARD_GRAVITY = 9.81
 """Gravitational acceleration [m/s^2]."""
 
+BENDING_STIFFNESS, TWISTING_STIFFNESS = 8.0e-9, 8.0e-9 / 1.35
+"""EI and GJ of a human hair [N m^2]."""
+
 VERTICES_PER_STRAND = 24
 """N of the paper."""
 

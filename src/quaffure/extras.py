@@ -11,6 +11,7 @@ EXTRAS = {
     "usd": ("pxr",),
     "docs": ("matplotlib",),
     "onnx": ("onnx", "onnxruntime", "onnxscript"),
+    "ray": ("ray",),
 }
 """Modules that each extra of the package brings (`pip install 'quaffure[view]'`)."""
 

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from quaffure.apps.character_table import read_table
 from quaffure.apps.cli.inputs import body_shape_of
 from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
@@ -21,7 +22,7 @@ from quaffure.extras import is_installed
 from quaffure.io import read_drape, read_head, usd_curves
 from quaffure.io.groom_file import read_groom
 from quaffure.io.load_groom import load_groom
-from quaffure.io.read_motion import read_motion
+from quaffure.io.read_motion import read_joint_map, read_motion
 from quaffure.io.read_strands import read_strands
 from quaffure.model.checkpoint import load_network
 from quaffure.training.run_folder import RunFolder
@@ -39,8 +40,10 @@ def readers(body: BodyModel) -> dict[str, Callable[[Path], object]]:
         "npz drape": read_drape,
         "npz body": load_body,
         **dict.fromkeys(("npz motion", "npz amass", "bvh"), lambda path: read_motion(path, body)),
-        "obj": read_head,
+        **dict.fromkeys(("obj", "ply head"), read_head),
+        "toml joints": read_joint_map,
         "csv": lambda path: body_shape_of(str(path)),
+        "csv characters": read_table,
         "safetensors": load_network,
         # Without its process, whose start takes half a second: where the library ends this one, it would end that.
         **dict.fromkeys(("usda", "usdc", "usdz"), usd_curves._read_stage),

@@ -9,17 +9,24 @@ import numpy as np
 import torch
 
 from quaffure.body import load_body
+from quaffure.body.joint_map import bundled_joint_map, joint_map_text
 from quaffure.config import HairMaterial
 from quaffure.extras import is_installed
 from quaffure.hair import DrapeSequence
 from quaffure.io import write_drape, write_groom, write_usd
 from quaffure.model import NetworkConfig, build_network, save_network
 from quaffure.training.run_folder import RunFolder
+from tests.fuzzing.written_seeds import ply_heads, ply_of_properties, write_strands
 from tests.test_groom_files import EVEN, GOOD, RAGGED, npz_bytes, ragged_npz
 from tests.test_retarget import CHANNELS, NAMES, SKELETON, random_angles
 from tests.training_runs import tiny_groom
 
 Write = Callable[[Path], object]
+CHARACTERS = (
+    b"groom,motion,frames,out,shape,stiffness,seed\n"
+    b"bob,walk,0:60:2,out/anna.usd,1 0 0 0 0 0 0 0 0 0,1,\n"
+    b'long_wavy,dance.bvh,,"out/berta, again.abc",,0.5,7\n'
+)
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 
 
@@ -38,10 +45,12 @@ def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
         return _written(lambda path: write_usd(path, drape), suffix)
 
     return {
-        **{kind: (f".{kind}", _good(f".{kind}")) for kind in ("hair", "data", "bin", "tfx")},
-        "npz strands": (".npz", (ragged_npz(RAGGED), npz_bytes(strands=np.float32(EVEN)))),
+        **{kind: (f".{kind}", (*_good(f".{kind}"), _ours(f".{kind}"))) for kind in ("hair", "data", "bin")},
+        "tfx": (".tfx", _good(".tfx")),
+        "npz strands": (".npz", (ragged_npz(RAGGED), npz_bytes(strands=np.float32(EVEN)), _rooted())),
         "npy": (".npy", (_npy(np.float32(EVEN)), _npy(np.float32([CUBE[:4], [*CUBE[4:7], [np.nan] * 3]])))),
-        "ply": (".ply", _plys()),
+        "ply": (".ply", (*_plys(), ply_of_properties(), _ours(".ply"))),
+        "ply head": (".ply", ply_heads()),
         "npz registered": (".npz", (foreign,)),
         "npz groom": (".npz", (_written(lambda path: write_groom(path, groom), ".npz"),)),
         "npz drape": (".npz", (_written(lambda path: write_drape(path, drape), ".npz"),)),
@@ -49,8 +58,10 @@ def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
         "npz motion": (".npz", (npz_bytes(body_pose=np.float32(poses[:, :81]), fps=np.float32(30)),)),
         "npz amass": (".npz", (npz_bytes(poses=poses, trans=poses[:, :3], mocap_framerate=120.0),)),
         "bvh": (".bvh", (_bvh(),)),
+        "toml joints": (".toml", (joint_map_text(bundled_joint_map("smpl")).encode(),)),
         "obj": (".obj", (_obj(),)),
         "csv": (".csv", (b"0.5,-1,0,0,0,2e-1,0,0,0,0\n", b"0 1 0 1 0 1 0 1 0 1")),
+        "csv characters": (".csv", (CHARACTERS,)),
         "safetensors": (
             ".safetensors",
             (_written(lambda path: save_network(path, network, HairMaterial(), {"step": "1"}), ".safetensors"),),
@@ -59,12 +70,23 @@ def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
         "usdc": (".usdc", (usd(".usdc"),)),
         "usdz": (".usdz", (_usdz(usd(".usdc")),)),
         "checkpoint": (".pt", (_checkpoint(),)),
-        **({"abc": (".abc", (_alembic(),))} if is_installed("alembic3d") else {}),
+        **({"abc": (".abc", (_alembic(), _ours(".abc")))} if is_installed("alembic3d") else {}),
     }
 
 
 def _good(suffix: str) -> tuple[bytes, ...]:
     return tuple(content for kind, content, _ in GOOD.values() if kind == suffix)
+
+
+def _ours(suffix: str) -> bytes:
+    return _written(write_strands, suffix)
+
+
+def _rooted() -> bytes:
+    """Strands that begin at the origin, with their roots, and NaN after a tip."""
+    strands = np.float32([CUBE[:4], CUBE[4:] - CUBE[4]])
+    strands[1, 3] = np.nan
+    return npz_bytes(strands=strands, roots=np.float32(CUBE[[1, 6]]))
 
 
 def _written(write: Write, suffix: str) -> bytes:
@@ -159,9 +181,9 @@ def _alembic() -> bytes:
     from tests.alembic_curves import write_curves
 
     curves = {"points": CUBE, "counts": [3, 5], "guide": [0, 0]}
-    return _written(
-        lambda path: write_curves(path, {"hair": curves, "bang": curves | {"basis": "kBsplineBasis"}}), ".abc"
-    )
+    bezier = {"points": CUBE, "counts": [4, 4], "basis": "kBezierBasis", "integers": {"groom_id": [7, 8]}}
+    objects = {"hair": curves, "bang": curves | {"basis": "kBsplineBasis"}, "bun": bezier}
+    return _written(lambda path: write_curves(path, objects), ".abc")
 
 
 def _checkpoint() -> bytes:

@@ -1,23 +1,19 @@
-"""Many drapes from a table, on all processors: a row each, in processes of their own.
-
-A row is finished when its output is there: files appear whole or not at all, so a run that was killed continues with
-the rows that are left.
-"""
+"""A table of characters, a row each: what to drape and where to write it."""
 
 import csv
-import multiprocessing
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, fields
-from functools import cache
+import math
+from collections import Counter
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import torch
-from numba import set_num_threads
 
 from quaffure.apps.drape_clip import drape_clip, save_drape
 from quaffure.body.body_model import load_body
+from quaffure.body.clips import CLIP_NAMES
 from quaffure.body.motion import Motion
 from quaffure.draper import Draper
 from quaffure.energies.loading import Loading
@@ -36,9 +32,11 @@ from quaffure.solvers.strand_newton import StrandNewtonDraper
 NEURAL, STRAND_NEWTON = "neural", "strand_newton"
 DRAPERS = (NEURAL, STRAND_NEWTON)
 MOST_ROWS = 1_000_000
+KEPT = 8
+"""Grooms, motions and drapers that a process keeps for further rows."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class CharacterRow:
     """A line of the table; its columns have these names.
 
@@ -60,92 +58,48 @@ class CharacterRow:
     stiffness: str = "1"
     seed: str = "0"
 
+    def absolute(self) -> "CharacterRow":
+        """The same row for a process in another folder."""
+        groom = self.groom if self.groom in STYLES else str(Path(self.groom).absolute())
+        motion = self.motion if self.motion in CLIP_NAMES else str(Path(self.motion).absolute())
+        return replace(self, groom=groom, motion=motion, out=str(Path(self.out).absolute()))
 
-@dataclass(frozen=True)
-class Finished:
-    """What became of a row: without an error, its output is there."""
 
-    row: CharacterRow
-    error: str = ""
+NAMES = tuple(field.name for field in fields(CharacterRow))
+NEEDED = NAMES[:3]
 
 
 def read_table(path: Path) -> list[CharacterRow]:
     """Rows of a .csv, whose first line names its columns.
 
     Raises:
-        InputError: no such file, a column that is missing or not known, no rows, or two rows with the same output.
+        InputError: no such file, a column that is missing or not known, a line with more or fewer of them than needed,
+            no rows or too many, or two rows with the same output.
     """
     check_input_file(path, "a table (.csv)")
-    names = [field.name for field in fields(CharacterRow)]
     with refused(path, "a table (.csv)", OSError, UnicodeDecodeError, csv.Error), path.open(newline="") as file:
         reader = csv.DictReader(file)
         columns = [column.strip() for column in reader.fieldnames or ()]
+        if not {*NEEDED} <= {*columns} <= {*NAMES} or len({*columns}) < len(columns):
+            expected = f"columns {', '.join(NEEDED)} and some of {', '.join(NAMES[3:])}"
+            raise InputError(path, expected, ", ".join(map(repr, columns)) or "none")
         reader.fieldnames = columns
-        lines = [line for _, line in zip(range(MOST_ROWS), reader)]
-    if not {"groom", "motion", "out"} <= set(columns) <= set(names):
-        raise InputError(path, f"columns groom, motion, out and some of {', '.join(names[3:])}", ", ".join(columns))
-    rows = [
-        CharacterRow(**{name: text.strip() for name, text in line.items() if text and text.strip()}) for line in lines
-    ]
-    if not rows:
-        raise InputError(path, "at least one row", "none")
-    outputs = [row.out for row in rows]
-    again = next((out for out in outputs if outputs.count(out) > 1), None) if len(set(outputs)) < len(rows) else None
-    if again is not None:
-        raise InputError(path, "a file of its own for each row", f"{again} twice")
+        rows = [_row(path, reader.line_num, line) for line in islice(reader, MOST_ROWS + 1)]
+    if not 0 < len(rows) <= MOST_ROWS:
+        raise InputError(path, f"1 to {MOST_ROWS} rows", f"more than {MOST_ROWS}" if rows else "none")
+    ((out, times),) = Counter(row.out for row in rows).most_common(1)
+    if times > 1:
+        raise InputError(path, "a file of its own for each row", f"{out!r} {times} times")
     return rows
 
 
-def drape_rows(rows: Sequence[CharacterRow], draper: str, workers: int, retries: int = 1) -> Iterator[Finished]:
-    """Drape the rows, each as soon as a process is free; yields each when it is finished or has failed for good.
-
-    A row that its input makes impossible fails at once; any other error, and a process that ended, is tried again.
-
-    Args:
-        draper: one of `DRAPERS`.
-        workers: processes.
-        retries: how often a row is tried again.
-    """
-    left = [*rows]
-    for attempt in range(retries + 1):
-        again: list[CharacterRow] = []
-        with _pool(workers) as pool:
-            futures = {pool.submit(_tried, row, draper): row for row in left}
-            for future in as_completed(futures):
-                error, is_final = _outcome(future)
-                if error and not is_final and attempt < retries:
-                    again.append(futures[future])
-                else:
-                    yield Finished(futures[future], error)
-        left = again
-
-
-def _pool(workers: int) -> ProcessPoolExecutor:
-    # Forked children of a process with threads may hang.
-    return ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _use_one_thread)
-
-
-def _use_one_thread() -> None:
-    torch.set_num_threads(1)
-    set_num_threads(1)
-
-
-def _tried(row: CharacterRow, draper: str) -> tuple[str, bool]:
-    """The error of a row, empty without one, and whether another try would end alike."""
-    try:
-        drape_row(row, draper)
-    except InputError as error:
-        return str(error), True
-    except Exception as error:  # whatever it is, the other rows go on
-        return f"{type(error).__name__}: {error}", False
-    return "", False
-
-
-def _outcome(future: "Future[tuple[str, bool]]") -> tuple[str, bool]:
-    try:
-        return future.result()
-    except BrokenProcessPool:
-        return "a process ended, for want of memory perhaps", False
+def _row(path: Path, number: int, line: dict[str | Any, str | Any]) -> CharacterRow:
+    values = {name: text.strip() for name, text in line.items() if isinstance(text, str) and text.strip()}
+    missing = [name for name in NEEDED if name not in values]
+    if missing or None in line:  # where csv puts what has no column
+        found = f"no {' and no '.join(missing)}" if missing else "more values than columns"
+        raise InputError(f"{path}, line {number}", "a value for each column, all others empty", found)
+    return CharacterRow(**values)
 
 
 def drape_row(row: CharacterRow, draper: str) -> None:
@@ -155,25 +109,27 @@ def drape_row(row: CharacterRow, draper: str) -> None:
         InputError: what the row names cannot be read or draped, or its output not be written.
     """
     motion = _motion(row.motion).frames(row.frames)
-    shape = torch.tensor([_float(row, "shape", text) for text in row.shape.split()] or [0.0] * 10)
+    shape = torch.tensor([_number(row, "shape", text) for text in row.shape.split()] or [0.0] * 10)
     if len(shape) != 10:
         raise InputError(f"shape of {row.out}", "10 coefficients", f"{len(shape)}")
-    groom, own_draper = _groom(row.groom, int(_number(row, "seed"))), _draper(draper, _number(row, "stiffness"))
-    hair = drape_clip(groom, motion, shape, own_draper)
-    save_drape(hair, row.out)
+    seed = _number(row, "seed", row.seed)
+    if not (seed.is_integer() and 0 <= seed < 2**32):
+        raise InputError(f"seed of {row.out}", f"a whole number from 0 to {2**32 - 1}", f"'{row.seed}'")
+    own_draper = _draper(draper, _number(row, "stiffness", row.stiffness))
+    save_drape(drape_clip(_groom(row.groom, int(seed)), motion, shape, own_draper), row.out)
 
 
-@cache
+@lru_cache(KEPT)
 def _groom(name: str, seed: int) -> Groom:
     return make_groom(name, load_body(), seed) if name in STYLES else load_groom(name)
 
 
-@cache
+@lru_cache(KEPT)
 def _motion(name: str) -> Motion:
     return load_motion(name)
 
 
-@cache
+@lru_cache(KEPT)
 def _draper(name: str, stiffness: float) -> Draper:
     loading = Loading(stiffness=stiffness)
     loading.check()
@@ -182,17 +138,16 @@ def _draper(name: str, stiffness: float) -> Draper:
     return CoherentDraper(StrandNewtonDraper().under(loading))
 
 
-@cache
+@lru_cache(1)
 def _network() -> NeuralDraper:
     return load_model().draper
 
 
-def _number(row: CharacterRow, name: str) -> float:
-    return _float(row, name, getattr(row, name))
-
-
-def _float(row: CharacterRow, name: str, text: str) -> float:
+def _number(row: CharacterRow, name: str, text: str) -> float:
     try:
-        return float(text)
+        value = float(text)
     except ValueError:
-        raise InputError(f"{name} of {row.out}", "a number", f"'{text}'") from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{name} of {row.out}", "a number", f"'{text}'")
+    return value

@@ -9,7 +9,8 @@ from torch.nn.functional import normalize
 from quaffure.body.body_model import BodyModel, PosedBody
 from quaffure.body.pose_features import HEAD, NEAR_HAIR
 from quaffure.geometry.mesh import angle_weighted_vertex_normals
-from quaffure.geometry.mls_surface import LEAF, MlsSurface
+from quaffure.geometry.mls_kernels import LEAF
+from quaffure.geometry.mls_surface import MlsSurface
 from quaffure.geometry.sampling import neighbours_together, spread_subset
 from quaffure.types import Float, Int, Tensor
 

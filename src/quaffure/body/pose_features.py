@@ -3,18 +3,10 @@
 import torch
 
 from quaffure.body.body_model import BodyModel
+from quaffure.body.head_frame_kernels import NEAR_HAIR, OFFSET_SCALE
 from quaffure.types import Float, Tensor
 
 HEAD = "Head"
-NEAR_HAIR = (
-    *("Neck1", "Neck", "Spine1", "Spine"),
-    *(f"{side}{part}" for part in ("Shoulder", "Arm", "ForeArm", "Hand") for side in ("Left", "Right")),
-)
-"""Joints whose frames relative to the head are features; hair never reaches the legs."""
-
-FEATURE_COUNT = 3 + len(NEAR_HAIR) * 9
-
-OFFSET_SCALE = 0.25  # metres: brings the offsets of joints near the head to about one
 
 
 def world_from_head(body: BodyModel, joint_rotations: Float[Tensor, "b j 3 3"]) -> Float[Tensor, "b 3 3"]:

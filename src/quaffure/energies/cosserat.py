@@ -18,6 +18,7 @@ from functools import cached_property
 
 import torch
 
+from quaffure.config import BENDING_STIFFNESS, TWISTING_STIFFNESS
 from quaffure.energies.energy_term import EnergyTerm, HairState
 from quaffure.energies.rest_state import RestState
 from quaffure.geometry.polyline import directors, edges
@@ -40,9 +41,9 @@ class RodStiffness:
 
     stretch_shear: float = 0.02
     """Against stretch and shear alike (EA and GA) [N]."""
-    bend: float = 8.0e-9
+    bend: float = BENDING_STIFFNESS
     """Against bending, in both directions (EI) [N m^2]."""
-    twist: float = 8.0e-9 / 1.35
+    twist: float = TWISTING_STIFFNESS
     """Against twisting (GJ) [N m^2]."""
     k_unit_quaternion: float = 0.01
     """Eq. 5 [J]; an edge may shrink its quaternion instead of stretching unless this far exceeds 4 k_stretch_shear."""

@@ -154,7 +154,7 @@ def density_gradient(
                 gradient[at, 0], gradient[at, 1], gradient[at, 2] = gx, gy, gz
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _near_by(
     cell: int, particles: Particles, shape: tuple[int, int, int], ranges: np.ndarray, workspace: np.ndarray
 ) -> tuple[np.ndarray, int]:

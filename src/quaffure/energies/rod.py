@@ -21,14 +21,12 @@ from dataclasses import dataclass, fields, replace
 
 import torch
 
-from quaffure.energies.cosserat import RodStiffness
+from quaffure.config import BENDING_STIFFNESS, TWISTING_STIFFNESS
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.rotation import any_normal
 from quaffure.types import EdgeVectors, Energy, Float, Positions, RestLengths, Tensor
 
-BENDING_STIFFNESS, TWISTING_STIFFNESS = RodStiffness.bend, RodStiffness.twist
-"""EI and GJ of a human hair [N m^2], those of the full Cosserat rod."""
 SHORTEST_JOINT = 2e-4
 """Least length over which a joint bends [m]: edges of no length must not be infinitely stiff."""
 LEAST_ALIGNMENT = 1e-5

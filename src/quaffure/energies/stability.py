@@ -19,6 +19,7 @@ from numba import njit, prange
 from quaffure.energies.rod import LEAST_ALIGNMENT
 from quaffure.energies.rod_kernels import Vector, cross, dot, transported
 from quaffure.energies.support import _row
+from quaffure.geometry.symmetric_matrix import symmetric_inverse, symmetric_times
 
 STEP = 1e-5
 """Rotation for central differences of a joint's moment [rad]."""
@@ -150,10 +151,9 @@ def _fill_loads(design: Design, strand: int, hessian: np.ndarray) -> None:
         fx += push * design.normal[strand, edge + 1, 0]
         fy += push * design.normal[strand, edge + 1, 1]
         fz += push * design.normal[strand, edge + 1, 2] - design.weight[strand, edge + 1]
-        length = np.sqrt(((x[edge + 1] - x[edge]) ** 2).sum())
-        t = directions[edge]
-        pull = np.array([length * fx, length * fy, length * fz]) + design.goal[strand, edge]
-        along = (pull * t).sum()
+        length, goal, t = _length(x, edge), design.goal[strand, edge], directions[edge]
+        pull = (length * fx + goal[0], length * fy + goal[1], length * fz + goal[2])
+        along = pull[0] * t[0] + pull[1] * t[1] + pull[2] * t[2]
         for a in range(3):
             hessian[3 * edge + a, 3 * edge + a] += along
             for b in range(3):
@@ -178,11 +178,19 @@ def _add_contact(design: Design, strand: int, hessian: np.ndarray) -> None:
                 hessian[a, b] += stiffness * arms[a] * arms[b]
 
 
-@njit(cache=True)
-def _is_definite(m: np.ndarray, least: float) -> bool:
-    """Whether all eigenvalues of a symmetric 3 x 3 matrix are above `least`: its leading minors are positive."""
-    a, b, c = m[0, 0] - least, m[1, 1] - least, m[2, 2] - least
-    d, e, f = m[0, 1], m[0, 2], m[1, 2]
+@njit(cache=True, inline="always")
+def _length(x: np.ndarray, edge: int) -> float:
+    """Length of an edge between vertices [m]."""
+    a, b, c = x[edge + 1, 0] - x[edge, 0], x[edge + 1, 1] - x[edge, 1], x[edge + 1, 2] - x[edge, 2]
+    return np.sqrt(a * a + b * b + c * c)
+
+
+@njit(cache=True, inline="always")
+def _is_definite(m: np.ndarray, at: int, least: float) -> bool:
+    """Whether all eigenvalues of a symmetric 3 x 3 block on the diagonal are above `least`: its leading minors are
+    positive."""
+    a, b, c = m[at, at] - least, m[at + 1, at + 1] - least, m[at + 2, at + 2] - least
+    d, e, f = m[at, at + 1], m[at, at + 2], m[at + 1, at + 2]
     minor = a * b - d * d
     return a > 0 and minor > 0 and c * minor - a * f * f - b * e * e + 2 * d * e * f > 0
 
@@ -190,15 +198,22 @@ def _is_definite(m: np.ndarray, least: float) -> bool:
 @njit(cache=True)
 def _eliminate(hessian: np.ndarray, edge: int) -> None:
     """Removes an edge's rotation from the second derivatives of the edges before it."""
-    first = 3 * edge
-    inverse = np.linalg.inv(hessian[first : first + 3, first : first + 3])
-    for a in range(first):
-        for k in range(3):
-            weight = 0.0
-            for m in range(3):
-                weight += hessian[first + m, a] * inverse[m, k]
-            for b in range(first):
-                hessian[a, b] -= weight * hessian[first + k, b]
+    i = 3 * edge
+    own = (
+        hessian[i, i],
+        hessian[i + 1, i],
+        hessian[i + 1, i + 1],
+        hessian[i + 2, i],
+        hessian[i + 2, i + 1],
+        hessian[i + 2, i + 2],
+    )
+    inverse = symmetric_inverse(own, 0.0)
+    for a in range(i):
+        weights = symmetric_times(inverse, (hessian[i, a], hessian[i + 1, a], hessian[i + 2, a]))
+        for b in range(i):
+            hessian[a, b] -= (
+                weights[0] * hessian[i, b] + weights[1] * hessian[i + 1, b] + weights[2] * hessian[i + 2, b]
+            )
 
 
 @njit(cache=True, parallel=True)
@@ -221,16 +236,22 @@ def _find_factors(design: Design, strand: int, factors: np.ndarray) -> bool:
     _fill_normals(directions, normals)
     _fill_loads(design, strand, loads)
     factors[:] = 1.0
-    beyond = np.cumsum(design.weight[strand, 1:][::-1])[::-1]
-    for _ in range(MOST_TRIALS):
-        hessian[:] = loads
+    beyond = np.empty(edges)
+    weight = 0.0
+    for edge in range(edges - 1, -1, -1):
+        weight += design.weight[strand, edge + 1]
+        beyond[edge] = weight
+    for trial in range(MOST_TRIALS + 1):
+        for row in range(3 * edges):
+            for column in range(3 * edges):
+                hessian[row, column] = loads[row, column]
         unstable = _first_unstable(design, strand, normals, factors, hessian)
         if unstable < 0:
             return True
-        for edge in range(unstable, edges):
-            factors[edge] *= 1 + GROWTH * beyond[edge] / beyond[unstable]
-    hessian[:] = loads
-    return _first_unstable(design, strand, normals, factors, hessian) < 0
+        if trial < MOST_TRIALS:
+            for edge in range(unstable, edges):
+                factors[edge] *= 1 + GROWTH * beyond[edge] / beyond[unstable]
+    return False
 
 
 @njit(cache=True)
@@ -238,17 +259,19 @@ def _first_unstable(design: Design, strand: int, normals: np.ndarray, factors: n
     """The edge, from tip to root, up to which the strand is stable no more if clamped before it; -1 for none."""
     x, derivative = design.strands[strand], np.empty((3, 3))
     for edge in range(len(factors) - 1, -1, -1):
-        own = slice(3 * edge, 3 * edge + 3)
+        at, before = 3 * edge, 3 * edge - 3
         _fill_joint(design, strand, edge, _row(normals, edge), factors[edge], derivative)
-        symmetric = 0.5 * (derivative + derivative.T)
-        hessian[own, own] += symmetric
-        lift = design.weight[strand, edge + 1] * np.sqrt(((x[edge + 1] - x[edge]) ** 2).sum())
-        if not _is_definite(hessian[own, own], MARGIN * lift):
+        for a in range(3):
+            for b in range(3):
+                hessian[at + a, at + b] += 0.5 * (derivative[a, b] + derivative[b, a])
+        lift = design.weight[strand, edge + 1] * _length(x, edge)
+        if not _is_definite(hessian, at, MARGIN * lift):
             return edge
         if edge > 0:
-            before = slice(3 * edge - 3, 3 * edge)
-            hessian[before, before] += symmetric
-            hessian[own, before] -= derivative.T
+            for a in range(3):
+                for b in range(3):
+                    hessian[before + a, before + b] += 0.5 * (derivative[a, b] + derivative[b, a])
+                    hessian[at + a, before + b] -= derivative[b, a]
             _eliminate(hessian, edge)
     return -1
 

@@ -3,21 +3,16 @@
 Every function works on any leading axes and any float dtype. A matrix acts on column vectors: `world = matrix @ local`.
 """
 
-import math
-
-import numpy as np
 import torch
 from jaxtyping import Float
-from numba import njit
 from torch import Tensor
+
+from quaffure.geometry.rotation_kernel import LEAST_ALIGNMENT
 
 # Below this square of an angle [rad^2] the Taylor series of the coefficients are exact to float32 (next term < 1e-9).
 SMALL_ANGLE_SQUARED = 1e-4
 # Below this length of a + b, the mid-direction of two unit vectors is mere rounding.
 ANTIPARALLEL_LENGTH = 1e-4
-
-# Least 1 + cosine in a Gibbs vector, which has no end for opposite vectors.
-LEAST_ALIGNMENT = 0.1
 
 
 def cross_product_matrix(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
@@ -41,25 +36,6 @@ def matrix_from_axis_angle(axis_angle: Float[Tensor, "*batch 3"]) -> Float[Tenso
     cross = cross_product_matrix(axis_angle)
     identity = torch.eye(3, dtype=axis_angle.dtype, device=axis_angle.device)
     return identity + sine_ratio * cross + cosine_ratio * (cross @ cross)
-
-
-@njit(cache=True)
-def write_rotation(axis_angle: np.ndarray, matrix: np.ndarray) -> None:
-    """Fill the rotation matrix [3, 3] of an axis-angle vector [rad], in double precision (Rodrigues' formula)."""
-    x, y, z = np.float64(axis_angle[0]), np.float64(axis_angle[1]), np.float64(axis_angle[2])
-    squared = x * x + y * y + z * z
-    sine, cosine = 1.0 - squared / 6.0, 0.5 - squared / 24.0  # sin a / a, (1 - cos a) / a^2
-    if squared > 1e-6:
-        angle = math.sqrt(squared)
-        sine, cosine = math.sin(angle) / angle, 2.0 * math.sin(0.5 * angle) ** 2 / squared
-    matrix[0, 0], matrix[1, 1], matrix[2, 2] = (
-        1.0 - cosine * (y * y + z * z),
-        1.0 - cosine * (x * x + z * z),
-        1.0 - cosine * (x * x + y * y),
-    )
-    matrix[0, 1], matrix[1, 0] = cosine * x * y - sine * z, cosine * x * y + sine * z
-    matrix[0, 2], matrix[2, 0] = cosine * x * z + sine * y, cosine * x * z - sine * y
-    matrix[1, 2], matrix[2, 1] = cosine * y * z - sine * x, cosine * y * z + sine * x
 
 
 def axis_angle_from_matrix(matrix: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:

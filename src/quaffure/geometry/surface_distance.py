@@ -34,11 +34,15 @@ def distance_within(
     tree, space = bvh_of(body), occupancy_of(body)
     stack, scratch = workspace
     where = classify(px, py, pz, space)
-    found = -1
+    # One call of the search: its code is long, and would be compiled into every kernel twice.
+    first, squared = np.int64(-1), _ZERO
     if where == UNKNOWN:
-        found = nearest_face(px, py, pz, leaf, squared_distance(body.corners[leaf], px, py, pz), tree, stack, scratch)
+        first, squared = np.int64(leaf), squared_distance(body.corners[leaf], px, py, pz)
     elif margin > _FREE_DISTANCE or (where != FREE and margin > _ZERO):
-        found = nearest_face(px, py, pz, int(np.int64(-1)), margin * margin, tree, stack, scratch)
+        squared = margin * margin
+    found = first
+    if first >= 0 or squared > _ZERO:
+        found = nearest_face(px, py, pz, first, squared, tree, stack, scratch)
     if found < 0:
         return _FAR, _ZERO, _ZERO, _ZERO, -1
     cx, cy, cz, feature = closest_on_triangle(body.corners[found], px, py, pz)

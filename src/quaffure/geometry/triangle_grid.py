@@ -10,13 +10,11 @@ only round the points that the grid is made for, which costs less than a drape. 
 from typing import NamedTuple
 
 import numpy as np
-import torch
+from jaxtyping import Float, Int
 from numba import get_num_threads, njit, prange
 
-from quaffure.geometry.mesh import face_normals
-from quaffure.geometry.mls_surface import FAST
+from quaffure.geometry.mls_kernels import FAST
 from quaffure.geometry.triangle import face_frame, squared_distance_in_plane
-from quaffure.types import Float, Int, Tensor
 
 CELL_SIZE, CELLS = 0.0125, 80
 """Side of a cell [m], and how many there are along each axis."""
@@ -31,10 +29,9 @@ NONE, OUT_OF_BAND = -1, -2
 """In place of a face: none is near; not searched."""
 _WIDE, _REGIONS = 5, CELLS // 5  # cells along a side of a region, in all of which faces are listed or in none; regions
 _BLOCKS_PER_FACE = 2.0  # blocks of lists to begin with, for each face
-_FLAT = 1e-10  # faces with a smaller area are left out: their normals are rounding [m^2]
-_REFERENCE_PAIRS = 4_000_000  # point-face pairs that the twin holds in memory at once
+FLAT = 1e-10  # faces with a smaller area are left out: their normals are rounding [m^2]
 _APART = 64  # rows between the workspaces of threads, which would write into one line of the cache
-_TIE = 0.99  # of faces about as near as each other, the one that a point is furthest above or below tells its side
+TIE = 0.99  # of faces about as near as each other, the one that a point is furthest above or below tells its side
 # Columns of a face's record: normal, the directions along its first edge and across, each with its height at the face;
 # length of that edge, third corner in the plane, inverse squared lengths of the other two edges; band.
 _ALONG, _ACROSS, _LENGTH, _THIRD, _INVERSE, _BAND, _COLUMNS = 4, 8, 12, 13, 15, 17, 20
@@ -88,43 +85,6 @@ def triangle_grid(
         capacity *= 2
 
 
-def nearest_triangle_in_band_reference(
-    points: Float[Tensor, "p 3"], vertices: Float[Tensor, "v 3"], faces: Int[Tensor, "k 3"], band: Float[Tensor, "k 2"]
-) -> tuple[Float[Tensor, " p"], Int[Tensor, " p"]]:
-    """Torch twin of `nearest_triangle_in_band`: every point against every face.
-
-    Returns:
-        Height above the nearest face [m], and that face; 1 and `NONE` in the band of none.
-    """
-    chunk = max(1, _REFERENCE_PAIRS // len(faces))
-    parts = [_nearest_of_all(part, vertices[faces], band) for part in points.split(chunk)]
-    return torch.cat([height for height, _ in parts]), torch.cat([face for _, face in parts])
-
-
-def _nearest_of_all(
-    points: Float[Tensor, "p 3"], corners: Float[Tensor, "k 3 3"], band: Float[Tensor, "k 2"]
-) -> tuple[Float[Tensor, " p"], Int[Tensor, " p"]]:
-    a, b, c = corners.unbind(dim=1)
-    length, normal = (b - a).norm(dim=-1), face_normals(corners)
-    along = (b - a) / (length[:, None] + 1e-12)
-    across = torch.linalg.cross(normal, along)
-    flat = torch.linalg.cross(b - a, c - a).norm(dim=-1) < 2 * _FLAT
-    offset = points[:, None] - a
-    u, v, height = ((offset * direction).sum(-1) for direction in (along, across, normal))
-    x, y = ((c - a) * along).sum(-1), ((c - a) * across).sum(-1)
-    in_plane = (u - u.clamp(min=0).minimum(length)).square() + v.square()
-    for start, end_x in ((0 * length, x), (length, x - length)):
-        share = ((u - start) * end_x + v * y) / (end_x.square() + y.square() + 1e-24)
-        share = share.clamp(0, 1)
-        in_plane = in_plane.minimum((u - start - share * end_x).square() + (v - share * y).square())
-    within = torch.minimum(v, torch.minimum(u * y - v * x, (x - length) * v - y * (u - length)))
-    in_plane = torch.where(within < 0, in_plane, 0)
-    in_band = (height >= -band[:, 0]) & (height <= band[:, 1]) & (in_plane <= EDGE_TOLERANCE**2) & ~flat
-    key, nearest = torch.where(in_band, in_plane + _TIE * height.square(), 1).min(dim=1)
-    chosen = height.gather(1, nearest[:, None])[:, 0]
-    return torch.where(key < 1, chosen, 1), torch.where(key < 1, nearest, NONE)
-
-
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
 def nearest_triangle_in_band(x: float, y: float, z: float, grid: TriangleGrid, rows: np.ndarray) -> tuple[float, int]:
     """Height of a point above the nearest face whose band it is in, and that face; 1 and `NONE` or `OUT_OF_BAND`.
@@ -168,7 +128,7 @@ def _compare(
             u, v, face[_LENGTH], face[_THIRD], face[_THIRD + 1], face[_INVERSE], face[_INVERSE + 1]
         )
         out = (height < -face[_BAND]) | (height > face[_BAND + 1]) | (in_plane > beyond)
-        rows[lane] = one if out else in_plane + np.float32(_TIE) * height * height
+        rows[lane] = one if out else in_plane + np.float32(TIE) * height * height
         rows[IN_BLOCK + lane] = height
 
 
@@ -253,7 +213,7 @@ def _write_record(corners: np.ndarray, record: np.ndarray) -> bool:
         record[4 * side + 3] = corners[0, 0] * x + corners[0, 1] * y + corners[0, 2] * z
     for column in range(_BAND - _LENGTH):
         record[_LENGTH + column] = frame[9 + column]
-    return frame[14] > np.float32(2 * _FLAT)
+    return frame[14] > np.float32(2 * FLAT)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -12,7 +12,8 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.body.head_frame import scalp_vertices
 from quaffure.errors import InputError
-from quaffure.geometry.mls_surface import LANES
+from quaffure.geometry.mls_kernels import LANES
+from quaffure.hair.block_arrays import StrandBlocks
 from quaffure.hair.groom import Groom
 from quaffure.hair.posing import Ties, rest_frames, rest_roots, ties_of
 from quaffure.types import Float, Int, Tensor
@@ -34,27 +35,6 @@ class RestStrands(NamedTuple):
     corners: Int[Tensor, "s 3"]
     barycentric: Float[Tensor, "s 3"]
     ties: Ties
-
-
-class StrandBlocks(NamedTuple):
-    """`RestStrands` in blocks; the last block repeats the last strand to fill its lanes.
-
-    Attributes:
-        strand: index of the strand in each lane.
-        edges, offset, corners, barycentric: see `RestStrands`.
-        anchor: of a tied strand (`Ties`), as an index of `scalp_vertices`; -1 for free ones.
-        tie: of a tied strand, offset and direction (`Ties`).
-        margin: distance from the body that the far vertex of each edge is to keep [m].
-    """
-
-    strand: Int[np.ndarray, "block lane"]
-    edges: Float[np.ndarray, "block e 3 lane"]
-    offset: Float[np.ndarray, "block 3 lane"]
-    corners: Int[np.ndarray, "block 3 lane"]
-    barycentric: Float[np.ndarray, "block 3 lane"]
-    anchor: Int[np.ndarray, "block lane"]
-    tie: Float[np.ndarray, "block 6 lane"]
-    margin: Float[np.ndarray, "block e lane"]
 
 
 def rest_strands(groom: Groom, body: BodyModel) -> RestStrands:

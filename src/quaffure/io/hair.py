@@ -51,7 +51,8 @@ def read_hair(path: Path) -> Strands:
         (COLOURS, 3, "colours"),
     ):
         if flags & flag:
-            more[what] = cursor.array("<f4", floats * points, what).astype(np.float64)
+            with np.errstate(invalid="ignore"):  # of signalling NaN
+                more[what] = cursor.array("<f4", floats * points, what).astype(np.float64)
     if flags < FIRST_RESERVED_FLAG:  # a later version's arrays would follow
         cursor.finish()
     colours = more.get("colours")

@@ -78,7 +78,8 @@ def _at_roots(strands: Float[np.ndarray, "s n 3"], roots: np.ndarray, path: Path
         raise InputError(path, f"finite roots [{len(strands)}, 3]", f"shape {list(roots.shape)}, or NaN or infinity")
     size = float(np.abs(np.nan_to_num(strands)).max(initial=0.0))
     is_relative = float(np.abs(strands[:, 0]).max(initial=0.0)) <= RELATIVE * size
-    return strands + roots[:, None].astype(np.float32) if is_relative else strands
+    with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite, or NaN, is refused by checked_strands
+        return strands + roots[:, None].astype(np.float32) if is_relative else strands
 
 
 def _points(path: Path, name: str, array: np.ndarray, dimensions: int) -> Float[np.ndarray, "... 3"]:

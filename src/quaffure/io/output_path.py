@@ -92,11 +92,12 @@ def check_distinct(paths: Iterable[Path]) -> None:
     Raises:
         InputError: two are the same file.
     """
-    before: list[Path] = []
+    before: set[object] = set()
     for path in paths:
-        if any(_is_same_file(path, other) for other in before):
+        file = _identity(path)
+        if file in before:
             raise InputError(path, "outputs that differ", "the same file twice")
-        before.append(path)
+        before.add(file)
 
 
 def check_writable(folder: Path, source: Path) -> None:
@@ -149,7 +150,13 @@ def check_output_folder(path: Path, what: str, replaced: Iterable[str] = (), inp
 
 
 def _is_same_file(one: Path, other: Path) -> bool:
+    return _identity(one) == _identity(other)
+
+
+def _identity(path: Path) -> object:
+    """Equal for all names of a file, whether it exists or not."""
     try:
-        return os.path.samefile(one, other)
-    except (OSError, ValueError):  # one of them does not exist, or cannot
-        return os.path.realpath(one) == os.path.realpath(other)
+        found = path.stat()
+    except (OSError, ValueError):  # it does not exist, or cannot
+        return os.path.realpath(path)
+    return found.st_dev, found.st_ino

@@ -1,17 +1,7 @@
-"""bfloat16 in compiled kernels: numpy and numba have no such type, so they read and write its bits."""
+"""bfloat16 in compiled kernels, which have no such type and handle its bits."""
 
 import numpy as np
-import torch
 from numba import njit
-
-from quaffure.types import Tensor
-
-
-def bits(values: Tensor) -> np.ndarray:
-    """float32 or bfloat16 on the CPU as kernels take them: unsigned integers of the same size, in the same memory."""
-    if values.itemsize == 2:
-        return values.view(torch.int16).numpy().view(np.uint16)
-    return values.numpy().view(np.uint32)
 
 
 @njit(cache=True, inline="always")

@@ -4,17 +4,14 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
-from numba import get_num_threads, njit, prange
 
 from quaffure.body.collision_skin import CollisionSkin, collision_skin
 from quaffure.body.head_frame import HeadFrameBody, head_frame_body
 from quaffure.body.kinematics import PosedJoints
 from quaffure.energies.loading import Loading
-from quaffure.geometry.mls_surface import FAST
-from quaffure.model.bfloat16 import bits
-from quaffure.model.initial_shape import InitialShape, empty_shape, fill_initial_shape
+from quaffure.model.initial_shape import InitialShape, bits, empty_shape, fill_initial_shape
+from quaffure.model.integration_kernel import ShapeRows, integrate_edges
 from quaffure.model.loading_features import loading_features
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project
@@ -102,13 +99,10 @@ class CpuBackend:
         self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape, changes: Float[Tensor, "row outputs"]
     ) -> Positions:
         """Vertices [m, world] of edges rotated by the sum of all joints before them."""
-        hair, strand = torch.empty(1, *groom.margin.shape, 3), groom.blocks.strands.strand.reshape(-1)
-        rotation, position = posed.body.world_from_head[0].numpy(), posed.body.head_position[0].numpy()
-        _integrate(
-            _ShapeRows(shape.roots[0].numpy(), shape.edges[0].numpy(), shape.compliance[0].numpy(), strand),
-            bits(changes), groom.rest_length.numpy(), rotation, position, get_num_threads(), hair[0].numpy(),
-        )  # fmt: skip
-        return hair
+        strand, body = groom.blocks.strands.strand.reshape(-1), posed.body
+        rows = ShapeRows(shape.roots[0].numpy(), shape.edges[0].numpy(), shape.compliance[0].numpy(), strand)
+        frame = body.world_from_head[0].numpy(), body.head_position[0].numpy()
+        return torch.from_numpy(integrate_edges(rows, bits(changes), groom.rest_length.numpy(), *frame))[None]
 
     def project(self, groom: PreparedGroom, posed: CpuPosed, hair: Positions) -> Positions:
         """Hair projected out of the skin [m, world]."""
@@ -144,53 +138,3 @@ class CpuTrainingBackend(TorchBackend):
             for own, vertices, head in zip(hair.detach(), posed.body.world_skin, posed.body.head_position)
         ]
         return hair + (torch.stack(projected) - hair.detach())
-
-
-class _ShapeRows(NamedTuple):
-    """Rows of an `InitialShape`, and the strand of each."""
-
-    roots: np.ndarray
-    edges: np.ndarray
-    compliance: np.ndarray
-    strand: np.ndarray
-
-
-@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
-def _integrate(
-    shape: _ShapeRows, changes: np.ndarray, rest_length: np.ndarray, world_from_head: np.ndarray, head: np.ndarray,
-    threads: int, hair: np.ndarray,
-) -> None:  # fmt: skip
-    """Rotate edges by the network's outputs, put them one after another and transform them into the world.
-
-    Args:
-        changes: the bits of float32, or of bfloat16.
-        hair: filled, in the order of `rest_length`.
-    """
-    edges, compliance = shape.edges, shape.compliance
-    count, columns = edges.shape[1], changes.shape[1]
-    spaces, shift = np.empty((threads, columns), np.uint32), np.uint32(32 - 8 * changes.itemsize)
-    a, b, c = world_from_head[0], world_from_head[1], world_from_head[2]
-    for thread in prange(threads):
-        bits, change = spaces[thread], spaces[thread].view(np.float32)
-        for row in range(thread, len(rest_length), threads):  # the rows after these repeat the last strand
-            for k in range(columns):
-                bits[k] = np.uint32(changes[row, k]) << shift
-            own, x, y, z = shape.strand[row], shape.roots[row, 0], shape.roots[row, 1], shape.roots[row, 2]
-            p, q, r = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-            for vertex in range(count + 1):
-                hair[own, vertex, 0] = head[0] + a[0] * x + a[1] * y + a[2] * z
-                hair[own, vertex, 1] = head[1] + b[0] * x + b[1] * y + b[2] * z
-                hair[own, vertex, 2] = head[2] + c[0] * x + c[1] * y + c[2] * z
-                if vertex < count:
-                    half = np.float32(0.5) * compliance[row, vertex]
-                    p += half * change[3 * vertex]
-                    q += half * change[3 * vertex + 1]
-                    r += half * change[3 * vertex + 2]
-                    ex, ey, ez = edges[row, vertex, 0], edges[row, vertex, 1], edges[row, vertex, 2]
-                    cx, cy, cz = q * ez - r * ey, r * ex - p * ez, p * ey - q * ex
-                    scale = np.float32(2.0) / (np.float32(1.0) + p * p + q * q + r * r)
-                    ux = ex + scale * (cx + q * cz - r * cy)
-                    uy = ey + scale * (cy + r * cx - p * cz)
-                    uz = ez + scale * (cz + p * cy - q * cx)
-                    scale = rest_length[own, vertex] / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
-                    x, y, z = x + scale * ux, y + scale * uy, z + scale * uz

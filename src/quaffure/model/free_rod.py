@@ -21,16 +21,9 @@ from typing import NamedTuple
 
 import torch
 
-from quaffure.energies.rod import BENDING_STIFFNESS, TWISTING_STIFFNESS
 from quaffure.geometry.rotation import quaternion_multiply
+from quaffure.model.free_rod_lanes import LARGEST_HALF_TURN, LEAST_STIFFNESS, TWIST_SHARE
 from quaffure.types import EdgeVectors, Float, Tensor
-
-TWIST_SHARE = TWISTING_STIFFNESS / BENDING_STIFFNESS
-"""C over B."""
-LEAST_STIFFNESS = 1e-4
-"""Added to each edge's stiffness, relative to B: keeps the system positive definite."""
-LARGEST_HALF_TURN = 1.0
-"""Half the rotation of an edge in a pass up to which the series of the tangent is used [rad]."""
 
 
 class FreeRods(NamedTuple):

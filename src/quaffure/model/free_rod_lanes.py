@@ -5,10 +5,16 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from quaffure.geometry.mls_surface import FAST, LANES
+from quaffure.config import BENDING_STIFFNESS, TWISTING_STIFFNESS
+from quaffure.geometry.mls_kernels import FAST, LANES
 from quaffure.geometry.symmetric_matrix import symmetric_inverse, symmetric_times
-from quaffure.model.free_rod import LARGEST_HALF_TURN, LEAST_STIFFNESS, TWIST_SHARE
 
+TWIST_SHARE = TWISTING_STIFFNESS / BENDING_STIFFNESS
+"""C over B."""
+LEAST_STIFFNESS = 1e-4
+"""Added to each edge's stiffness, relative to B: keeps the system positive definite."""
+LARGEST_HALF_TURN = 1.0
+"""Half the rotation of an edge in a pass up to which the series of the tangent is used [rad]."""
 # Rows of an edge's input, each of `LANES` numbers (`FreeRods`): direction, moment, force, bending, goal, length; and
 # the posed direction, which `relax` does not read.
 DIRECTION, MOMENT, FORCE, BENDING, GOAL, LENGTH, POSED, INPUTS = 0, 3, 6, 9, 10, 11, 12, 15

@@ -17,7 +17,6 @@ from quaffure.energies.loading import Loading
 from quaffure.geometry.mls_surface import resolve_contact_reference
 from quaffure.hair.posing import triangle_frames
 from quaffure.hair.strand_blocks import RestStrands
-from quaffure.model.bfloat16 import bits
 from quaffure.model.free_rod import FreeRods, free_rod_directions
 from quaffure.model.initial_shape_kernels import BodyArrays, ShapeArrays, initial_shape_kernel
 from quaffure.model.network_config import InitialShapeConfig
@@ -136,3 +135,10 @@ def fill_initial_shape(
         blocks.strands, blocks.rods, row_of, arrays, config.passes, get_num_threads(),
         ShapeArrays(roots.numpy(), edges.numpy(), compliance.numpy(), bits(features)),
     )  # fmt: skip
+
+
+def bits(values: Tensor) -> np.ndarray:
+    """float32 or bfloat16 as the kernels take them: numpy has no bfloat16."""
+    if values.itemsize == 2:
+        return values.view(torch.int16).numpy().view(np.uint16)
+    return values.numpy().view(np.uint32)

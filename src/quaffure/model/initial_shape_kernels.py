@@ -6,13 +6,25 @@ Its torch twin is `quaffure.model.initial_shape.initial_shape_reference`.
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from numba import njit, prange
 
-from quaffure.geometry.mls_surface import FAST, LANES, UNROLL, record_points
-from quaffure.hair.strand_blocks import StrandBlocks
+from quaffure.geometry.mls_kernels import FAST, LANES, UNROLL, record_points
+from quaffure.hair.block_arrays import StrandBlocks
 from quaffure.model import free_rod_lanes as rod
 from quaffure.model import initial_shape_lanes as lane
-from quaffure.model.prepared_groom import RodBlocks
+
+
+class RodBlocks(NamedTuple):
+    """`quaffure.model.prepared_groom.DesignRods` in the blocks of `StrandBlocks`."""
+
+    moment: Float[np.ndarray, "block e 3 lane"]
+    support: Float[np.ndarray, "block e 3 lane"]
+    upness: Float[np.ndarray, "block e lane"]
+    mass: Float[np.ndarray, "block e lane"]
+    bending: Float[np.ndarray, "block e lane"]
+    goal: Float[np.ndarray, "block e lane"]
+    compliance: Float[np.ndarray, "block e lane"]
 
 
 class BodyArrays(NamedTuple):

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from quaffure.geometry.mls_surface import (
+from quaffure.geometry.mls_kernels import (
     FAST,
     HEIGHT,
     LANES,
@@ -18,7 +18,7 @@ from quaffure.geometry.mls_surface import (
     list_points,
     normalize_features,
 )
-from quaffure.geometry.rotation import LEAST_ALIGNMENT
+from quaffure.geometry.rotation_kernel import LEAST_ALIGNMENT
 from quaffure.model import free_rod_lanes as rod
 from quaffure.model.bfloat16 import rounded
 

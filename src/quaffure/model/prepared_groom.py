@@ -13,14 +13,17 @@ from quaffure.body.pose_features import HEAD
 from quaffure.config import STANDARD_GRAVITY, TEXTURE_SIZE, VERTICES_PER_STRAND, HairMaterial
 from quaffure.energies.rest_state import rest_state
 from quaffure.energies.sag_free import SagFreeRest, design_of
-from quaffure.geometry.mls_surface import LANES, local_features
+from quaffure.geometry.mls_kernels import LANES
+from quaffure.geometry.mls_surface import local_features
 from quaffure.geometry.sampling import neighbours_together
+from quaffure.hair.block_arrays import StrandBlocks
 from quaffure.hair.groom import Groom
 from quaffure.hair.posing import rest_frames, ties_of
-from quaffure.hair.strand_blocks import RestStrands, StrandBlocks, in_blocks, rest_strands, strand_blocks
+from quaffure.hair.strand_blocks import RestStrands, in_blocks, rest_strands, strand_blocks
 from quaffure.model.groom_code import groom_code
 from quaffure.model.groom_encoder import GroomEncoder
 from quaffure.model.inference_network import StrandTexels, texture_rows
+from quaffure.model.initial_shape_kernels import RodBlocks
 from quaffure.model.network_config import (
     POSE_SIZE,
     SHAPE_SIZE,
@@ -64,18 +67,6 @@ class DesignRods(NamedTuple):
         moment = (factor[..., None] if isinstance(factor, Tensor) else factor) * self.moment
         compliance = self.compliance / factor
         return self._replace(moment=moment, bending=factor * self.bending, compliance=compliance)
-
-
-class RodBlocks(NamedTuple):
-    """`DesignRods` in the blocks of `StrandBlocks`."""
-
-    moment: Float[np.ndarray, "block e 3 lane"]
-    support: Float[np.ndarray, "block e 3 lane"]
-    upness: Float[np.ndarray, "block e lane"]
-    mass: Float[np.ndarray, "block e lane"]
-    bending: Float[np.ndarray, "block e lane"]
-    goal: Float[np.ndarray, "block e lane"]
-    compliance: Float[np.ndarray, "block e lane"]
 
 
 class KernelBlocks(NamedTuple):

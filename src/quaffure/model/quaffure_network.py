@@ -16,7 +16,7 @@ from quaffure.model.groom_texture import TEXTURE_CHANNELS
 from quaffure.model.inference_network import ForwardNetwork, InferenceNetwork, NetworkInputs
 from quaffure.model.loading_features import LOADING_FEATURES
 from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE, NetworkConfig
-from quaffure.model.surroundings import SURROUNDING_FEATURES
+from quaffure.model.surroundings_kernels import SURROUNDING_FEATURES
 from quaffure.types import Float, Tensor
 
 OWN_FEATURES = (3 + LOCAL_FEATURES) * EDGES_PER_STRAND

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from quaffure.body.pose_features import FEATURE_COUNT
+from quaffure.body.head_frame_kernels import FEATURE_COUNT
 from quaffure.config import HairMaterial
 from quaffure.energies.by_name import hair_terms
 from quaffure.errors import InputError

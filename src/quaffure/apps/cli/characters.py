@@ -1,4 +1,4 @@
-"""`quaffure crowd`: drape a table of characters on all processors."""
+"""`quaffure crowd`: drape a table of characters on all processors, or on a Ray cluster."""
 
 import os
 import sys
@@ -9,9 +9,10 @@ from typing import Annotated
 
 import tyro
 
-from quaffure.apps.character_table import DRAPERS, NEURAL, drape_rows, read_table
+from quaffure.apps.character_table import DRAPERS, NEURAL, read_table
 from quaffure.apps.cli.console import console, print_json, progress_bar
 from quaffure.apps.cli.outputs import check_outputs
+from quaffure.apps.row_workers import LocalProcesses, RayCluster, RowWorkers, drape_rows
 from quaffure.errors import InputError
 
 ROWS_FAILED = 4
@@ -20,7 +21,8 @@ ROWS_FAILED = 4
 
 @dataclass(frozen=True)
 class CharactersCommand:
-    """Drape a table of characters, one row after another in as many processes as there are processors.
+    """Drape a table of characters, one row after another in as many processes as there are processors, here or in a Ray
+    cluster.
 
     Rows whose output is there are not done again, so the same command continues what was interrupted. A row that fails
     is named, and the others go on.
@@ -33,6 +35,9 @@ class CharactersCommand:
     """The network, or the solver, whose clips do not jump."""
     workers: int = 0
     """Processes; 0 is one for each processor. Each takes up to 2 GB."""
+    ray: str = ""
+    """Address of a running Ray cluster, such as auto or HOST:6379, whose machines have quaffure installed and the same
+    files at the same paths; --workers is then how many rows it gets at once, 0 twice its processors."""
     retries: int = 1
     """How often a row is tried again that failed for another reason than its input."""
     json: bool = False
@@ -48,15 +53,18 @@ class CharactersCommand:
         rows = read_table(self.table)
         check_outputs([Path(row.out) for row in rows], (self.table,))
         left = [row for row in rows if not Path(row.out).exists()]
-        workers = min(self.workers or os.cpu_count() or 1, max(len(left), 1))
-        console.print(f"{len(rows)} rows, {len(rows) - len(left)} of them finished before; {workers} processes")
         begin, failed = time.perf_counter(), {}
-        with progress_bar("draping", len(left), transient=True) as update:
-            for finished in drape_rows(left, self.draper, workers, self.retries):
-                update(advance=1)
-                if finished.error:
-                    failed[finished.row.out] = finished.error
-                    console.print(f"{finished.row.out}: {finished.error}", markup=False, highlight=False)
+        workers, where = self._workers(len(left))
+        console.print(f"{len(rows)} rows, {len(rows) - len(left)} of them finished before; {where}")
+        try:
+            with progress_bar("draping", len(left), transient=True) as update:
+                for finished in drape_rows(left, self.draper, workers, self.retries):
+                    update(advance=1)
+                    if finished.error:
+                        failed[finished.row.out] = finished.error
+                        console.print(f"{finished.row.out}: {finished.error}", markup=False, highlight=False)
+        finally:
+            workers.close()
         seconds = time.perf_counter() - begin
         done = len(left) - len(failed)
         if self.json:
@@ -64,3 +72,11 @@ class CharactersCommand:
         console.print(f"written: {done} in {seconds:.1f} s; failed: {len(failed)}")
         if failed:
             sys.exit(ROWS_FAILED)
+
+    def _workers(self, rows: int) -> tuple[RowWorkers, str]:
+        """What drapes the rows, and what to say of it."""
+        if self.ray:
+            cluster = RayCluster(self.ray, self.workers)
+            return cluster, f"a Ray cluster of {cluster.processors} processors"
+        count = min(self.workers or os.cpu_count() or 1, max(rows, 1))
+        return LocalProcesses(count), f"{count} processes"

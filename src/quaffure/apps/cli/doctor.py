@@ -30,6 +30,7 @@ FEATURES = {
     "usd": "USD in and out (.usd, .usda, .usdc, .usdz)",
     "docs": "plots of benchmarks",
     "onnx": "ONNX export (quaffure export-onnx)",
+    "ray": "tables of characters on a Ray cluster (quaffure crowd --ray)",
 }
 """What each extra of the package is for."""
 GROOM, CLIP, FRAME = "bob", "neck_turn", 36

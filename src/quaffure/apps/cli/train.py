@@ -9,7 +9,7 @@ from quaffure.apps.cli.console import run_training
 from quaffure.apps.cli.inputs import motion_of
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.pose_features import FEATURE_COUNT
+from quaffure.body.head_frame_kernels import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.errors import InputError
 from quaffure.hair.clearance import rest_surface

@@ -1,0 +1,110 @@
+"""What a drape reads besides the network, as plain arrays, for runtimes without torch (`examples`).
+
+Names with a dot are fields of the classes of that name, which the compiled kernels take; lengths are in metres:
+
+    Skeleton.*        joints (`quaffure.body.kinematics_kernel`)
+    near              joints of the pose features, the head first
+    Skin.*            vertices to pose (`quaffure.body.head_frame_kernels`): those of the point-sampled body, then the
+                      scalp, then the collision skin, which begin at `parts` [2]
+    radius, per_radius    of the sampled points, and its inverse
+    StrandBlocks.*    strands at rest (`quaffure.hair.block_arrays`)
+    RodBlocks.*       as rods (`quaffure.model.initial_shape_kernels`)
+    rows, texels      row of the network's input in each lane, and texel of each row
+    Surroundings.*    what surrounds strands in their design (`quaffure.model.surroundings`)
+    GridUnits.*       of the grid of densities (`quaffure.model.surroundings_kernels`)
+    groom_code        [16]
+    rest_length       [strand, edge]
+    clearance         [strand, vertex], distance from the skin
+    faces, band       of the collision skin, and how far below and above it they count
+    passes, least_disturbance, decay_length, tied_share       of the initial shape
+    spacing, max_push                                         of the projection
+    feature_columns, own_feature_columns    numbers that the network reads of a strand, and how many come before those
+                      of its surroundings
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.collision_skin import collision_skin
+from quaffure.body.head_frame import near_hair, scalp_vertices, skin_to_pose
+from quaffure.body.kinematics import skeleton_of
+from quaffure.errors import InputError
+from quaffure.hair.groom import Groom
+from quaffure.io.atomic import replacing
+from quaffure.model.network_config import NetworkConfig
+from quaffure.model.neural import NeuralDraper
+from quaffure.model.prepared_groom import PreparedGroom
+from quaffure.model.quaffure_network import OWN_FEATURES, feature_size
+from quaffure.model.surroundings import grid_units
+
+
+def write_drape_constants(path: Path, draper: NeuralDraper, groom: Groom, body: BodyModel) -> None:
+    """Write the constants of a groom on a body as an .npz.
+
+    Raises:
+        InputError: a network without pose features, contact or surroundings; a groom
+            that is not laid out for the network; or not writable.
+    """
+    config = draper.network.config
+    if not (config.output == "directions" and config.contact and config.surroundings and config.pose_features):
+        raise InputError(
+            "--weights", "a network of edge directions, with pose features, contact and surroundings", "another one"
+        )
+    arrays = _of_body(body, config) | _of_groom(draper.prepared(groom, body)) | _of_network(config)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def _of_body(body: BodyModel, config: NetworkConfig) -> dict[str, np.ndarray]:
+    skeleton, own = skeleton_of(body), config.initial_shape.body
+    if skeleton is None:
+        raise InputError("body", "float32, on the CPU", "another one")
+    posed = skin_to_pose(body, own.leaves, True)
+    skin, sampled = collision_skin(body, config.projection.most), len(posed.normals)
+    parts = np.array([sampled, sampled + len(scalp_vertices(body))])
+    return {
+        **_fields(skeleton),
+        **_fields(posed),
+        "near": near_hair(body),
+        "parts": parts,
+        "radius": np.array(own.kernel_radius, np.float32),
+        "per_radius": np.array(1 / own.kernel_radius, np.float32),
+        "faces": skin.faces.numpy(),
+        "band": skin.band,
+    }
+
+
+def _of_groom(groom: PreparedGroom) -> dict[str, np.ndarray]:
+    blocks = groom.blocks
+    return {
+        **_fields(blocks.strands),
+        **_fields(blocks.rods),
+        **_fields(blocks.surroundings),
+        "rows": blocks.rows,
+        "texels": blocks.texels.flat.numpy(),
+        "groom_code": groom.code.numpy(),
+        "rest_length": groom.rest_length.numpy(),
+        "clearance": groom.clearance.numpy(),
+    }
+
+
+def _of_network(config: NetworkConfig) -> dict[str, np.ndarray]:
+    shape, projection = config.initial_shape, config.projection
+    return {
+        **_fields(grid_units(config.density_grid)),
+        "passes": np.array(shape.passes),
+        "least_disturbance": np.array(shape.least_disturbance**2 + 1e-12, np.float32),
+        "decay_length": np.array(shape.decay_length, np.float32),
+        "tied_share": np.array(shape.tied_share, np.float32),
+        "spacing": np.array(projection.spacing, np.float32),
+        "max_push": np.array(projection.max_push, np.float32),
+        "feature_columns": np.array(feature_size(config)),
+        "own_feature_columns": np.array(OWN_FEATURES),
+    }
+
+
+def _fields(arrays: Any) -> dict[str, np.ndarray]:
+    return {f"{type(arrays).__name__}.{name}": np.asarray(values) for name, values in arrays._asdict().items()}

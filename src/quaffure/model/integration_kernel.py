@@ -1,0 +1,71 @@
+"""Compiled integration of edges that the network has rotated."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numba import get_num_threads, njit, prange
+
+from quaffure.geometry.mls_kernels import FAST
+
+
+class ShapeRows(NamedTuple):
+    """Rows of a `quaffure.model.initial_shape.InitialShape`, and the strand of each."""
+
+    roots: np.ndarray
+    edges: np.ndarray
+    compliance: np.ndarray
+    strand: np.ndarray
+
+
+def integrate_edges(
+    shape: ShapeRows,
+    changes: np.ndarray,
+    rest_length: Float[np.ndarray, "s e"],
+    world_from_head: Float[np.ndarray, "3 3"],
+    head: Float[np.ndarray, "3"],
+) -> Float[np.ndarray, "s n 3"]:
+    """Vertices [m, world] of edges rotated by the sum of the network's outputs before them, in the order of
+    `rest_length`.
+
+    Args:
+        changes: of each row, the bits of float32, or of bfloat16.
+    """
+    hair = np.empty((len(rest_length), shape.edges.shape[1] + 1, 3), np.float32)
+    _integrate(shape, changes, rest_length, world_from_head, head, get_num_threads(), hair)
+    return hair
+
+
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
+def _integrate(
+    shape: ShapeRows, changes: np.ndarray, rest_length: np.ndarray, world_from_head: np.ndarray, head: np.ndarray,
+    threads: int, hair: np.ndarray,
+) -> None:  # fmt: skip
+    edges, compliance = shape.edges, shape.compliance
+    count, columns = edges.shape[1], changes.shape[1]
+    spaces, shift = np.empty((threads, columns), np.uint32), np.uint32(32 - 8 * changes.itemsize)
+    a, b, c = world_from_head[0], world_from_head[1], world_from_head[2]
+    for thread in prange(threads):
+        bits, change = spaces[thread], spaces[thread].view(np.float32)
+        for row in range(thread, len(rest_length), threads):  # the rows after these repeat the last strand
+            for k in range(columns):
+                bits[k] = np.uint32(changes[row, k]) << shift
+            own, x, y, z = shape.strand[row], shape.roots[row, 0], shape.roots[row, 1], shape.roots[row, 2]
+            p, q, r = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            for vertex in range(count + 1):
+                hair[own, vertex, 0] = head[0] + a[0] * x + a[1] * y + a[2] * z
+                hair[own, vertex, 1] = head[1] + b[0] * x + b[1] * y + b[2] * z
+                hair[own, vertex, 2] = head[2] + c[0] * x + c[1] * y + c[2] * z
+                if vertex < count:
+                    half = np.float32(0.5) * compliance[row, vertex]
+                    p += half * change[3 * vertex]
+                    q += half * change[3 * vertex + 1]
+                    r += half * change[3 * vertex + 2]
+                    ex, ey, ez = edges[row, vertex, 0], edges[row, vertex, 1], edges[row, vertex, 2]
+                    cx, cy, cz = q * ez - r * ey, r * ex - p * ez, p * ey - q * ex
+                    scale = np.float32(2.0) / (np.float32(1.0) + p * p + q * q + r * r)
+                    ux = ex + scale * (cx + q * cz - r * cy)
+                    uy = ey + scale * (cy + r * cx - p * cz)
+                    uz = ez + scale * (cz + p * cy - q * cx)
+                    scale = rest_length[own, vertex] / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
+                    x, y, z = x + scale * ux, y + scale * uy, z + scale * uz

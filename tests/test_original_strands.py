@@ -224,7 +224,7 @@ def ramps(case: Case) -> OriginalStrands:
     steps = np.linalg.norm(np.diff(placed.points, axis=0, prepend=placed.points[:1]), axis=1)
     steps[placed.starts] = 0
     along = np.cumsum(steps) - np.repeat(np.cumsum(steps)[placed.starts], placed.counts)
-    along /= np.repeat(polyline_lengths(strands), placed.counts)
+    along = (along / np.repeat(polyline_lengths(strands), placed.counts)).clip(0, 1)
     given = StrandAttributes(
         width=1e-4 * (2 - along),
         colour=np.stack([along, 1 - along, np.full(len(along), 0.5)], axis=1),
@@ -259,8 +259,31 @@ def test_guides_and_ids_of_all_strands_are_valid(case: Case, ramps: OriginalStra
     assert identifiers is not None
     assert identifiers[::2].tolist() == [*range(0, 600, 2)]
     assert identifiers[1::2].tolist() == [*range(599, 899)]
+    assert clip.guide_identifiers.tolist() == [*range(899, 899 + len(case.groom))]
     none = replace(ramps.placed, attributes=StrandAttributes(identifier=np.full(600, -1)))
     assert ExportClip(still(case), replace(ramps, placed=none)).identifiers is None
+
+
+def test_unreals_schema_finds_no_fault_in_a_source(case: Case, ramps: OriginalStrands, tmp_path: Path) -> None:
+    """Ids of the file, guides after them, which the strands name by their ids; in USD, too."""
+    pytest.importorskip("alembic3d")
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdGeom
+
+    from scripts import check_unreal_groom
+
+    clip = ExportClip(still(case), ramps, settings=ExportSettings(guides=True))
+    write_output(tmp_path / "hair.abc", clip)
+    faults, found = check_unreal_groom.check(str(tmp_path / "hair_groom.abc"))
+    assert faults == []
+    assert len(found) == 2
+    write_output(tmp_path / "hair.usda", clip)
+    stage = Usd.Stage.Open(str(tmp_path / "hair.usda"))
+    strands, guides = (
+        UsdGeom.PrimvarsAPI(stage.GetPrimAtPath(f"/Drape/Hair/{name}")) for name in ("Strands", "Guides")
+    )
+    closest = np.array(strands.GetPrimvar("groom_closest_guides").Get())
+    assert {*closest.ravel()} <= {*guides.GetPrimvar("groom_id").Get()}
 
 
 def test_usd_shows_the_colours_of_the_source(case: Case, ramps: OriginalStrands, tmp_path: Path) -> None:

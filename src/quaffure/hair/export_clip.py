@@ -145,7 +145,7 @@ class ExportClip:
     @cached_property
     def closest_guides(self) -> tuple[Int32[np.ndarray, "m 3"], Float32[np.ndarray, "m 3"]]:
         """Three guides of every strand, counted among the guides, and their weights, which sum to 1; of a strand that
-        no guide moves, off the scalp, the nearest alone."""
+        no guide moves, off the scalp, the nearest alone. Files name guides by `guide_identifiers`."""
         if self.interpolation is not None:
             guides, weights = self.interpolation.guides, self.interpolation.weights.copy()
             weights[weights.sum(axis=1) <= 0, 0] = 1.0
@@ -174,7 +174,7 @@ class ExportClip:
     def colours(self) -> Float32[np.ndarray, "v 3"]:
         """Linear RGB at each of `points`: that of their source, or `HAIR_COLOUR`."""
         if self._attributes.colour is not None:
-            return self._at_points(self._attributes.colour)
+            return self._at_points(self._attributes.colour.clip(min=0.0))
         return np.tile(np.array(HAIR_COLOUR, np.float32), (int(self.counts.sum()), 1))
 
     @property
@@ -187,6 +187,12 @@ class ExportClip:
         """Numbers that the strands have in their source, where it has some, and others for its other strands."""
         found = unique_identifiers(self._attributes.identifier)
         return None if found is None else found.astype(np.int32)
+
+    @property
+    def guide_identifiers(self) -> Int32[np.ndarray, " g"]:
+        """Numbers of the guides: from 0, or after those of the strands of a source."""
+        first = 0 if self.identifiers is None else int(self.identifiers.max()) + 1
+        return first + np.arange(len(self.guide_index), dtype=np.int32)
 
     @property
     def groups(self) -> Int32[np.ndarray, " m"]:

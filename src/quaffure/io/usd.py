@@ -159,7 +159,7 @@ class _Curves:
                 "groom_closest_guides",
                 Sdf.ValueTypeNames.Int3Array,
                 UsdGeom.Tokens.uniform,
-                Vt.Vec3iArray.FromNumpy(guides),
+                Vt.Vec3iArray.FromNumpy(clip.guide_identifiers[guides]),
             )
             self._add(
                 "groom_guide_weights",
@@ -171,7 +171,7 @@ class _Curves:
     def _identifiers(self) -> np.ndarray:
         own, guides = self.clip.identifiers, self.clip.settings.guides
         if self.is_guide:
-            return np.arange(self.count) + (0 if own is None else int(own.max()) + 1)
+            return self.clip.guide_identifiers
         return np.arange(self.count) + (len(self.clip.guide_index) if guides else 0) if own is None else own
 
     def _add_held_parts(self, parts: dict[str, np.ndarray]) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from alembic3d import Abc, AbcGeom
-from imath import IntArray, V3d, V3fArray
+from imath import IntArray, StringArray, V3d, V3fArray
 
 
 def write_curves(path: Path, objects: dict[str, dict[str, Any]]) -> None:
@@ -13,7 +13,8 @@ def write_curves(path: Path, objects: dict[str, dict[str, Any]]) -> None:
 
     Args:
         objects: by name, `points` [P,3] and `counts` of each; and `basis`, the `move` of its transform, `frames` in
-            which its points fall, whether it is `hidden`, `guide` of each curve, and other `integers` of each by name.
+            which its points fall, whether it is `hidden`, `guide` of each curve, and other `integers` and `texts` of
+            each, or one of all, by name.
     """
     archive = Abc.OArchive(str(path))
     for name, curves in objects.items():
@@ -32,6 +33,13 @@ def write_curves(path: Path, objects: dict[str, dict[str, Any]]) -> None:
         for attribute, values in integers.items():
             parameter = AbcGeom.OInt32GeomParam(schema.getArbGeomParams(), attribute, False, scope, 1)
             parameter.set(AbcGeom.OInt32GeomParamSample(_integers(values), scope))
+        for attribute, texts in curves.get("texts", {}).items():
+            own = scope if len(texts) == len(curves["counts"]) else AbcGeom.GeometryScope.kConstantScope
+            text_parameter = AbcGeom.OStringGeomParam(schema.getArbGeomParams(), attribute, False, own, 1)
+            array = StringArray(texts[0], len(texts))
+            for index, text in enumerate(texts):
+                array[index] = text
+            text_parameter.set(AbcGeom.OStringGeomParamSample(array, own))
 
 
 def _sample(points: np.ndarray, counts: list[int], basis: str | None) -> Any:

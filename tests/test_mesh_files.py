@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
 from quaffure.errors import InputError
-from quaffure.hair.export_clip import HAIR_COLOUR, ExportClip, ExportSettings
+from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.io.glb import write_glb
 from quaffure.io.glb_asset import in_gltf
 from quaffure.io.hair_writer import write_hair
@@ -72,21 +72,34 @@ def test_one_vertex_by_hand_and_frames_as_targets(tmp_path: Path, mesh: str) -> 
 def test_meshes_surround_their_strands(profile: str, around: int) -> None:
     """Upright strands on the top of a ball; vertices are half a width from the strand, normals point outwards."""
     strands = np.array([[[0.0, -1, 0], [0, -2, 0.1]], [[0.5, -1, 0], [0.5, -2, 0.1]], [[0.3, -1, 1], [0.3, -2, 1.1]]])
-    positions = strand_mesh_positions(strands, WIDTH, profile).reshape(3, 2, around, 3)
+    points, counts = strands.reshape(-1, 3), np.full(3, 2)
+    positions = strand_mesh_positions(points, counts, np.tile(WIDTH, 3), profile).reshape(3, 2, around, 3)
     np.testing.assert_allclose(positions.mean(axis=2), strands, atol=1e-6)
     radius = np.linalg.norm(positions - strands[:, :, None], axis=-1)
     np.testing.assert_allclose(radius, np.broadcast_to(WIDTH[None, :, None] / 2, radius.shape), atol=1e-7)
-    normals = strand_mesh_normals(strands, profile).reshape(3, 2, around, 3)
+    normals = strand_mesh_normals(points, counts, profile).reshape(3, 2, around, 3)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-6)
     tangent = np.gradient(strands, axis=1)[:, :, None]
     assert np.abs((normals * tangent).sum(-1)).max() < 1e-6
     if profile == "ribbons":
         assert ((normals * (strands - strands[:, 0].mean(0))[:, :, None]).sum(-1) > 0).all()
-    faces = strand_mesh_faces(3, 2, profile)
+    faces = strand_mesh_faces(counts, profile)
     assert faces.shape == (3 * 2 * (1 if profile == "ribbons" else 3), 3)
     first, second, third = positions.reshape(-1, 3)[faces].transpose(1, 0, 2)
     facing = (np.cross(second - first, third - first) * normals.reshape(-1, 3)[faces].mean(1)).sum(-1)
     assert (facing > 0).all()
+
+
+def test_meshes_of_strands_of_different_lengths_do_not_join() -> None:
+    counts = np.array([2, 4, 3])
+    points = np.cumsum(np.random.default_rng(0).normal(size=(9, 3)), axis=0)
+    whole = strand_mesh_positions(points, counts, np.ones(9), "ribbons")
+    normals, faces = strand_mesh_normals(points, counts, "ribbons"), strand_mesh_faces(counts, "ribbons")
+    assert {(*np.repeat(np.arange(3), 2 * counts)[face],) for face in faces} == {(k, k, k) for k in range(3)}
+    assert len(faces) == 2 * (9 - 3)
+    along = whole.reshape(9, 2, 3)[2] - points[2]  # an inner strand's root: across its own edge alone
+    assert np.abs(along @ (points[3] - points[2])).max() < 1e-6
+    assert np.abs(normals.reshape(9, 2, 3)[2] @ (points[3] - points[2])).max() < 1e-6
 
 
 def test_the_ends_of_a_clip_load_in_another_library(tmp_path: Path, body: BodyModel) -> None:
@@ -153,12 +166,32 @@ def test_ply_is_vertices_and_edges(tmp_path: Path) -> None:
     header, _, content = (tmp_path / "hair.ply").read_bytes().partition(b"end_header\n")
     assert b"element vertex 1200\n" in header
     assert b"element edge 1050\n" in header
-    vertices = np.frombuffer(content, [("position", "<f4", 3), ("strand", "<i4"), ("colour", "u1", 3)], 1200)
-    np.testing.assert_array_equal(vertices["colour"][0], np.rint(255 * np.array(HAIR_COLOUR)))
-    edges = np.frombuffer(content, "<i4", offset=vertices.nbytes).reshape(-1, 2)
+    kind = [("position", "<f4", 3), ("strand", "<i4"), ("width", "<f4"), ("colour", "u1", 3)]
+    vertices = np.frombuffer(content, kind, 1200)
+    assert vertices["colour"][0].tolist() == [108, 70, 44]  # sRGB of HAIR_COLOUR
+    np.testing.assert_array_equal(vertices["width"].reshape(150, 8)[5], ExportClip(sequence).strand_width)
+    edges = np.frombuffer(content, "<i4", 2 * 1050, vertices.nbytes).reshape(-1, 2)
+    assert np.frombuffer(content, "<i4", offset=vertices.nbytes + edges.nbytes).tolist() == [7] * 150
     np.testing.assert_array_equal(vertices["position"].reshape(150, 8, 3), sequence.strands[0])
     np.testing.assert_array_equal(vertices["strand"], np.repeat(np.arange(150), 8))
     np.testing.assert_array_equal(edges.reshape(150, 7, 2)[1], np.stack([np.arange(8, 15), np.arange(9, 16)], 1))
+
+
+def test_ply_loads_in_another_library(tmp_path: Path, body: BodyModel) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    groom = tiny_groom(body)
+    clip = replace(export_clip(groom, body, 200), settings=ExportSettings(every=FRAMES))
+    write_ply(tmp_path / "hair.ply", clip)
+    found = trimesh.load(tmp_path / "hair.ply")
+    np.testing.assert_array_equal(np.asarray(found.vertices, np.float32), clip.points(0))
+    assert len(found.entities) == 200
+    tables = found.metadata["_ply_raw"]
+    assert tables["strand"]["data"]["nsegs"].tolist() == [23] * 200
+    assert tables["vertex"]["data"]["red"][0] == 108
+    strands = read_strands(tmp_path / "hair.ply")
+    np.testing.assert_array_equal(strands.counts, clip.counts)
+    np.testing.assert_allclose(strands.attributes.width, clip.widths)
+    np.testing.assert_allclose(strands.attributes.root_uv, clip.root_uv)
 
 
 def test_a_written_hair_file_is_read(tmp_path: Path) -> None:

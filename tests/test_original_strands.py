@@ -1,7 +1,9 @@
 """`--strands original`: every strand of a groom's source on the draped ones."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -22,9 +24,11 @@ from quaffure.hair import (
     register_groom,
     resample_by_arc_length,
 )
-from quaffure.hair.export_clip import ExportClip
+from quaffure.hair.drape_sequence import DrapeSequence
+from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.registration_report import RegistrationReport
-from quaffure.hair.source_strands import PlacedStrands, original_strands, place_strands
+from quaffure.hair.resample import arc_length_places
+from quaffure.hair.source_strands import OriginalStrands, PlacedStrands, original_strands, place_strands
 from quaffure.hair.strand_attributes import StrandAttributes
 from quaffure.io.groom_file import read_source, write_groom
 from quaffure.io.load_groom import load_source
@@ -187,9 +191,7 @@ def test_every_format_keeps_what_the_source_says(case: Case, tmp_path: Path, suf
         group_names=("left", "right"),
     )
     original = original_strands(replace(strands, attributes=given), case.groom, case.body)
-    sequence = drape_motion(
-        PosedDraper(), case.groom, case.body, Motion(torch.zeros(1, 81), 30.0, "still"), torch.zeros(10)
-    )
+    sequence = still(case)
     path = tmp_path / f"hair{suffix}"
     write_output(path, ExportClip(sequence, original))
     found = read_strands(path)
@@ -201,14 +203,156 @@ def test_every_format_keeps_what_the_source_says(case: Case, tmp_path: Path, suf
         x, y, z = (0.001 if suffix == ".bin" else 1.0) * found.points.T
         np.testing.assert_allclose(np.stack([x, -z, y], axis=1), ExportClip(sequence, original).points(0), atol=1e-6)
         return
-    if suffix != ".ply":
-        np.testing.assert_allclose(metres * found.attributes.width, given.width, rtol=1e-5)
-    np.testing.assert_allclose(found.attributes.colour, given.colour, atol=3e-3)
-    if suffix in (".usda", ".abc"):
+    np.testing.assert_allclose(metres * found.attributes.width, given.width, rtol=1e-5)
+    np.testing.assert_allclose(found.attributes.colour, given.colour, rtol=1e-6)
+    if suffix != ".hair":
         np.testing.assert_array_equal(found.attributes.identifier, given.identifier)
         np.testing.assert_allclose(found.attributes.root_uv, given.root_uv, rtol=1e-5)
-    if suffix == ".abc":
-        assert [found.attributes.group_names[group][-1] for group in found.attributes.group[:4]] == ["0", "1", "0", "1"]
+        np.testing.assert_array_equal(found.attributes.group, given.group)
+        names = ("group/0", "group/1") if suffix == ".ply" else given.group_names
+        assert found.attributes.group_names == names
+
+
+@pytest.fixture(scope="module")
+def ramps(case: Case) -> OriginalStrands:
+    """Strands whose widths and colours grow evenly along them, with the ids that half of them have."""
+    placed, count = case.placed, len(case.placed)
+    strands = Strands(placed.points, placed.counts, "ramps")
+    right, weight = arc_length_places(strands, 3)
+    assert len(set(placed.counts)) > 1
+    assert right.shape == weight.shape == (count, 3)
+    steps = np.linalg.norm(np.diff(placed.points, axis=0, prepend=placed.points[:1]), axis=1)
+    steps[placed.starts] = 0
+    along = np.cumsum(steps) - np.repeat(np.cumsum(steps)[placed.starts], placed.counts)
+    along = (along / np.repeat(polyline_lengths(strands), placed.counts)).clip(0, 1)
+    given = StrandAttributes(
+        width=1e-4 * (2 - along),
+        colour=np.stack([along, 1 - along, np.full(len(along), 0.5)], axis=1),
+        identifier=np.where(np.arange(count) % 2, -1, np.arange(count)),
+    )
+    return original_strands(replace(placed, attributes=given), case.groom, case.body)
+
+
+@pytest.mark.parametrize("points", [5, 40])
+def test_resampled_strands_keep_widths_and_colours(case: Case, ramps: OriginalStrands, points: int) -> None:
+    clip = ExportClip(still(case), ramps, settings=ExportSettings(points=points))
+    even = np.tile(np.linspace(0, 1, points), len(ramps))
+    np.testing.assert_allclose(clip.widths, 1e-4 * (2 - even), rtol=0.02)
+    np.testing.assert_allclose(clip.colours, np.stack([even, 1 - even, np.full(len(even), 0.5)], axis=1), atol=0.02)
+    ends = clip.points(0).reshape(-1, points, 3)[:, [0, -1]]
+    own = ramps.points(case.posed[0], case.vertices[0])
+    starts, last = ramps.placed.starts, np.cumsum(ramps.counts) - 1
+    np.testing.assert_array_equal(ends, np.stack([own[starts], own[last]], axis=1))
+
+
+def test_guides_and_ids_of_all_strands_are_valid(case: Case, ramps: OriginalStrands) -> None:
+    """A beard's strands, which no guide moves, name their nearest guide; strands without ids get further ones."""
+    clip = ExportClip(still(case), ramps)
+    guides, weights = clip.closest_guides
+    np.testing.assert_allclose(weights.sum(axis=1), 1, rtol=1e-5)
+    off = ~ramps.placed.on_scalp
+    assert off.sum() == 200
+    assert (weights[off] == [1, 0, 0]).all()
+    assert (ramps.weights[off] == 0).all()  # the drape still leaves them to the skin
+    assert 0 <= guides.min() <= guides.max() < len(case.groom)
+    identifiers = clip.identifiers
+    assert identifiers is not None
+    assert identifiers[::2].tolist() == [*range(0, 600, 2)]
+    assert identifiers[1::2].tolist() == [*range(599, 899)]
+    assert clip.guide_identifiers.tolist() == [*range(899, 899 + len(case.groom))]
+    none = replace(ramps.placed, attributes=StrandAttributes(identifier=np.full(600, -1)))
+    assert ExportClip(still(case), replace(ramps, placed=none)).identifiers is None
+
+
+def test_unreals_schema_finds_no_fault_in_a_source(case: Case, ramps: OriginalStrands, tmp_path: Path) -> None:
+    """Ids of the file, guides after them, which the strands name by their ids; in USD, too."""
+    pytest.importorskip("alembic3d")
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdGeom
+
+    from scripts import check_unreal_groom
+
+    clip = ExportClip(still(case), ramps, settings=ExportSettings(guides=True))
+    write_output(tmp_path / "hair.abc", clip)
+    faults, found = check_unreal_groom.check(str(tmp_path / "hair_groom.abc"))
+    assert faults == []
+    assert len(found) == 2
+    write_output(tmp_path / "hair.usda", clip)
+    stage = Usd.Stage.Open(str(tmp_path / "hair.usda"))
+    strands, guides = (
+        UsdGeom.PrimvarsAPI(stage.GetPrimAtPath(f"/Drape/Hair/{name}")) for name in ("Strands", "Guides")
+    )
+    closest = np.array(strands.GetPrimvar("groom_closest_guides").Get())
+    assert {*closest.ravel()} <= {*guides.GetPrimvar("groom_id").Get()}
+
+
+def test_usd_shows_the_colours_of_the_source(case: Case, ramps: OriginalStrands, tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdGeom, UsdShade, UsdValidation
+
+    write_output(tmp_path / "hair.usda", ExportClip(still(case), ramps))
+    stage = Usd.Stage.Open(str(tmp_path / "hair.usda"))
+    curves = UsdGeom.BasisCurves.Get(stage, "/Drape/Hair/Strands")
+    shown = curves.GetDisplayColorPrimvar()
+    assert shown.GetInterpolation() == "vertex"
+    np.testing.assert_allclose(np.array(shown.Get()), ramps.attributes.colour, rtol=1e-6)
+    material, _ = UsdShade.MaterialBindingAPI(curves).ComputeBoundMaterial()
+    surface = material.ComputeSurfaceSource()[0]
+    reader = UsdShade.Shader(surface.GetInput("diffuseColor").GetConnectedSources()[0][0].source)
+    assert (reader.GetShaderId(), reader.GetInput("varname").Get()) == ("UsdPrimvarReader_float3", "displayColor")
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    found = UsdValidation.ValidationContext(validators).Validate(stage)
+    assert [error.GetErrorAsString() for error in found] == []
+
+
+@pytest.mark.parametrize("mesh", ["ribbons", "tubes"])
+def test_gltf_has_the_points_widths_and_colours_of_the_source(
+    case: Case, ramps: OriginalStrands, tmp_path: Path, mesh: Literal["ribbons", "tubes"]
+) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    write_output(tmp_path / "hair.glb", ExportClip(still(case), ramps, settings=ExportSettings(mesh=mesh)))
+    hair = trimesh.load(tmp_path / "hair.glb", process=False).geometry["Hair"]
+    around = 2 if mesh == "ribbons" else 3
+    assert len(hair.vertices) == around * len(ramps.placed.points)
+    corners = np.asarray(hair.vertices).reshape(-1, around, 3)
+    middles = corners.mean(axis=1)
+    x, y, z = ramps.points(case.posed[0], case.vertices[0]).T
+    np.testing.assert_allclose(middles, np.stack([x, z, -y], axis=1), atol=1e-6)
+    radius = np.linalg.norm(corners - middles[:, None], axis=2)
+    np.testing.assert_allclose(2 * radius, np.tile(ramps.attributes.width, (around, 1)).T, atol=1e-6)
+    content = (tmp_path / "hair.glb").read_bytes()
+    document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+    accessor = document["accessors"][document["meshes"][1]["primitives"][0]["attributes"]["COLOR_0"]]
+    start = (
+        28 + int.from_bytes(content[12:16], "little") + document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    )
+    colours = np.frombuffer(content, "<f4", 3 * accessor["count"], start).reshape(-1, around, 3)
+    np.testing.assert_allclose(colours, np.repeat(ramps.attributes.colour[:, None], around, axis=1), rtol=1e-6)
+    assert document["materials"][1]["pbrMetallicRoughness"]["baseColorFactor"] == [1, 1, 1, 1]
+
+
+def test_a_strand_without_a_length_does_not_end_an_export(case: Case, tmp_path: Path) -> None:
+    points = case.placed.points.copy()
+    points[: case.placed.counts[0]] = points[0]
+    original = original_strands(replace(case.placed, points=points), case.groom, case.body)
+    clip = ExportClip(still(case), original, settings=ExportSettings(points=7))
+    assert np.ptp(clip.points(0).reshape(-1, 7, 3)[0], axis=0).max() < 1e-6
+    assert np.isfinite(clip.points(0)).all()
+    assert np.isfinite(original.strands(case.posed[0], case.vertices[0])).all()
+    write_output(tmp_path / "hair.glb", clip)
+
+
+def test_groups_without_names_in_a_groom_file_are_refused(case: Case, tmp_path: Path) -> None:
+    given = StrandAttributes(group=np.full(600, 2), group_names=("left", "right"))
+    write_groom(tmp_path / "groom.npz", case.groom, replace(case.placed, attributes=given))
+    with pytest.raises(InputError, match="source_group from -1 to 1"):
+        read_source(tmp_path / "groom.npz")
+
+
+def still(case: Case) -> DrapeSequence:
+    """A drape of the rest pose, in one frame."""
+    motion = Motion(torch.zeros(1, 81), 30.0, "still")
+    return drape_motion(PosedDraper(), case.groom, case.body, motion, torch.zeros(10))
 
 
 def test_the_command_writes_the_source(shared_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -224,3 +368,25 @@ def test_the_command_writes_the_source(shared_data: Path, tmp_path: Path, capfd:
     with pytest.raises(SystemExit):
         main([*command, "--strands", "some", "--out", str(out)])
     assert "a number of strands, or original" in capfd.readouterr().err
+
+
+def test_render_shows_the_source_of_a_drape_file(
+    shared_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    groom, other, drape = tmp_path / "mine.npz", tmp_path / "other.npz", tmp_path / "drape.npz"
+    beard = str(shared_data / "cases/beard200.hair")
+    main(["groom", "import", beard, "--ties", "none", "--out", str(groom)])
+    main(["groom", "import", str(shared_data / "cases/cap60_other_head.hair"), "--out", str(other)])
+    out = [str(tmp_path / f"{name}.hair") for name in ("drape", "render")]
+    shown = ["--strands", "original"]
+    main(["drape", str(groom), "--draper", "posed", "--frames", "0", *shown, "--out", str(drape), "--out", out[0]])
+    render = ["render", str(drape), *shown, "--out", out[1]]
+    main([*render, "--groom", str(groom)])
+    assert Path(out[0]).read_bytes() == Path(out[1]).read_bytes()
+    for options, message in (
+        ([], "--groom: expected the groom file"),
+        (["--groom", str(other)], "the groom of the drape"),
+    ):
+        with pytest.raises(SystemExit):
+            main([*render, *options])
+        assert message in capfd.readouterr().err

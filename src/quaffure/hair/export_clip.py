@@ -13,8 +13,8 @@ from quaffure.geometry.sampling import spread_subset
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom_binding import GroomBinding
 from quaffure.hair.guide_interpolation import GuideInterpolation
-from quaffure.hair.resample import arc_length_places, resample_held_parts
-from quaffure.hair.strand_attributes import NONE, StrandAttributes
+from quaffure.hair.resample import arc_length_places, resample_held_parts, values_at_places
+from quaffure.hair.strand_attributes import NONE, StrandAttributes, unique_identifiers
 from quaffure.hair.strand_width import width_of
 from quaffure.hair.strands import GOAL_WEIGHT, STIFFNESS_SCALE, TIE_VERTEX, Strands, held_parts_of
 
@@ -111,20 +111,20 @@ class ExportClip:
     @cached_property
     def rest_points(self) -> Float32[np.ndarray, "v 3"]:
         """The same at rest."""
-        return self._points(self._rest_guides, self._rest_body)
+        return self._own_rest if self._keeps_points else self._evenly(self._own_rest).reshape(-1, 3)
 
     def strands(self, frame: int) -> Float32[np.ndarray, "m p 3"]:
         """Strands of a frame with as many vertices each [m, world]."""
-        return self._resampled(self._between(self.sequence.strands[frame], self.sequence.body_vertices[frame]), False)
+        return self._evenly(self._own_points(self.sequence.strands[frame], self.sequence.body_vertices[frame]))
 
     def guides(self, frame: int) -> Float32[np.ndarray, "g p 3"]:
         """Guides of a frame [m, world]."""
-        return self._resampled(np.asarray(self.sequence.strands[frame])[self.guide_index], True)
+        return self._resampled(np.asarray(self.sequence.strands[frame])[self.guide_index])
 
     @property
     def rest_guides(self) -> Float32[np.ndarray, "g p 3"]:
         """Guides at rest [m, world]."""
-        return self._resampled(self._rest_guides[self.guide_index], True)
+        return self._resampled(self._rest_guides[self.guide_index])
 
     @cached_property
     def root_uv(self) -> Float32[np.ndarray, "m 2"] | None:
@@ -144,9 +144,12 @@ class ExportClip:
 
     @cached_property
     def closest_guides(self) -> tuple[Int32[np.ndarray, "m 3"], Float32[np.ndarray, "m 3"]]:
-        """Three guides of every strand, counted among the guides, and their weights, which sum to 1."""
+        """Three guides of every strand, counted among the guides, and their weights, which sum to 1; of a strand that
+        no guide moves, off the scalp, the nearest alone. Files name guides by `guide_identifiers`."""
         if self.interpolation is not None:
-            return self.interpolation.guides, self.interpolation.weights
+            guides, weights = self.interpolation.guides, self.interpolation.weights.copy()
+            weights[weights.sum(axis=1) <= 0, 0] = 1.0
+            return guides, weights
         roots = self._rest_guides[:, 0]
         nearest = min(3, len(self.guide_index))
         distance, guides = cKDTree(roots[self.guide_index]).query(roots, k=[*range(1, nearest + 1)])
@@ -163,22 +166,33 @@ class ExportClip:
     @cached_property
     def widths(self) -> Float32[np.ndarray, " v"]:
         """Width of the strands at each of `points` [m]: that of their source, or tapering to the tip."""
-        if self._keeps_points and self._attributes.width is not None:
-            return self._attributes.width.astype(np.float32)
+        if self._attributes.width is not None:
+            return self._at_points(self._attributes.width)
         return (width_of(self.strand_count) * (1 - (1 - TIP_WIDTH) * self._share_of_way)).astype(np.float32)
 
     @cached_property
     def colours(self) -> Float32[np.ndarray, "v 3"]:
         """Linear RGB at each of `points`: that of their source, or `HAIR_COLOUR`."""
-        if self._keeps_points and self._attributes.colour is not None:
-            return self._attributes.colour.astype(np.float32)
+        if self._attributes.colour is not None:
+            return self._at_points(self._attributes.colour.clip(min=0.0))
         return np.tile(np.array(HAIR_COLOUR, np.float32), (int(self.counts.sum()), 1))
 
     @property
+    def has_colours(self) -> bool:
+        """Whether the source has colours."""
+        return self._attributes.colour is not None
+
+    @cached_property
     def identifiers(self) -> Int32[np.ndarray, " m"] | None:
-        """Numbers that the strands have in their source, where it has some."""
-        found = self._attributes.identifier
+        """Numbers that the strands have in their source, where it has some, and others for its other strands."""
+        found = unique_identifiers(self._attributes.identifier)
         return None if found is None else found.astype(np.int32)
+
+    @property
+    def guide_identifiers(self) -> Int32[np.ndarray, " g"]:
+        """Numbers of the guides: from 0, or after those of the strands of a source."""
+        first = 0 if self.identifiers is None else int(self.identifiers.max()) + 1
+        return first + np.arange(len(self.guide_index), dtype=np.int32)
 
     @property
     def groups(self) -> Int32[np.ndarray, " m"]:
@@ -224,8 +238,8 @@ class ExportClip:
         return np.asarray(self.sequence.body_vertices[0] if self.binding is None else self.binding.body_vertices)
 
     @cached_property
-    def _dense_rest(self) -> Float32[np.ndarray, "m n 3"]:
-        return self._between(self._rest_guides, self._rest_body)
+    def _own_rest(self) -> Float32[np.ndarray, "o 3"]:
+        return self._own_points(self._rest_guides, self._rest_body)
 
     @property
     def _attributes(self) -> StrandAttributes:
@@ -244,32 +258,46 @@ class ExportClip:
         return local / np.repeat(np.maximum(self.counts - 1, 1), self.counts)
 
     def _points(self, guides: np.ndarray, body_vertices: np.ndarray) -> Float32[np.ndarray, "v 3"]:
-        if self.interpolation is None or not self._keeps_points:
-            return self._resampled(self._between(guides, body_vertices), False).reshape(-1, 3)
+        own = self._own_points(guides, body_vertices)
+        return own if self._keeps_points else self._evenly(own).reshape(-1, 3)
+
+    def _own_points(self, guides: np.ndarray, body_vertices: np.ndarray) -> Float32[np.ndarray, "o 3"]:
+        """Vertices of the strands before they are resampled, as many of each as `_own_counts` says."""
         guides, body_vertices = (np.ascontiguousarray(part, dtype=np.float32) for part in (guides, body_vertices))
-        return self.interpolation.points(guides, body_vertices)
+        return guides.reshape(-1, 3) if self.interpolation is None else self.interpolation.points(guides, body_vertices)
 
-    def _between(self, guides: np.ndarray, body_vertices: np.ndarray) -> Float32[np.ndarray, "m n 3"]:
-        guides = np.ascontiguousarray(guides, dtype=np.float32)
+    @property
+    def _own_counts(self) -> Int[np.ndarray, " m"]:
         if self.interpolation is None:
-            return guides
-        return self.interpolation.strands(guides, np.ascontiguousarray(body_vertices, dtype=np.float32))
+            return np.full(self.strand_count, self.sequence.strands.shape[2])
+        return self.interpolation.counts
 
-    def _resampled(self, strands: np.ndarray, are_guides: bool) -> Float32[np.ndarray, "c p 3"]:
-        if self.point_count == strands.shape[1]:
-            return np.ascontiguousarray(strands, dtype=np.float32)
-        right, weight = self._guide_places if are_guides else self._places
-        points = strands.reshape(-1, 3)
-        return (1 - weight) * points[right - 1] + weight * points[right]
+    def _evenly(self, own: Float32[np.ndarray, "o 3"]) -> Float32[np.ndarray, "m p 3"]:
+        """Strands with `point_count` vertices each."""
+        if (self._own_counts == self.point_count).all():
+            return own.reshape(-1, self.point_count, 3)
+        return values_at_places(own, *self._places)
+
+    def _at_points(self, values: Float[np.ndarray, "o ..."]) -> Float32[np.ndarray, "v ..."]:
+        """Values of the source's vertices at each of `points`."""
+        found = values.astype(np.float32)
+        if self._keeps_points or (self._own_counts == self.point_count).all():
+            return found
+        return values_at_places(found, *self._places).reshape(-1, *found.shape[1:])
+
+    def _resampled(self, guides: np.ndarray) -> Float32[np.ndarray, "g p 3"]:
+        if self.point_count == guides.shape[1]:
+            return np.ascontiguousarray(guides, dtype=np.float32)
+        return values_at_places(guides.reshape(-1, 3), *self._guide_places)
 
     @cached_property
-    def _places(self) -> tuple[Int[np.ndarray, "m p"], Float32[np.ndarray, "m p 1"]]:
+    def _places(self) -> tuple[Int[np.ndarray, "m p"], Float32[np.ndarray, "m p"]]:
         """Along strands at rest: drapes keep their lengths."""
-        return _places(self._dense_rest, self.point_count)
+        return _places(Strands(self._own_rest, self._own_counts, "strands"), self.point_count)
 
     @cached_property
-    def _guide_places(self) -> tuple[Int[np.ndarray, "g p"], Float32[np.ndarray, "g p 1"]]:
-        return _places(self._rest_guides[self.guide_index], self.point_count)
+    def _guide_places(self) -> tuple[Int[np.ndarray, "g p"], Float32[np.ndarray, "g p"]]:
+        return _places(_as_strands(self._rest_guides[self.guide_index]), self.point_count)
 
     def _held_parts(self, chosen: slice | np.ndarray) -> dict[str, np.ndarray]:
         """Those of the chosen draped strands."""
@@ -293,9 +321,9 @@ def _as_strands(rest: np.ndarray) -> Strands:
     return Strands(rest.reshape(-1, 3), np.full(len(rest), rest.shape[1]), "strands")
 
 
-def _places(rest: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    right, weight = arc_length_places(_as_strands(rest), count)
-    return right, weight[..., None].astype(np.float32)
+def _places(rest: Strands, count: int) -> tuple[np.ndarray, np.ndarray]:
+    right, weight = arc_length_places(rest, count)
+    return right, weight.astype(np.float32)
 
 
 def _uv_at(

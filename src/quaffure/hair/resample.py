@@ -1,5 +1,7 @@
 """Resampling of ragged polylines to a common number of vertices."""
 
+from pathlib import Path
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -26,7 +28,11 @@ def concatenate_strands(parts: list[Strands]) -> Strands:
         ", ".join(part.source for part in parts),
         **{name: _concatenated(parts, name) for name in HELD_PARTS},
         dropped=sum(part.dropped for part in parts),
-        attributes=concatenate_attributes([part.attributes for part in parts], [part.counts for part in parts]),
+        attributes=concatenate_attributes(
+            [part.attributes for part in parts],
+            [part.counts for part in parts],
+            [Path(part.source).stem for part in parts],
+        ),
     )
 
 
@@ -59,17 +65,15 @@ def resample_by_arc_length(strands: Strands, vertices: int = VERTICES_PER_STRAND
     Raises:
         InputError: a strand has no length.
     """
+    _check_lengths(strands)
     right, weight = arc_length_places(strands, vertices)
-    points, weight = strands.points.astype(np.float64), weight[..., None]
-    return ((1 - weight) * points[right - 1] + weight * points[right]).astype(np.float32)
+    return values_at_places(strands.points.astype(np.float64), right, weight).astype(np.float32)
 
 
 def arc_length_places(strands: Strands, vertices: int) -> tuple[Int[np.ndarray, "s n"], Float[np.ndarray, "s n"]]:
     """Evenly spaced places along each polyline: the point that follows each place, and its share of the mean with the
-    point before it. The first and the last place are the ends of the polyline.
-
-    Raises:
-        InputError: a strand has no length.
+    point before it. The first and the last place are the ends of the polyline. On a strand without a length, points
+    count as one length apart.
     """
     local, strand = _positions(strands)
     wanted = np.linspace(0.0, 1.0, vertices)
@@ -84,6 +88,14 @@ def arc_length_places(strands: Strands, vertices: int) -> tuple[Int[np.ndarray, 
     return right, weight
 
 
+def values_at_places(
+    values: Float[np.ndarray, "p ..."], right: Int[np.ndarray, "s n"], weight: Float[np.ndarray, "s n"]
+) -> Float[np.ndarray, "s n ..."]:
+    """Values of points, at the places of `arc_length_places`."""
+    share = weight.reshape(*weight.shape, *[1] * (values.ndim - 1))
+    return (1 - share) * values[right - 1] + share * values[right]
+
+
 def resample_held_parts(strands: Strands, vertices: int = VERTICES_PER_STRAND) -> dict[str, np.ndarray]:
     """Those of `HELD_PARTS` that the strands have, on strands resampled by `resample_by_arc_length`, as in `Groom`.
 
@@ -93,6 +105,7 @@ def resample_held_parts(strands: Strands, vertices: int = VERTICES_PER_STRAND) -
     Raises:
         InputError: a strand has no length.
     """
+    _check_lengths(strands)
     local, strand = _positions(strands)
     axis, wanted = strand * 2.0 + local, np.arange(len(strands))[:, None] * 2.0 + np.linspace(0.0, 1.0, vertices)
     span = np.diff(local, append=0.0)
@@ -118,15 +131,23 @@ def resample_held_parts(strands: Strands, vertices: int = VERTICES_PER_STRAND) -
     return parts
 
 
+def _check_lengths(strands: Strands) -> None:
+    without = int((polyline_lengths(strands) <= 0).sum())
+    if without:
+        raise InputError(strands.source, "strands with a length", f"{without} of zero length")
+
+
 def _positions(strands: Strands) -> tuple[Float[np.ndarray, " p"], Int[np.ndarray, " p"]]:
     """Position of every point on its strand, from 0 at the root to 1 at the tip, and the index of that strand.
 
     Strand s covers [2 s, 2 s + 1] on an axis on which the points of all strands increase.
     """
-    total = polyline_lengths(strands)
-    if (total <= 0).any():
-        raise InputError(strands.source, "strands with a length", f"{int((total <= 0).sum())} of zero length")
-    along = np.cumsum(_steps(strands) / np.repeat(total, strands.counts))
+    steps = _steps(strands)
+    points = np.repeat(np.add.reduceat(steps, strands.starts) <= 0, strands.counts)
+    steps[points] = 1.0
+    steps[strands.starts] = 0.0
+    total = np.add.reduceat(steps, strands.starts)
+    along = np.cumsum(steps / np.repeat(total, strands.counts))
     strand = np.repeat(np.arange(len(strands)), strands.counts)
     local = along - along[strands.starts][strand]
     return local / local[strands.starts + strands.counts - 1][strand], strand

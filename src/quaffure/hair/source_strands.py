@@ -24,7 +24,7 @@ from quaffure.hair.original_kernels import DrivenStrands, drive_strands, guide_r
 from quaffure.hair.posing import triangle_frames
 from quaffure.hair.registration import FARTHEST_ROOT, nearest_on_scalp
 from quaffure.hair.registration_report import RegistrationReport
-from quaffure.hair.resample import polyline_lengths, resample_by_arc_length
+from quaffure.hair.resample import arc_length_places, polyline_lengths, values_at_places
 from quaffure.hair.strand_attributes import NONE, StrandAttributes
 from quaffure.hair.strands import Strands
 from quaffure.types import Tensor
@@ -107,7 +107,8 @@ class OriginalStrands(GuideInterpolation):
         if (counts == vertices).all():
             result = points.reshape(len(self), vertices, 3)
         else:
-            result = resample_by_arc_length(Strands(points, counts, "strands"), vertices)
+            places = arc_length_places(Strands(points, counts, "strands"), vertices)
+            result = values_at_places(points, *places).astype(np.float32)
         if out is None:
             return result
         out[:] = result

@@ -90,7 +90,7 @@ def checked_strands(
     if counts.sum() != len(points):
         raise InputError(source, f"{counts.sum()} points for its {len(counts)} strands", f"{len(points)}")
     bald = int((counts < 2).sum())
-    every = Strands(points, counts, str(source), **held_parts, attributes=attributes.finite())
+    every = Strands(points, counts, str(source), **held_parts, attributes=attributes.usable())
     strands = replace(every.select(counts >= 2), dropped=bald)
     if len(strands) == 0:
         raise InputError(source, "at least one strand of two or more points", "no strands")

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +22,7 @@ from quaffure.hair.curve_bases import (
     nurbs_polylines,
 )
 from quaffure.hair.resample import concatenate_strands
-from quaffure.hair.strand_attributes import StrandAttributes, per_point, per_strand
+from quaffure.hair.strand_attributes import StrandAttributes, groups_of, per_point, per_strand
 from quaffure.hair.strands import Strands, checked_strands
 from quaffure.io.strand_process import serve
 
@@ -68,7 +69,7 @@ def _read_archive(path: Path) -> Strands:
             kinds = ", ".join(sorted(schema for schema in schemas if schema)) or "nothing"
             raise InputError(path, "at least one strand, in curves", f"no strands: no curves, only {kinds}")
         every = concatenate_strands(parts)
-        return checked_strands(every.points, every.counts, path, attributes=every.attributes)
+        return checked_strands(every.points, every.counts, path, attributes=every.attributes.with_groups_by_name())
 
 
 def _objects(archive: Any) -> Iterator[_Object]:
@@ -146,14 +147,13 @@ def _attributes(schema: Any, counts: np.ndarray, points: np.ndarray, name: str) 
     colours = _values(schema, "groom_color", AbcGeom.IV3fGeomParam, AbcGeom.IC3fGeomParam).reshape(-1, 3)
     identifier = per_strand(_values(schema, "groom_id", AbcGeom.IInt32GeomParam), counts)
     groups = per_strand(_values(schema, "groom_group_id", AbcGeom.IInt32GeomParam), counts)
-    ids, group = np.unique(np.zeros(len(counts)) if groups is None else groups, return_inverse=True)
-    return StrandAttributes(
+    names = per_strand(_texts(schema, "groom_group_name"), counts)
+    return replace(
+        groups_of(groups, names, len(counts), name),
         width=per_point(widths, counts, points),
         colour=per_point(colours, counts, points),
         identifier=None if identifier is None else identifier.astype(np.int64),
-        group=group.astype(np.int64),
         root_uv=per_strand(_values(schema, "groom_root_uv", AbcGeom.IV2fGeomParam).reshape(-1, 2), counts),
-        group_names=(name,) if groups is None else tuple(f"{name}/{number:.0f}" for number in ids),
     )
 
 
@@ -165,6 +165,15 @@ def _values(schema: Any, name: str, *kinds: Any) -> np.ndarray:
         if header is not None and kind.matches(header):
             return np.array(kind(parameters, name).getExpandedValue().getVals(), dtype=np.float64)
     return np.empty(0)
+
+
+def _texts(schema: Any, name: str) -> np.ndarray:
+    """Texts of a parameter; empty without it."""
+    parameters = schema.getArbGeomParams()
+    header = parameters.getPropertyHeader(name) if parameters.valid() else None
+    if header is None or not AbcGeom.IStringGeomParam.matches(header):
+        return np.empty(0, dtype=str)
+    return np.array([*AbcGeom.IStringGeomParam(parameters, name).getExpandedValue().getVals()], dtype=str)
 
 
 def _guides(schema: Any, count: int) -> np.ndarray:

@@ -141,10 +141,9 @@ def _counts(clip: ExportClip, name: str) -> Int32[np.ndarray, " c"]:
 
 def _guide_attributes(clip: ExportClip) -> list[_Attribute]:
     """Guides are of the first group, and their ids follow those that strands have in their source."""
-    count, own = len(clip.guide_index), clip.identifiers
-    first = 0 if own is None else int(own.max()) + 1
+    count = len(clip.guide_index)
     return [
-        *_identity(np.arange(first, first + count), True, np.zeros(count, np.int32), clip.group_names),
+        *_identity(clip.guide_identifiers, True, np.zeros(count, np.int32), clip.group_names),
         _Attribute("groom_width", "float", "vertex", np.tile(CENTIMETRES * clip.strand_width, count)),
         _Attribute(
             "groom_color", "float3", "vertex", np.tile(np.array(HAIR_COLOUR, np.float32), (count * clip.point_count, 1))
@@ -162,7 +161,7 @@ def _strand_attributes(clip: ExportClip) -> list[_Attribute]:
         _Attribute("groom_width", "float", "vertex", CENTIMETRES * clip.widths),
         _Attribute("groom_color", "float3", "vertex", clip.colours),
         *_root_uv(clip.root_uv),
-        _Attribute("groom_closest_guides", "int3", "uniform", guides),
+        _Attribute("groom_closest_guides", "int3", "uniform", clip.guide_identifiers[guides]),
         _Attribute("groom_guide_weights", "float3", "uniform", weights),
     ]
 

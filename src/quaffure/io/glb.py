@@ -3,7 +3,7 @@
 Metres, y up and the face towards +z, as glTF asks: (x, y, z) of the drape is (x, z, -y). Every frame of the hair is a
 morph target; between two frames a viewer mixes their targets, so hair moves along straight lines. The body is morphed,
 too, or skinned to its skeleton (`quaffure.io.glb_skeleton`). Only positions are morphed; normals are those of the first
-frame.
+frame. Strands have the points and widths of their source, and its colours as those of vertices, linear RGB.
 """
 
 import json
@@ -24,7 +24,7 @@ from quaffure.io.atomic import replacing
 from quaffure.io.glb_asset import GlbAsset
 from quaffure.io.glb_skeleton import SkinnedBody
 from quaffure.io.output_path import check_suffix
-from quaffure.io.strand_mesh import strand_mesh_faces, strand_mesh_normals, strand_mesh_positions
+from quaffure.io.strand_mesh import SIDES, strand_mesh_faces, strand_mesh_normals, strand_mesh_positions
 
 GLB_SUFFIX = ".glb"
 MOST_BYTES = 2**32 - 1
@@ -48,7 +48,9 @@ def write_glb(path: Path, clip: ExportClip, on_frame: Callable[[], object] = lam
         raise InputError("--skinned", "a drape of the body of this package", "another body")
     with replacing(path) as temporary, tempfile.TemporaryFile(dir=temporary.parent) as binary:
         asset = GlbAsset(binary, path, MOST_BYTES)
-        for name, colour, roughness in (("Body", BODY_COLOUR, 0.6), ("Hair", HAIR_COLOUR, 0.45)):
+        # The colours of vertices are multiplied by that of the material.
+        hair_colour = (1.0, 1.0, 1.0) if clip.has_colours else HAIR_COLOUR
+        for name, colour, roughness in (("Body", BODY_COLOUR, 0.6), ("Hair", hair_colour, 0.45)):
             asset.add_material(name, colour, roughness)
         (_add_skinned if clip.settings.skinned else _add_morphed)(asset, clip, on_frame)
         document = json.dumps(asset.document(str(clip.sequence.meta.get("motion", "drape")))).encode()
@@ -67,11 +69,11 @@ def write_glb(path: Path, clip: ExportClip, on_frame: Callable[[], object] = lam
 def _add_morphed(asset: GlbAsset, clip: ExportClip, on_frame: Callable[[], object]) -> None:
     body = np.array(clip.sequence.body_vertices[0])
     asset.add_mesh("Body", body, _normals(body, clip.sequence.body_faces), clip.sequence.body_faces)
-    hair = _add_hair(asset, clip, clip.strands(0))
+    hair = _add_hair(asset, clip, clip.points(0))
     on_frame()
     for frame in clip.frames[1:]:
         asset.add_target(BODY, clip.sequence.body_vertices[frame] - body)
-        asset.add_target(HAIR, _hair_positions(clip, clip.strands(frame)) - hair)
+        asset.add_target(HAIR, _hair_positions(clip, clip.points(frame)) - hair)
         on_frame()
     for mesh in (BODY, HAIR):
         asset.add_root(asset.add_node(asset.meshes[mesh]["name"], mesh=mesh))
@@ -83,10 +85,10 @@ def _add_skinned(asset: GlbAsset, clip: ExportClip, on_frame: Callable[[], objec
     assert clip.binding is not None
     skinned, body = SkinnedBody(clip), clip.binding.body_vertices
     asset.add_mesh("Body", body, _normals(body, clip.sequence.body_faces), clip.sequence.body_faces)
-    hair = _add_hair(asset, clip, skinned.in_head(0, clip.strands(0)))
+    hair = _add_hair(asset, clip, skinned.in_head(0, clip.points(0)))
     on_frame()
     for frame in clip.frames[1:]:
-        asset.add_target(HAIR, _hair_positions(clip, skinned.in_head(frame, clip.strands(frame))) - hair)
+        asset.add_target(HAIR, _hair_positions(clip, skinned.in_head(frame, clip.points(frame))) - hair)
         on_frame()
     head = skinned.add_to(asset, BODY)
     node = asset.add_node("Hair", mesh=HAIR)
@@ -94,18 +96,20 @@ def _add_skinned(asset: GlbAsset, clip: ExportClip, on_frame: Callable[[], objec
     _play(asset, clip, node)
 
 
-def _add_hair(asset: GlbAsset, clip: ExportClip, strands: np.ndarray) -> np.ndarray:
+def _add_hair(asset: GlbAsset, clip: ExportClip, points: np.ndarray) -> np.ndarray:
     """Returns:
     Vertices of the mesh.
     """
-    positions, profile = _hair_positions(clip, strands), clip.settings.mesh
-    faces = strand_mesh_faces(clip.strand_count, clip.point_count, profile)
-    asset.add_mesh("Hair", positions, strand_mesh_normals(strands, profile), faces)
+    positions, profile = _hair_positions(clip, points), clip.settings.mesh
+    faces = strand_mesh_faces(clip.counts, profile)
+    asset.add_mesh("Hair", positions, strand_mesh_normals(points, clip.counts, profile), faces)
+    if clip.has_colours:
+        asset.add_attribute(HAIR, "COLOR_0", np.repeat(clip.colours, SIDES[profile], axis=0))
     return positions
 
 
-def _hair_positions(clip: ExportClip, strands: np.ndarray) -> np.ndarray:
-    return strand_mesh_positions(strands, clip.strand_width, clip.settings.mesh)
+def _hair_positions(clip: ExportClip, points: np.ndarray) -> np.ndarray:
+    return strand_mesh_positions(points, clip.counts, clip.widths, clip.settings.mesh)
 
 
 def _play(asset: GlbAsset, clip: ExportClip, node: int) -> None:

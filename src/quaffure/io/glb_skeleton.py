@@ -24,10 +24,10 @@ class SkinnedBody:
         self._clip, self._skeleton = clip, clip.binding.skeleton
         self._head = self._skeleton.names.index(HEAD)
 
-    def in_head(self, frame: int, strands: Float[np.ndarray, "m p 3"]) -> Float32[np.ndarray, "m p 3"]:
-        """Strands of a frame in the frame of the head and relative to its joint [m]."""
+    def in_head(self, frame: int, points: Float[np.ndarray, "p 3"]) -> Float32[np.ndarray, "p 3"]:
+        """Points of a frame in the frame of the head and relative to its joint [m]."""
         rotations, positions = self._skeleton.posed(self._pose(frame), self._translation(frame))
-        return ((strands - positions[self._head]) @ rotations[self._head]).astype(np.float32)
+        return ((points - positions[self._head]) @ rotations[self._head]).astype(np.float32)
 
     def add_to(self, asset: GlbAsset, mesh: int) -> int:
         """Add the joints, their motion, and a body that they move.

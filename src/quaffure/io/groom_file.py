@@ -84,7 +84,14 @@ def read_source(path: Path) -> PlacedStrands | None:
         raise InputError(path, f"{SOURCE}points within +-{LARGEST_COORDINATE:g}", f"{np.abs(points).max():.3g}")
     from_tip, on_scalp = (arrays[f"{SOURCE}{name}"] != 0 for name in ("from_tip", "on_scalp"))
     attributes = {name: arrays[f"{SOURCE}{name}"] for name in ATTRIBUTE_SPEC if f"{SOURCE}{name}" in arrays}
-    return PlacedStrands(points, counts, from_tip, on_scalp, StrandAttributes.of_arrays(attributes))
+    _check_groups(attributes, path)
+    return PlacedStrands(points, counts, from_tip, on_scalp, StrandAttributes.of_arrays(attributes).usable())
+
+
+def _check_groups(attributes: dict[str, np.ndarray], path: Path) -> None:
+    group, names = attributes.get("group"), len(attributes.get("group_names", ()))
+    if group is not None and not -1 <= group.min(initial=0) <= group.max(initial=0) < names:
+        raise InputError(path, f"{SOURCE}group from -1 to {names - 1}", f"{group.min()} to {group.max()}")
 
 
 def is_groom_file(path: Path) -> bool:

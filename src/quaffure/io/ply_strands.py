@@ -2,23 +2,32 @@
 
 The vertices of a strand follow one another from root to tip. Which of them make a strand is said by an element that has
 a number for each strand (`strand` with `nsegs`), or a list of its vertices; or by an element `edge` of pairs
-(`vertex1`, `vertex2`), of which a strand is a chain; or by an integer of each vertex (`strand`).
+(`vertex1`, `vertex2`), of which a strand is a chain; or by an integer of each vertex (`strand`). Integer colours are
+sRGB, others linear.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from quaffure.errors import InputError
-from quaffure.hair.strand_attributes import NONE, StrandAttributes
+from quaffure.hair.strand_attributes import NONE, StrandAttributes, groups_of
 from quaffure.hair.strands import Strands, checked_strands
+from quaffure.io.ply import COLOUR, LINEAR_COLOUR, linear_of
 from quaffure.io.ply_tables import Table, read_ply_tables, vertices_of
 
 STRAND_ELEMENTS = ("strand", "strands", "curve", "curves", "polyline", "hair")
 SEGMENT_COUNTS = ("nsegs", "segments", "num_segments", "segment_count")
 VERTEX_COUNTS = ("nverts", "npoints", "vertices", "num_vertices", "vertex_count", "count", "num_points")
 VERTEX_LISTS = ("vertex_indices", "vertex_index")
-COLOURS = ("red", "green", "blue")
+WIDTHS = {"width": 1.0, "thickness": 1.0, "diameter": 1.0, "radius": 2.0}
+"""Properties of a vertex that give its width, and widths in one of each."""
+IDS, GROUPS = ("id", "groom_id"), ("group", "group_id", "groom_group_id")
+ROOT_UVS = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+"""Properties of a strand."""
 STRAND_INDICES = ("strand", "strand_id", "strand_index")
 
 
@@ -32,7 +41,8 @@ def read_ply(path: Path) -> Strands:
         tables = read_ply_tables(path)
         points = vertices_of(tables, path)
         order, counts = _strands(tables, len(points), path)
-        return checked_strands(points[order], counts, path, attributes=_attributes(tables["vertex"], order))
+        attributes = replace(_of_strands(tables, len(counts)), **_of_points(tables["vertex"], order))
+        return checked_strands(points[order], counts, path, attributes=attributes)
 
 
 def read_ply_mesh(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -48,14 +58,41 @@ def read_ply_mesh(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
     raise InputError(path, "faces of vertex_indices", f"elements {', '.join(tables) or 'none'}")
 
 
-def _attributes(vertices: Table, order: np.ndarray) -> StrandAttributes:
-    colours = [vertices[name] for name in COLOURS if isinstance(vertices.get(name), np.ndarray)]
-    if len(colours) < len(COLOURS):
+def _of_points(vertices: Table, order: np.ndarray) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, factor in WIDTHS.items():
+        if (width := _columns(vertices, (name,))) is not None:
+            found["width"] = factor * width[order, 0]
+            break
+    linear, colour = _columns(vertices, LINEAR_COLOUR), _columns(vertices, COLOUR)
+    if linear is not None or colour is not None:
+        is_integer = linear is None and all(np.asarray(vertices[name]).dtype.kind in "iu" for name in COLOUR)
+        values = colour if linear is None else linear
+        assert values is not None
+        found["colour"] = linear_of(values[order] / 255.0) if is_integer else values[order]
+    return found
+
+
+def _of_strands(tables: dict[str, Table], strands: int) -> StrandAttributes:
+    """Properties of the first element that has a row for each strand, by `STRAND_ELEMENTS`."""
+    table = next((tables[name] for name in STRAND_ELEMENTS if name in tables), {})
+    columns = [values for values in table.values() if isinstance(values, np.ndarray)]
+    if not columns or len(columns[0]) != strands:
         return NONE
-    most = 255.0 if all(np.asarray(channel).dtype.kind in "iu" for channel in colours) else 1.0
-    return StrandAttributes(
-        colour=np.stack([np.asarray(channel, np.float64) for channel in colours], axis=1)[order] / most
-    )
+    numbers, groups = (_first(table, [(name,) for name in names]) for names in (IDS, GROUPS))
+    root_uv = _first(table, ROOT_UVS)
+    of_groups = NONE if groups is None else groups_of(groups[:, 0], None, strands, "group")
+    return replace(of_groups, identifier=None if numbers is None else numbers[:, 0].astype(np.int64), root_uv=root_uv)
+
+
+def _first(table: Table, names: Sequence[tuple[str, ...]]) -> np.ndarray | None:
+    return next((found for some in names if (found := _columns(table, some)) is not None), None)
+
+
+def _columns(table: Table, names: tuple[str, ...]) -> np.ndarray | None:
+    """Properties of numbers side by side; None unless there are all of them."""
+    found = [table[name] for name in names if isinstance(table.get(name), np.ndarray)]
+    return np.stack([np.asarray(one, np.float64) for one in found], axis=1) if len(found) == len(names) else None
 
 
 def _strands(tables: dict[str, Table], vertices: int, path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -12,43 +12,50 @@ LEAST = 1e-9
 
 
 def strand_mesh_positions(
-    strands: Float[np.ndarray, "m p 3"], width: Float[np.ndarray, " p"], profile: Profile
+    points: Float[np.ndarray, "p 3"], counts: Int[np.ndarray, " m"], width: Float[np.ndarray, " p"], profile: Profile
 ) -> Float32[np.ndarray, "v 3"]:
     """Vertices of the mesh, strand by strand, each vertex's together.
 
     Ribbons lie flat on the head: across the strand and across the direction from the middle of all roots.
 
     Args:
-        strands: [m].
-        width: of a strand at each of its vertices [m].
+        points: vertices of all strands one after another, roots first [m].
+        counts: of each strand.
+        width: at each of the vertices [m].
     """
-    across, normal = _across_and_outward(strands)
-    radius = 0.5 * width[None, :, None]
+    across, normal = _across_and_outward(points, counts)
+    radius = 0.5 * width[:, None]
     directions = [across, -across] if profile == "ribbons" else _around(across, normal)
-    return np.stack([strands + radius * side for side in directions], axis=2).reshape(-1, 3).astype(np.float32)
+    return np.stack([points + radius * side for side in directions], axis=1).reshape(-1, 3).astype(np.float32)
 
 
-def strand_mesh_normals(strands: Float[np.ndarray, "m p 3"], profile: Profile) -> Float32[np.ndarray, "v 3"]:
+def strand_mesh_normals(
+    points: Float[np.ndarray, "p 3"], counts: Int[np.ndarray, " m"], profile: Profile
+) -> Float32[np.ndarray, "v 3"]:
     """Unit normals of the same vertices: away from the head, or of tubes away from the strand."""
-    across, normal = _across_and_outward(strands)
+    across, normal = _across_and_outward(points, counts)
     directions = [normal, normal] if profile == "ribbons" else _around(across, normal)
-    return np.stack(directions, axis=2).reshape(-1, 3).astype(np.float32)
+    return np.stack(directions, axis=1).reshape(-1, 3).astype(np.float32)
 
 
-def strand_mesh_faces(strands: int, points: int, profile: Profile) -> Int[np.ndarray, "k 3"]:
+def strand_mesh_faces(counts: Int[np.ndarray, " m"], profile: Profile) -> Int[np.ndarray, "k 3"]:
     """Triangles between the vertices around each vertex of a strand and the next one's."""
     around = SIDES[profile]
-    ring = np.arange(strands * points).reshape(strands, points)[:, :-1, None] * around
+    ring = np.delete(np.arange(counts.sum()), np.cumsum(counts) - 1)[:, None] * around
     first = np.arange(1 if profile == "ribbons" else around)
     a, b = ring + first, ring + (first + 1) % around
     corners = np.stack([np.stack([a, b + around, b], -1), np.stack([a, a + around, b + around], -1)], -2)
     return corners.reshape(-1, 3)
 
 
-def _across_and_outward(strands: Float[np.ndarray, "m p 3"]) -> tuple[np.ndarray, np.ndarray]:
+def _across_and_outward(
+    points: Float[np.ndarray, "p 3"], counts: Int[np.ndarray, " m"]
+) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors across each strand, along the head and away from it."""
-    tangent, outward = np.gradient(strands, axis=1), strands - strands[:, 0].mean(axis=0)
-    across = _unit(np.cross(tangent, outward))
+    ends = np.cumsum(counts)
+    index, first, last = np.arange(len(points)), np.repeat(ends - counts, counts), np.repeat(ends - 1, counts)
+    tangent = points[np.minimum(index + 1, last)] - points[np.maximum(index - 1, first)]
+    across = _unit(np.cross(tangent, points - points[ends - counts].mean(axis=0)))
     return across, _unit(np.cross(across, tangent))
 
 

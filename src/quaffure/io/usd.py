@@ -49,7 +49,7 @@ def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[
         layer = Sdf.Layer.CreateNew(str(temporary.absolute()))
         stage = Usd.Stage.Open(layer)
         _set_stage(stage, clip)
-        add_materials(stage, f"{ROOT}/Materials")
+        add_materials(stage, f"{ROOT}/Materials", clip.has_colours)
         _add_body(stage, clip)
         hair = UsdGeom.Xform.Define(stage, HAIR).GetPrim()
         hair.AddAppliedSchema("GroomAPI")
@@ -119,7 +119,7 @@ class _Curves:
         widths = np.tile(clip.strand_width, self.count) if self.is_guide else clip.widths
         curves.CreateWidthsAttr(Vt.FloatArray.FromNumpy(widths))
         curves.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
-        curves.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set([HAIR_COLOUR])
+        self._add_display_colour()
         if self.is_guide:
             curves.CreatePurposeAttr(UsdGeom.Tokens.guide)
         bind_material(curves.GetPrim(), f"{ROOT}/Materials/Hair")
@@ -127,6 +127,14 @@ class _Curves:
         self._add_held_parts(clip.guide_held_parts if self.is_guide else clip.held_parts)
         rest = clip.rest_guides if self.is_guide else clip.rest_points
         self._add("rest", Sdf.ValueTypeNames.Point3fArray, UsdGeom.Tokens.vertex, _points(rest))
+
+    def _add_display_colour(self) -> None:
+        """What renderers show, and the material takes."""
+        if self.is_guide or not self.clip.has_colours:
+            self.curves.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set([HAIR_COLOUR])
+            return
+        colours = Vt.Vec3fArray.FromNumpy(self.clip.colours)
+        self.curves.CreateDisplayColorPrimvar(UsdGeom.Tokens.vertex).Set(colours)
 
     def _add_groom_attributes(self) -> None:
         """Attributes of Unreal's Alembic convention. Ids of strands are those of their source, or continue those of the
@@ -151,7 +159,7 @@ class _Curves:
                 "groom_closest_guides",
                 Sdf.ValueTypeNames.Int3Array,
                 UsdGeom.Tokens.uniform,
-                Vt.Vec3iArray.FromNumpy(guides),
+                Vt.Vec3iArray.FromNumpy(clip.guide_identifiers[guides]),
             )
             self._add(
                 "groom_guide_weights",
@@ -163,7 +171,7 @@ class _Curves:
     def _identifiers(self) -> np.ndarray:
         own, guides = self.clip.identifiers, self.clip.settings.guides
         if self.is_guide:
-            return np.arange(self.count) + (0 if own is None else int(own.max()) + 1)
+            return self.clip.guide_identifiers
         return np.arange(self.count) + (len(self.clip.guide_index) if guides else 0) if own is None else own
 
     def _add_held_parts(self, parts: dict[str, np.ndarray]) -> None:

@@ -27,7 +27,7 @@ from quaffure.hair.curve_bases import (
     passes_its_points,
 )
 from quaffure.hair.resample import concatenate_strands
-from quaffure.hair.strand_attributes import StrandAttributes, per_point, per_strand
+from quaffure.hair.strand_attributes import groups_of, per_point, per_strand
 from quaffure.hair.strands import HELD_PARTS, TIE_VERTEX, Strands, checked_strands, held_parts_of
 from quaffure.io.held_parts import checked_held_parts
 from quaffure.io.strand_process import serve
@@ -60,7 +60,9 @@ def _read_stage(path: Path) -> Strands:
             found = f"no strands: no curves{only}"
             raise InputError(path, "at least one strand, in BasisCurves or NurbsCurves", found)
         every = concatenate_strands(parts)
-        return checked_strands(every.points, every.counts, path, held_parts_of(every), every.attributes)
+        return checked_strands(
+            every.points, every.counts, path, held_parts_of(every), every.attributes.with_groups_by_name()
+        )
 
 
 def _rendered(curves: list[UsdGeom.Curves]) -> list[UsdGeom.Curves]:
@@ -117,7 +119,7 @@ def _read_curves(curve: UsdGeom.Curves, path: Path) -> Strands:
 
 
 def _with_attributes(strands: Strands, curve: UsdGeom.Curves) -> Strands:
-    """The strands with widths, colours, ids and root coordinates; each prim is a group."""
+    """The strands with widths, colours, ids, root coordinates and groups; without groups of its own a prim is one."""
     time = _time(curve)
     counts = np.array(curve.GetCurveVertexCountsAttr().Get(time) or [], dtype=np.int64)
     api = UsdGeom.PrimvarsAPI(curve)
@@ -131,16 +133,24 @@ def _with_attributes(strands: Strands, curve: UsdGeom.Curves) -> Strands:
     widths = np.array(curve.GetWidthsAttr().Get(time) or [], dtype=np.float64)
     colours = next((found for name in COLOURS if len(found := primvar(name, 3))), np.empty((0, 3)))
     uv = next((found for name in ROOT_UVS if len(found := primvar(name, 2))), np.empty((0, 2)))
-    identifier = per_strand(primvar("groom_id", 1), counts)
-    attributes = StrandAttributes(
+    identifier, name = per_strand(primvar("groom_id", 1), counts), str(curve.GetPath())
+    attributes = replace(
+        groups_of(per_strand(primvar("groom_group_id", 1), counts), _group_names(api, time, counts), len(counts), name),
         width=per_point(widths, counts, strands.counts),
         colour=per_point(colours, counts, strands.counts),
         identifier=None if identifier is None else identifier.astype(np.int64),
-        group=np.zeros(len(counts), np.int64),
         root_uv=per_strand(uv, counts),
-        group_names=(str(curve.GetPath()),),
     )
     return replace(strands, attributes=attributes)
+
+
+def _group_names(api: UsdGeom.PrimvarsAPI, time: Usd.TimeCode, counts: np.ndarray) -> np.ndarray | None:
+    """Name of every curve's group by Unreal's attribute."""
+    found = api.FindPrimvarWithInheritance("groom_group_name")
+    values = found.ComputeFlattened(time) if found.HasValue() else None
+    if values is None:
+        return None
+    return per_strand(np.array([values] if isinstance(values, str) else [*values], dtype=str), counts)
 
 
 def _is_nurbs(prim: Usd.Prim) -> bool:

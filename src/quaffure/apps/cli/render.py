@@ -9,11 +9,12 @@ import tyro
 
 from quaffure.apps.cli.console import console
 from quaffure.apps.cli.outputs import check_frames, check_outputs, is_export, known_groom, write_output
+from quaffure.apps.cli.shown_strands import ORIGINAL, source_of_drape, strands_between
 from quaffure.body.body_model import load_body
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.groom_binding import groom_binding
-from quaffure.hair.guide_interpolation import groom_of_drape, interpolation_of
+from quaffure.hair.guide_interpolation import groom_of_drape
 from quaffure.io.drape_file import read_drape
 
 
@@ -27,13 +28,17 @@ class RenderCommand:
     """Where to write; may be given several times. The suffix picks the format: .png, .mp4, .usd, .usda, .usdc, .glb,
     .hair, .ply, .data and .bin (of one frame), .abc (with its groom asset beside it: walk_groom.abc beside
     walk.abc)."""
-    strands: int | None = None
-    """Strands to interpolate between the draped ones: 10,000 to 100,000 are a full head of hair. Without it, the draped
-    strands are drawn."""
+    strands: str | None = None
+    """A number of strands to interpolate between the draped ones, 10,000 to 100,000 are a full head of hair; or
+    `original`, every strand of the groom file that was draped (--groom). Without it, the draped strands are drawn."""
+    groom: Path | None = None
+    """With --strands original: the groom file that was draped."""
+    head: Path | None = None
+    """The head mesh that the groom file was draped with."""
     export: ExportSettings = field(default_factory=ExportSettings)
 
     def run(self) -> None:
-        check_outputs(self.out, (self.drape,))
+        check_outputs(self.out, (self.drape, self.groom, self.head))
         for path in self.out:
             if path.suffix.lower() == ".npz":
                 raise InputError(path, "a picture, a video or a file for another program", "a drape file")
@@ -41,8 +46,10 @@ class RenderCommand:
         check_frames(self.out, len(range(0, len(sequence), self.export.every)))
         body, groom, interpolation, binding = load_body(), None, None, None
         if self.strands is not None:
-            groom = groom_of_drape(sequence, body)
-            interpolation = interpolation_of(groom, body, self.strands)
+            groom, source = groom_of_drape(sequence, body), str(self.drape)
+            if self.strands == ORIGINAL:
+                groom, source = source_of_drape(groom, self.groom, body, self.head), str(self.groom)
+            interpolation = strands_between(self.strands, source, groom, body, self.head)
         if is_export(self.out):
             groom = known_groom(sequence, body) if groom is None else groom
             if groom is not None:

@@ -25,6 +25,7 @@ from quaffure.apps.viewer import guarded_server as guarded
 from quaffure.apps.viewer.catalogue import REST, Catalogue
 from quaffure.apps.viewer.guarded_server import MOST_BROWSERS, MOST_MESSAGES_PER_SECOND, guarded_server, is_taken
 from quaffure.apps.viewer.page import Page
+from quaffure.apps.viewer.settings import Settings
 from quaffure.model import load_model
 from tests.training_runs import tiny_groom
 
@@ -95,7 +96,7 @@ def close_code(browser: ClientConnection) -> int | None:
 def page(tmp_path: Path) -> Iterator[Page]:
     model = load_model()
     groom = replace(tiny_groom(model.body), name="tiny")
-    made = Page(Catalogue(model, groom), ("tiny", REST), ("127.0.0.1", 0), tmp_path, lambda *_: None)
+    made = Page(Catalogue(model, groom), Settings("tiny", REST), ("127.0.0.1", 0), tmp_path, lambda *_: None)
     yield made
     made.stop()
 

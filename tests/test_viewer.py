@@ -20,10 +20,12 @@ from quaffure.apps.cli.main import main
 from quaffure.apps.viewer.catalogue import LIVE, REST, Catalogue
 from quaffure.apps.viewer.draping_thread import DrapingThread
 from quaffure.apps.viewer.hair_colours import INSIDE, hair_colours, segments
+from quaffure.apps.viewer.hair_drawing import Display
 from quaffure.apps.viewer.page import Page, check_address
 from quaffure.apps.viewer.panel import put
 from quaffure.apps.viewer.playback import Playback
 from quaffure.apps.viewer.session import MOST_DRAPES, free_path
+from quaffure.apps.viewer.settings import GUIDES, Settings
 from quaffure.apps.viewer.view_state import Degrees, ViewState
 from quaffure.baselines import PosedDraper
 from quaffure.body import CLIP_FPS, CLIP_NAMES, bundled_clip, joint_matrices
@@ -369,7 +371,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def page(catalogue: Catalogue, saved: Path) -> Iterator[Page]:
-    served = Page(catalogue, ("thinned", REST), ("127.0.0.1", 0), saved, no_picture)
+    served = Page(catalogue, Settings("thinned", REST, strands=GUIDES), ("127.0.0.1", 0), saved, no_picture)
     assert finishes(served.session.thread)
     yield served
     served.stop()
@@ -548,13 +550,13 @@ def test_a_solver_that_fails_leaves_the_page_as_it_was(page: Page, catalogue: Ca
 
 def test_strands_between_guides_and_marks(page: Page) -> None:
     guides = len(settled(page).groom)
-    page.session.ask_display(2 * guides, True)
+    page.session.ask_display(Display(2 * guides, True))
     settled(page)
     hair = page._nodes._hair
     assert hair is not None
     assert len(hair.points) == 2 * guides * 23
     assert page._nodes._skin.opacity is not None
-    page.session.ask_display(0, False)
+    page.session.ask_display(Display(0))
     settled(page)
     assert page._nodes._hair is not None
     assert len(page._nodes._hair.points) == guides * 23
@@ -636,8 +638,10 @@ def test_play_moves_the_frame_and_pause_stops_it(browser: Browser, page: Page, c
 
 
 def test_an_error_is_shown_and_the_page_goes_on(
-    browser: Browser, page: Page, capfd: pytest.CaptureFixture[str]
+    browser: Browser, page: Page, catalogue: Catalogue, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    page.session.ask_edit("motion", lambda state: state.playing(catalogue.motion("nod")))
+    settled(page)
     page.session.ask_edit("frame", lambda state: replace(state, frame=-1))
     browser.tab.get_by_text("frame: expected 0 to").wait_for()
     page.session.ask_edit("frame", lambda state: [][1])

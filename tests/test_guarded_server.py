@@ -101,10 +101,10 @@ def page(tmp_path: Path) -> Iterator[Page]:
     made.stop()
 
 
-def answer(server: ViserServer, **headers: str) -> tuple[int, Mapping[str, str]]:
+def answer(server: ViserServer, path: str = "/", **headers: str) -> tuple[int, Mapping[str, str]]:
     """Status and headers of the page."""
     with closing(http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=SECONDS)) as asked:
-        asked.request("GET", "/", headers=headers)
+        asked.request("GET", path, headers=headers)
         with asked.getresponse() as found:
             return found.status, dict(found.headers)
 
@@ -134,6 +134,40 @@ def test_the_page_itself_is_served_and_in_no_frame(server: ViserServer) -> None:
         assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
     with opened(server) as browser:
         assert browser.recv(timeout=SECONDS)
+
+
+@pytest.mark.parametrize(
+    ("opens", "headers"),
+    [
+        (True, {"Sec-Fetch-Dest": "document", "Sec-Fetch-Site": "none"}),
+        (True, {"Sec-Fetch-Dest": "document", "Sec-Fetch-Site": "same-origin"}),
+        (True, {"Sec-Fetch-Dest": "document", "Sec-Fetch-Site": "cross-site", "Sec-Fetch-User": "?1"}),
+        (True, {"Accept": "text/html,*/*"}),
+        (False, {"Sec-Fetch-Dest": "document", "Sec-Fetch-Site": "cross-site"}),
+        (False, {"Sec-Fetch-Dest": "document", "Sec-Fetch-Site": "none", "Sec-Purpose": "prefetch;prerender"}),
+        (False, {"Sec-Fetch-Dest": "iframe", "Sec-Fetch-Site": "cross-site", "Sec-Fetch-User": "?1"}),
+        (False, {"Sec-Fetch-Dest": "image", "Sec-Fetch-Site": "cross-site", "Accept": "text/html"}),
+        (False, {"Accept": "image/avif,*/*"}),
+    ],
+)
+def test_links_are_taken_where_a_user_opens_them(opens: bool, headers: dict[str, str]) -> None:
+    """And not where another page loads their address, or sends the tab there."""
+    taken: list[str] = []
+    linked = guarded_server("127.0.0.1", 0, lambda query: taken.append(query) or "fov=1")
+    status, sent_headers = answer(linked, "/?groom=bob", **headers)
+    linked.stop()
+    assert taken == ["groom=bob"] * opens
+    assert status == (303 if opens else 200)
+    assert sent_headers.get("Location") == ("/?fov=1" if opens else None)
+
+
+def test_other_addresses_are_no_links() -> None:
+    taken: list[str] = []
+    linked = guarded_server("127.0.0.1", 0, taken.append)
+    for path in ("/", "/index.html?groom=bob", "/?darkMode"):
+        assert answer(linked, path, Accept="text/html")[0] == 200
+    linked.stop()
+    assert taken == ["darkMode"]
 
 
 def test_browsers_are_limited_and_leave_their_places(server: ViserServer) -> None:

@@ -52,6 +52,8 @@ FLAGS = [
     *("--disable-component-update", "--disable-sync", "--use-angle=gl-egl", "--ignore-gpu-blocklist"),
 ]
 WIDTH, HEIGHT, PANEL_WIDTH = 640, 360, 330
+INTERACTIONS, MOST_GROWTH = 400, 20e6
+"""Of the memory of a tab over the later half of the interactions [bytes]."""
 
 
 @pytest.fixture(scope="module")
@@ -792,6 +794,32 @@ def test_a_picture_of_what_the_camera_shows_is_downloaded(browser: Browser, page
     assert picture.height == HEIGHT
     assert picture.width < WIDTH
     assert np.array(picture).std() > 20
+
+
+@pytest.mark.slow
+def test_memory_of_chromium_stays_flat_over_many_interactions(browser: Browser, page: Page) -> None:
+    """Frames, clips, views and what is drawn by keys, sliders by arrows; each drape is drawn before the next one."""
+    page.session.ask_settings(Settings("thinned", "nod", strands=GUIDES))
+    settled(page)
+    keyboard, slider = browser.tab.keyboard, browser.tab.get_by_role("slider").first
+    devtools = browser.tab.context.new_cdp_session(browser.tab)
+    used = []
+    for step in range(INTERACTIONS):
+        key = ("n", "ArrowRight", "n", f"{1 + step % 4}", "b", "ArrowLeft", "h" if step % 40 < 16 else "n", "m")[
+            step % 8
+        ]
+        if key.startswith("Arrow"):
+            slider.focus()
+        keyboard.press(key)
+        settled(page)
+        browser.tab.evaluate("() => new Promise(drawn => requestAnimationFrame(drawn))")
+        if step % 50 == 49:
+            devtools.send("HeapProfiler.collectGarbage")
+            sizes = devtools.send("Runtime.getHeapUsage")
+            used.append(sum(sizes[name] for name in ("usedSize", "embedderHeapUsedSize", "backingStorageSize")))
+    print("memory of the tab after every 50 interactions [MB]:", *(round(size / 1e6) for size in used))
+    # Half of the updates would be over 40 MB.
+    assert used[-1] - used[len(used) // 2 - 1] < MOST_GROWTH
 
 
 def test_on_a_narrow_screen_the_panel_leaves_the_head_in_view(browser: Browser, page: Page) -> None:

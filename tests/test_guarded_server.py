@@ -25,6 +25,7 @@ from quaffure.apps.viewer import guarded_server as guarded
 from quaffure.apps.viewer.catalogue import REST, Catalogue
 from quaffure.apps.viewer.guarded_server import MOST_BROWSERS, MOST_MESSAGES_PER_SECOND, guarded_server, is_taken
 from quaffure.apps.viewer.page import Page
+from quaffure.apps.viewer.settings import Settings
 from quaffure.model import load_model
 from tests.training_runs import tiny_groom
 
@@ -95,15 +96,15 @@ def close_code(browser: ClientConnection) -> int | None:
 def page(tmp_path: Path) -> Iterator[Page]:
     model = load_model()
     groom = replace(tiny_groom(model.body), name="tiny")
-    made = Page(Catalogue(model, groom), ("tiny", REST), ("127.0.0.1", 0), tmp_path, lambda *_: None)
+    made = Page(Catalogue(model, groom), Settings("tiny", REST), ("127.0.0.1", 0), tmp_path, lambda *_: None)
     yield made
     made.stop()
 
 
-def answer(server: ViserServer, **headers: str) -> tuple[int, Mapping[str, str]]:
+def answer(server: ViserServer, path: str = "/", **headers: str) -> tuple[int, Mapping[str, str]]:
     """Status and headers of the page."""
     with closing(http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=SECONDS)) as asked:
-        asked.request("GET", "/", headers=headers)
+        asked.request("GET", path, headers=headers)
         with asked.getresponse() as found:
             return found.status, dict(found.headers)
 
@@ -133,6 +134,40 @@ def test_the_page_itself_is_served_and_in_no_frame(server: ViserServer) -> None:
         assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
     with opened(server) as browser:
         assert browser.recv(timeout=SECONDS)
+
+
+@pytest.mark.parametrize(
+    ("opens", "headers"),
+    [
+        (True, {"Sec-Fetch-Dest": "document", "Sec-Fetch-Site": "none"}),
+        (True, {"Sec-Fetch-Dest": "document", "Sec-Fetch-Site": "same-origin"}),
+        (True, {"Sec-Fetch-Dest": "document", "Sec-Fetch-Site": "cross-site", "Sec-Fetch-User": "?1"}),
+        (True, {"Accept": "text/html,*/*"}),
+        (False, {"Sec-Fetch-Dest": "document", "Sec-Fetch-Site": "cross-site"}),
+        (False, {"Sec-Fetch-Dest": "document", "Sec-Fetch-Site": "none", "Sec-Purpose": "prefetch;prerender"}),
+        (False, {"Sec-Fetch-Dest": "iframe", "Sec-Fetch-Site": "cross-site", "Sec-Fetch-User": "?1"}),
+        (False, {"Sec-Fetch-Dest": "image", "Sec-Fetch-Site": "cross-site", "Accept": "text/html"}),
+        (False, {"Accept": "image/avif,*/*"}),
+    ],
+)
+def test_links_are_taken_where_a_user_opens_them(opens: bool, headers: dict[str, str]) -> None:
+    """And not where another page loads their address, or sends the tab there."""
+    taken: list[str] = []
+    linked = guarded_server("127.0.0.1", 0, lambda query: taken.append(query) or "fov=1")
+    status, sent_headers = answer(linked, "/?groom=bob", **headers)
+    linked.stop()
+    assert taken == ["groom=bob"] * opens
+    assert status == (303 if opens else 200)
+    assert sent_headers.get("Location") == ("/?fov=1" if opens else None)
+
+
+def test_other_addresses_are_no_links() -> None:
+    taken: list[str] = []
+    linked = guarded_server("127.0.0.1", 0, taken.append)
+    for path in ("/", "/index.html?groom=bob", "/?darkMode"):
+        assert answer(linked, path, Accept="text/html")[0] == 200
+    linked.stop()
+    assert taken == ["darkMode"]
 
 
 def test_browsers_are_limited_and_leave_their_places(server: ViserServer) -> None:

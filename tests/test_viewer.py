@@ -7,9 +7,10 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -20,10 +21,12 @@ from quaffure.apps.cli.main import main
 from quaffure.apps.viewer.catalogue import LIVE, REST, Catalogue
 from quaffure.apps.viewer.draping_thread import DrapingThread
 from quaffure.apps.viewer.hair_colours import INSIDE, hair_colours, segments
+from quaffure.apps.viewer.hair_drawing import ALL_STRANDS, Display, HairDrawing
 from quaffure.apps.viewer.page import Page, check_address
 from quaffure.apps.viewer.panel import put
 from quaffure.apps.viewer.playback import Playback
 from quaffure.apps.viewer.session import MOST_DRAPES, free_path
+from quaffure.apps.viewer.settings import AUTOMATIC, GUIDES, Settings
 from quaffure.apps.viewer.view_state import Degrees, ViewState
 from quaffure.baselines import PosedDraper
 from quaffure.body import CLIP_FPS, CLIP_NAMES, bundled_clip, joint_matrices
@@ -49,6 +52,8 @@ FLAGS = [
     *("--disable-component-update", "--disable-sync", "--use-angle=gl-egl", "--ignore-gpu-blocklist"),
 ]
 WIDTH, HEIGHT, PANEL_WIDTH = 640, 360, 330
+INTERACTIONS, MOST_GROWTH = 400, 20e6
+"""Of the memory of a tab over the later half of the interactions [bytes]."""
 
 
 @pytest.fixture(scope="module")
@@ -369,7 +374,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def page(catalogue: Catalogue, saved: Path) -> Iterator[Page]:
-    served = Page(catalogue, ("thinned", REST), ("127.0.0.1", 0), saved, no_picture)
+    served = Page(catalogue, Settings("thinned", REST, strands=GUIDES), ("127.0.0.1", 0), saved, no_picture)
     assert finishes(served.session.thread)
     yield served
     served.stop()
@@ -536,6 +541,62 @@ def test_a_groom_that_cannot_be_draped_does_not_stay(page: Page) -> None:
     settled(page)
 
 
+def test_settings_of_a_link_are_shown_in_the_scene_and_in_the_widgets(page: Page) -> None:
+    before = page.panel.settings()
+    linked = replace(
+        before, motion="nod", frame=20, mark_inside=True, joint_rotations={HEAD: (0.0, 0.0, 30.0)}, wind=(6.0, 0.0, 0.0)
+    )
+    page.session.ask_settings(linked)
+    shown = settled(page)
+    assert (shown.motion.name, shown.frame, shown.joint_rotations) == ("nod", 20, {HEAD: (0.0, 0.0, 30.0)})
+    assert shown.loads.acceleration[0] == 6.0
+    found = page.panel.settings()
+    assert replace(found, joint_rotations=found.rotated_joints) == linked
+    assert page._nodes._skin.opacity is not None
+    page.session.ask_settings(before)
+    assert settled(page).motion.name == REST
+    assert page.panel.settings() == before
+    assert page._nodes._skin.opacity is None
+
+
+@pytest.mark.parametrize("change", [{"groom": "wig"}, {"motion": "moonwalk"}, {"frame": 10_000}, {"draper": "hope"}])
+def test_a_link_to_what_is_not_there_changes_nothing(page: Page, change: dict[str, Any]) -> None:
+    before, settings = settled(page), page.panel.settings()
+    page.session.ask_settings(replace(settings, **change))
+    assert settled(page).groom is before.groom
+    assert page.panel.settings() == settings
+
+
+def test_widgets_go_back_to_what_could_be_draped(page: Page, catalogue: Catalogue) -> None:
+    """As in a browser: the picker has its new value already."""
+    twice = replace(page.session.state.groom.select(torch.tensor([0, 0, 1])), name="bob")
+    page.panel.groom.value = "bob"
+    page.session.ask_edit("groom", lambda state: replace(state, groom=twice))
+    settled(page)
+    assert page.panel.groom.value == "thinned"
+
+
+@pytest.mark.parametrize(
+    ("most_milliseconds", "strands", "note"),
+    [(1e9, ALL_STRANDS, "10,000 strands drawn"), (0.0, 0, "guides drawn: 10,000 strands would take")],
+)
+def test_all_hair_is_drawn_where_the_machine_does_it_in_time(
+    state: ViewState, catalogue: Catalogue, most_milliseconds: float, strands: int, note: str
+) -> None:
+    drawing = HairDrawing(catalogue, Display(), most_milliseconds)
+    drape = replace(state, draper=PosedDraper()).drape()
+    points, colours = drawing.strands(drape)
+    assert len(points) == len(colours) == (strands or len(state.groom))
+    assert drawing.note(drape).startswith(note)
+
+
+def test_guides_are_drawn_where_nothing_is_between_them(state: ViewState, catalogue: Catalogue) -> None:
+    few = replace(state, groom=state.groom.select(torch.arange(2)), draper=PosedDraper()).drape()
+    drawing = HairDrawing(catalogue, Display())
+    assert len(drawing.strands(few)[0]) == 2
+    assert drawing.note(few) == "guides drawn, too few for strands between them"
+
+
 def test_a_solver_that_fails_leaves_the_page_as_it_was(page: Page, catalogue: Catalogue) -> None:
     page.session.ask_edit("draper", lambda state: replace(state, draper=SlowDraper(fails=True)))
     before, status = settled(page), page.panel.status.content
@@ -548,13 +609,13 @@ def test_a_solver_that_fails_leaves_the_page_as_it_was(page: Page, catalogue: Ca
 
 def test_strands_between_guides_and_marks(page: Page) -> None:
     guides = len(settled(page).groom)
-    page.session.ask_display(2 * guides, True)
+    page.session.ask_display(Display(2 * guides, True))
     settled(page)
     hair = page._nodes._hair
     assert hair is not None
     assert len(hair.points) == 2 * guides * 23
     assert page._nodes._skin.opacity is not None
-    page.session.ask_display(0, False)
+    page.session.ask_display(Display(0))
     settled(page)
     assert page._nodes._hair is not None
     assert len(page._nodes._hair.points) == guides * 23
@@ -594,8 +655,9 @@ def browser(page: Page) -> Iterator[Browser]:
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install playwright")
     with playwright.sync_playwright() as driver:
         chromium = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        tab = chromium.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-        tab.set_default_timeout(1000 * SECONDS)
+        context = chromium.new_context(viewport={"width": WIDTH, "height": HEIGHT})
+        context.set_default_timeout(1000 * SECONDS)
+        tab = context.new_page()
         opened = Browser(tab, [])
         tab.on("request", lambda request: opened.asked.append(request.url))
         tab.on("websocket", lambda websocket: opened.asked.append(websocket.url))
@@ -636,8 +698,10 @@ def test_play_moves_the_frame_and_pause_stops_it(browser: Browser, page: Page, c
 
 
 def test_an_error_is_shown_and_the_page_goes_on(
-    browser: Browser, page: Page, capfd: pytest.CaptureFixture[str]
+    browser: Browser, page: Page, catalogue: Catalogue, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    page.session.ask_edit("motion", lambda state: state.playing(catalogue.motion("nod")))
+    settled(page)
     page.session.ask_edit("frame", lambda state: replace(state, frame=-1))
     browser.tab.get_by_text("frame: expected 0 to").wait_for()
     page.session.ask_edit("frame", lambda state: [][1])
@@ -648,12 +712,136 @@ def test_an_error_is_shown_and_the_page_goes_on(
 
 
 def test_buttons_measure_and_save(browser: Browser, page: Page, saved: Path) -> None:
-    browser.tab.get_by_text("Measure", exact=True).click()
-    browser.tab.get_by_role("button", name="Measure this drape").click()
-    browser.tab.get_by_text("body_intersection_percent").wait_for()
     browser.tab.get_by_role("button", name="Save drape").click()
     browser.tab.get_by_text(".npz and").wait_for()
     (path,) = saved.glob("*.npz")
     assert path.with_suffix(".png").is_file()
     assert page.session.shown is not None
     assert np.array_equal(read_drape(path).strands[0], page.session.shown.strands)
+    browser.tab.get_by_text("Measure", exact=True).click()
+    browser.tab.get_by_role("button", name="Measure this drape").click()
+    browser.tab.get_by_text("body_intersection_percent").wait_for()
+    browser.tab.get_by_text("Drape", exact=True).click()
+
+
+def test_keys_play_step_and_turn_the_camera(browser: Browser, page: Page, catalogue: Catalogue) -> None:
+    page.session.ask_settings(Settings("thinned", "nod", strands=GUIDES))
+    assert settled(page).frame == 0
+    keyboard, frame = browser.tab.keyboard, page.panel.frame
+    for key, expected in (("n", 1), ("n", 2), ("b", 1), ("Home", 0), ("b", len(catalogue.motion("nod")) - 1)):
+        keyboard.press(key)
+        wait_until(lambda expected=expected: frame.value == expected)  # type: ignore[misc]
+        assert settled(page).frame == expected
+    keyboard.press("m")
+    wait_until(lambda: page.panel.motion.value == CLIP_NAMES[CLIP_NAMES.index("nod") + 1])
+    keyboard.press("h")
+    wait_until(lambda: page.panel.strands.value == AUTOMATIC)
+    keyboard.press("h")
+    wait_until(lambda: page.panel.strands.value == GUIDES)
+    (client,) = page._server.get_clients().values()
+    keyboard.press("4")
+    wait_until(lambda: client.camera.position[1] > 1.0)
+    keyboard.press("1")
+    wait_until(lambda: client.camera.position[1] < -1.0)
+
+
+def test_the_space_bar_plays_once_also_after_a_click_on_play(browser: Browser, page: Page) -> None:
+    """A button that has the focus takes the space bar as a click."""
+    browser.tab.get_by_role("button", name="Play", exact=True).click()
+    wait_until(lambda: page._playback.playing)
+    browser.tab.keyboard.press("Space")
+    wait_until(lambda: not page._playback.playing)
+    time.sleep(1.0)
+    assert not page._playback.playing
+
+
+def test_a_link_opens_the_view_again(browser: Browser, page: Page) -> None:
+    page.session.ask_settings(Settings("thinned", "nod", 25, joint_rotations={HEAD: (0.0, 0.0, 40.0)}, strands=GUIDES))
+    settled(page)
+    browser.tab.keyboard.press("3")
+    (client,) = page._server.get_clients().values()
+    wait_until(lambda: client.camera.position[0] > 1.0)
+    browser.tab.get_by_role("button", name="Link to this view").click()
+    link = browser.tab.get_by_role("link", name="Link to this view")
+    wait_until(lambda: "frame=25" in (link.get_attribute("href") or ""))
+    address = link.evaluate("link => link.href")
+    page.session.ask_settings(Settings("crew_cut", REST))
+    assert settled(page).groom.name == "crew_cut"
+
+    with closing(browser.tab.context.new_page()) as other:
+        other.goto(address)
+        wait_until(lambda: len(page._server.get_clients()) == 2)
+        shown = settled(page)
+        assert (shown.groom.name, shown.motion.name, shown.frame) == ("thinned", "nod", 25)
+        assert shown.joint_rotations == {HEAD: (0.0, 0.0, 40.0)}
+        assert page.panel.joints[HEAD][2].value == 40.0
+        assert "groom" not in other.url
+        camera = page._server.get_clients()[max(page._server.get_clients())].camera
+        wait_until(lambda: np.allclose(camera.position, client.camera.position, atol=2e-3))
+        other.goto(f"{page.url}/?groom=wig")
+        other.get_by_text("found 'wig'").wait_for()
+        assert settled(page) is shown
+    wait_until(lambda: len(page._server.get_clients()) == 1)
+
+
+def test_a_picture_of_what_the_camera_shows_is_downloaded(browser: Browser, page: Page) -> None:
+    page.session.ask_settings(Settings("thinned", "nod", 25, strands=GUIDES))
+    settled(page)
+    with browser.tab.expect_download() as download:
+        browser.tab.get_by_role("button", name="Save picture").click()
+    assert download.value.suggested_filename == "thinned_nod_0025_neural.png"
+    picture = Image.open(download.value.path()).convert("RGB")
+    assert picture.height == HEIGHT
+    assert picture.width < WIDTH
+    assert np.array(picture).std() > 20
+
+
+@pytest.mark.slow
+def test_memory_of_chromium_stays_flat_over_many_interactions(browser: Browser, page: Page) -> None:
+    """Frames, clips, views and what is drawn by keys, sliders by arrows; each drape is drawn before the next one."""
+    page.session.ask_settings(Settings("thinned", "nod", strands=GUIDES))
+    settled(page)
+    keyboard, slider = browser.tab.keyboard, browser.tab.get_by_role("slider").first
+    devtools = browser.tab.context.new_cdp_session(browser.tab)
+    used = []
+    for step in range(INTERACTIONS):
+        key = ("n", "ArrowRight", "n", f"{1 + step % 4}", "b", "ArrowLeft", "h" if step % 40 < 16 else "n", "m")[
+            step % 8
+        ]
+        if key.startswith("Arrow"):
+            slider.focus()
+        keyboard.press(key)
+        settled(page)
+        browser.tab.evaluate("() => new Promise(drawn => requestAnimationFrame(drawn))")
+        if step % 50 == 49:
+            devtools.send("HeapProfiler.collectGarbage")
+            sizes = devtools.send("Runtime.getHeapUsage")
+            used.append(sum(sizes[name] for name in ("usedSize", "embedderHeapUsedSize", "backingStorageSize")))
+    print("memory of the tab after every 50 interactions [MB]:", *(round(size / 1e6) for size in used))
+    # Half of the updates would be over 40 MB.
+    assert used[-1] - used[len(used) // 2 - 1] < MOST_GROWTH
+
+
+def test_on_a_narrow_screen_the_panel_leaves_the_head_in_view(browser: Browser, page: Page) -> None:
+    assert browser.tab.context.browser is not None
+    with closing(browser.tab.context.browser.new_context(viewport={"width": 400, "height": 800})) as context:
+        context.set_default_timeout(1000 * SECONDS)
+        tab = context.new_page()
+        tab.goto(page.url)
+        panel = tab.get_by_text("quaffure", exact=True)
+        panel.wait_for()
+        wait_until(lambda: len(page._server.get_clients()) == 2)
+        camera = page._server.get_clients()[max(page._server.get_clients())].camera
+        chin = float(page._nodes._head[2]) - 0.12  # below the joint of the head
+
+        def height_of_chin() -> float:
+            """From the upper edge of the window, in pixels."""
+            distance = float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))
+            below = (camera.look_at[2] - chin) / distance / np.tan(0.5 * camera.fov)
+            return 400.0 * (1.0 + float(below))
+
+        box = panel.bounding_box()
+        assert box is not None
+        wait_until(lambda: 0.0 < height_of_chin() < box["y"])
+        tab.set_viewport_size({"width": 1280, "height": 800})
+        wait_until(lambda: abs(height_of_chin() - 400.0) < 120.0)

@@ -1,6 +1,7 @@
 """A drape over time, as files, pictures, videos and metrics take it."""
 
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,11 @@ class DrapeSequence:
     def __len__(self) -> int:
         """Number of frames."""
         return len(self.strands)
+
+    def _repr_html_(self) -> str:
+        """A small picture, for notebooks."""
+        # By name: the renderer is above this package, and only a notebook asks for a picture.
+        return str(import_module("quaffure.apps.notebook").html_of_drape(self))
 
     def in_place(self) -> "DrapeSequence":
         """The drape as seen from a camera that moves with the body: without its translation."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Any
 
 import torch
@@ -43,6 +44,11 @@ class Groom:
     stiffness_scale: Float[Tensor, "s e"] | None = None
     goal_weight: Float[Tensor, "s e"] | None = None
     tie_vertex: Int[Tensor, " s"] | None = None
+
+    def _repr_html_(self) -> str:
+        """A small picture, for notebooks."""
+        # By name: the renderer is above this package, and only a notebook asks for a picture.
+        return str(import_module("quaffure.apps.notebook").html_of_groom(self))
 
     def __len__(self) -> int:
         return len(self.rest_strands)

@@ -62,6 +62,7 @@ class ViewCommand:
         require_extra("view", "quaffure view")
         from quaffure.apps.viewer.catalogue import REST, Catalogue
         from quaffure.apps.viewer.page import Page
+        from quaffure.apps.viewer.settings import Settings
 
         if not self.folder.is_dir():
             raise InputError("--folder", "an existing folder", f"{self.folder}")
@@ -74,7 +75,7 @@ class ViewCommand:
         console.print(f"reading the groom {self.groom}")
         groom = None if self.groom in STYLES else load_groom(self.groom, model.body)
         catalogue = Catalogue(model, groom, motion)
-        start = (
+        start = Settings(
             self.groom if groom is None else catalogue.groom_names[0],
             self.motion if motion is None else catalogue.motion_names[0],
         )

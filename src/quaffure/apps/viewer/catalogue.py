@@ -2,6 +2,8 @@
 
 import torch
 
+from quaffure.apps.viewer.settings import NEURAL, Settings
+from quaffure.apps.viewer.view_state import ViewState
 from quaffure.baselines.posed import PosedDraper
 from quaffure.body.clips import CLIP_FPS, CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion
@@ -16,7 +18,6 @@ from quaffure.solvers.by_name import SOLVERS, solver
 from quaffure.solvers.coherent_clip import CoherentDraper
 from quaffure.solvers.strand_newton import StrandNewtonDraper
 
-NEURAL = "neural"
 REST = "rest"
 LIVE = (NEURAL, StrandNewtonDraper.name, PosedDraper.name)
 """Drapers that follow every change; all others take seconds to minutes."""
@@ -70,6 +71,23 @@ class Catalogue:
             return self._model.draper
         draper = solver(name, self._model.draper.material)
         return CoherentDraper(draper) if isinstance(draper, StrandNewtonDraper) else draper
+
+    def state(self, settings: Settings) -> ViewState:
+        """What the widgets of the page describe.
+
+        Raises:
+            InputError: no groom, clip or draper of that name, or a frame outside of the clip.
+        """
+        return ViewState(
+            self.body,
+            self.groom(settings.groom),
+            self.motion(settings.motion),
+            self.draper(settings.draper),
+            settings.frame,
+            settings.rotated_joints,
+            settings.body_shape,
+            settings.loads,
+        )
 
     def interpolation(self, groom: Groom, strands: int) -> GuideInterpolation:
         """Interpolation of strands between the guides of a groom; the last one is kept."""

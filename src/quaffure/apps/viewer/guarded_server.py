@@ -3,6 +3,7 @@
 Any web page that a user has open can send requests to a port of this machine, so each request has to name this machine
 (Host, against DNS rebinding) and, where a page sends it, to come from the page that is served here (Origin). Browsers
 send what moves widgets and the camera; all else that viser knows, uploads and public tunnels among it, is dropped.
+Settings in the query of the page's address are applied where a user opened it, and not where another page loads it.
 """
 
 import asyncio
@@ -28,25 +29,29 @@ MOST_BROWSERS = 8
 MOST_MESSAGE_BYTES = 1 << 16
 MOST_MESSAGES_PER_SECOND = 250.0
 """A browser that sends more waits. A slider that is dragged sends some sixty."""
-TAKEN = ("GuiUpdateMessage", "ViewerCameraMessage")
-"""Types of the messages that widgets and cameras send."""
+TAKEN = ("GuiUpdateMessage", "ViewerCameraMessage", "CommandTriggerMessage")
+"""Types of the messages that widgets, cameras and keys send."""
 BAD_MESSAGE = 1007
 HEADERS = {"X-Frame-Options": "DENY", "Content-Security-Policy": "frame-ancestors 'none'"}
 """The page in a frame of another page would take that page's clicks."""
 
 Handler = Callable[[ServerConnection, Request], Response | None]
+TakeLink = Callable[[str], str | None]
+"""Called with the query of the page's address: applies the settings in it and returns the query without them; None
+where it holds none."""
 
 _serving = threading.Lock()
 
 
-def guarded_server(host: str, port: int) -> ViserServer:
+def guarded_server(host: str, port: int, take_link: TakeLink = lambda query: None) -> ViserServer:
     """A server of viser that serves its own page alone.
 
     Args:
         host: address to listen at.
         port: 0 for any free one.
+        take_link: called in the server's thread when a user opens the page by an address with a query.
     """
-    serve, guard = websockets.asyncio.server.serve, _Guard(host)
+    serve, guard = websockets.asyncio.server.serve, _Guard(host, take_link)
 
     def guarded_serve(*arguments: Any, process_request: Handler, **options: Any) -> Any:
         options["max_size"] = MOST_MESSAGE_BYTES
@@ -100,18 +105,19 @@ class _Guard:
         open: connections of browsers.
     """
 
-    def __init__(self, host: str) -> None:
+    def __init__(self, host: str, take_link: TakeLink) -> None:
         self.open: set[ServerConnection] = set()
+        self._take_link = take_link
         self._names = {"localhost", socket.gethostname().lower(), host.lower()}
 
     def checking(self, handle: Handler) -> Handler:
         def checked(connection: ServerConnection, request: Request) -> Response | None:
             is_page = request.headers.get("Upgrade", "").lower() == "websocket"
             if not self._is_own(request.headers, is_page):
-                return _refused(HTTPStatus.FORBIDDEN, "This page is served to its own origin alone.\n")
+                return _response(HTTPStatus.FORBIDDEN, "This page is served to its own origin alone.\n")
             if is_page and len(self.open) >= MOST_BROWSERS:
-                return _refused(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_BROWSERS} browsers have this page open.\n")
-            response = handle(connection, request)
+                return _response(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_BROWSERS} browsers have this page open.\n")
+            response = self._link_response(request) or handle(connection, request)
             if response is None:
                 self.open.add(connection)
             else:
@@ -119,6 +125,20 @@ class _Guard:
             return response
 
         return checked
+
+    def _link_response(self, request: Request) -> Response | None:
+        """For a link to a view: the page without the settings in the address, so that reloading it keeps later changes;
+        None for all else."""
+        path, _, query = request.path.partition("?")
+        if path != "/" or not query or not _is_opened_by_user(request.headers):
+            return None
+        rest = self._take_link(query)
+        if rest is None:
+            return None
+        response = _response(HTTPStatus.SEE_OTHER, "")
+        response.headers["Location"] = f"/?{rest}" if rest else "/"
+        response.headers["Cache-Control"] = "no-store"
+        return response
 
     def _is_own(self, headers: Headers, is_page: bool) -> bool:
         """Whether a request names this machine, and comes from the page that is served here where a page sends it."""
@@ -166,7 +186,18 @@ class _Connection(ServerConnection):
         super().connection_lost(exc)
 
 
-def _refused(status: HTTPStatus, text: str) -> Response:
+def _is_opened_by_user(headers: Headers) -> bool:
+    """Whether a user opened an address in a tab: no image, script or frame of another page, no prefetch, and no page
+    that sends the tab elsewhere by itself."""
+    if "Sec-Purpose" in headers:
+        return False
+    if "Sec-Fetch-Dest" not in headers:  # browsers send these headers over HTTPS and to this machine alone
+        return headers.get("Accept", "").startswith("text/html")
+    is_typed_or_own = headers.get("Sec-Fetch-Site") in ("none", "same-origin")
+    return headers["Sec-Fetch-Dest"] == "document" and (is_typed_or_own or headers.get("Sec-Fetch-User") == "?1")
+
+
+def _response(status: HTTPStatus, text: str) -> Response:
     body = text.encode()
     headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
     return Response(status, status.phrase, headers, body)

@@ -1,5 +1,7 @@
 """Body, hair, floor and lights in viser's scene."""
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import cKDTree
@@ -11,6 +13,8 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import HEAD
 from quaffure.hair.groom import Groom
 
+Point = tuple[float, float, float]
+
 SKIN, SCALP = (205, 172, 150), (84, 56, 36)
 TRANSLUCENT = 0.45  # opacity
 FLOOR, FLOOR_LINES = (236, 236, 234), (205, 205, 203)
@@ -20,6 +24,14 @@ WIDEST_STRAND, WIDEST_COUNT, THINNEST_STRAND = 0.9e-3, 2400, 0.3e-3
 # The camera: a long lens, far enough for head and chest.
 FIELD_OF_VIEW, DISTANCE = np.radians(24.0), 1.75  # m
 TARGET_BELOW_HEAD = 0.06  # m below the Head joint
+FIRST_VIEW = AZIMUTHS["front"] + 20.0  # degrees
+# A picture higher than wide shows this much from side to side [m]: head, hair and shoulders.
+LEAST_WIDTH = 0.5
+# In a narrow window viser's panel covers up to 0.6 of the picture from below. Browsers send the size of the picture in
+# pixels of the screen, which are smaller than those that viser decides by, so only the shape of the window is known.
+PORTRAIT = 1.15  # height of the picture, in widths
+SAME_PLACE = 1e-3  # m
+HEAD_ABOVE_PANEL = 0.19  # of the height of the picture, how far the target is above its middle
 
 
 class SceneNodes:
@@ -34,6 +46,7 @@ class SceneNodes:
         self._skin = server.scene.add_mesh_simple("/body/skin", vertices, self._faces, color=SKIN)
         self._scalp = server.scene.add_mesh_simple("/body/scalp", vertices, self._faces[:1], color=SCALP)
         self._hair: LineSegmentsHandle | None = None
+        self._placed: WeakKeyDictionary[ClientHandle, tuple[float, Point]] = WeakKeyDictionary()
         self._add_surroundings()
 
     def set_groom(self, groom: Groom) -> None:
@@ -77,12 +90,27 @@ class SceneNodes:
         with self._server.atomic():
             self._skin.opacity = self._scalp.opacity = TRANSLUCENT if body_is_translucent else None
 
-    def move_camera(self, view: str, client: ClientHandle) -> None:
-        """Move the camera of one browser to a view of `AZIMUTHS`."""
+    def move_camera(self, azimuth_deg: float, client: ClientHandle) -> None:
+        """Move the camera of one browser to a side of the head.
+
+        Args:
+            azimuth_deg: from the face (-y) towards the body's left (+x).
+        """
+        camera = client.camera
+        eye, target = self._framing(azimuth_deg, camera.image_width, camera.image_height)
+        self._placed[client] = azimuth_deg, eye
         with client.atomic():
-            client.camera.up_direction = (0.0, 0.0, 1.0)
-            client.camera.position = tuple(self._eye(AZIMUTHS[view]))
-            client.camera.look_at = tuple(self._target())
+            camera.up_direction = (0.0, 0.0, 1.0)
+            camera.position, camera.look_at = eye, target
+
+    def fit_camera(self, client: ClientHandle) -> None:
+        """Move a camera to where the window, which may have changed, shows head and hair; leave one that a user or a
+        link has moved. Browsers report viser's own camera first, and then that of this scene."""
+        camera = client.camera
+        azimuth, placed = self._placed.get(client, (FIRST_VIEW, self._first_eye))
+        eye, _ = self._framing(azimuth, camera.image_width, camera.image_height)
+        if np.allclose(camera.position, placed, atol=SAME_PLACE) and not np.allclose(eye, placed, atol=SAME_PLACE):
+            self.move_camera(azimuth, client)
 
     def _covered(self, groom: Groom) -> Bool[np.ndarray, " k"]:
         """Faces of the body at or near the roots."""
@@ -103,15 +131,32 @@ class SceneNodes:
         self._floor = scene.add_grid(
             "/floor", 6.0, 6.0, cell_color=FLOOR_LINES, section_color=FLOOR_LINES, plane_color=FLOOR, plane_opacity=1.0
         )
-        camera.position, camera.look_at = tuple(self._eye(AZIMUTHS["front"] + 20.0)), tuple(self._target())
+        self._first_eye, camera.look_at = self._framing(FIRST_VIEW, 1, 1)
+        camera.position = self._first_eye
         camera.fov, camera.near = float(FIELD_OF_VIEW), 0.02
 
-    def _target(self) -> Float[np.ndarray, "3"]:
-        return self._head - (0.0, 0.0, TARGET_BELOW_HEAD)
+    def _framing(self, azimuth_deg: float, width: int, height: int) -> tuple[Point, Point]:
+        """Position of a camera at one side of the head, and the point in the middle of its picture [m].
 
-    def _eye(self, azimuth_deg: float) -> Float[np.ndarray, "3"]:
+        Args:
+            width, height: of the picture [pixels].
+        """
         azimuth = np.radians(azimuth_deg)
-        return self._target() + DISTANCE * np.array([np.sin(azimuth), -np.cos(azimuth), 0.08])
+        shown_height = max(2.0 * DISTANCE * np.tan(0.5 * FIELD_OF_VIEW), LEAST_WIDTH * height / max(width, 1))
+        distance = 0.5 * shown_height / np.tan(0.5 * FIELD_OF_VIEW)
+        below = TARGET_BELOW_HEAD + (HEAD_ABOVE_PANEL * shown_height if is_portrait(width, height) else 0.0)
+        target = self._head - (0.0, 0.0, below)
+        eye = target + distance * np.array([np.sin(azimuth), -np.cos(azimuth), 0.08])
+        return _point(eye), _point(target)
+
+
+def is_portrait(width: int, height: int) -> bool:
+    """Whether a picture of this size is likely to have the panel over its lower half, and not beside it."""
+    return height > PORTRAIT * width
+
+
+def _point(vector: np.ndarray) -> Point:
+    return float(vector[0]), float(vector[1]), float(vector[2])
 
 
 def _thickness(strands: int) -> float:

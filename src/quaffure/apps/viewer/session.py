@@ -9,16 +9,14 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
-from typing import NamedTuple
 
-import numpy as np
-from jaxtyping import Float, UInt8
-
-from quaffure.apps.viewer.catalogue import LIVE, NEURAL, Catalogue
+from quaffure.apps.viewer.catalogue import LIVE, Catalogue
 from quaffure.apps.viewer.draping_thread import DrapingThread
-from quaffure.apps.viewer.hair_colours import hair_colours
+from quaffure.apps.viewer.hair_drawing import Display, HairDrawing
 from quaffure.apps.viewer.panel import Panel
+from quaffure.apps.viewer.picture import BrowserCamera, png_of
 from quaffure.apps.viewer.scene_nodes import SceneNodes
+from quaffure.apps.viewer.settings import NEURAL, Settings
 from quaffure.apps.viewer.view_state import Drape, ViewState
 from quaffure.draper import ClipDraper
 from quaffure.errors import InputError
@@ -32,19 +30,13 @@ RECENT = 15  # drapes, of whose times the median is shown
 MOST_DRAPES = 40  # of one state, in which hair that follows comes to rest
 
 
-class Display(NamedTuple):
-    """How a drape is drawn: number of strands, 0 for its guides, and whether vertices inside the body are marked."""
-
-    strand_count: int
-    mark_inside: bool
-
-
 class Session:
     """One state of the page and its drape. `ask` and the methods that start with `ask_` return at once and leave the
     work to the thread; the other methods are that work.
 
     Args:
         state: to start with.
+        drawing: of the strands that are drawn.
         panel: where metrics are written.
         nodes: where the drape is drawn.
         notify: shows a title and a text, as an error or not, in every browser.
@@ -60,6 +52,7 @@ class Session:
         self,
         state: ViewState,
         catalogue: Catalogue,
+        drawing: HairDrawing,
         panel: Panel,
         nodes: SceneNodes,
         notify: Notify,
@@ -67,10 +60,10 @@ class Session:
     ) -> None:
         self.state = state
         self.shown: Drape | None = None
-        self._draped: ViewState | None = None
-        self._catalogue, self._panel, self._nodes, self._notify = catalogue, panel, nodes, notify
+        self._draped: tuple[ViewState, Settings] | None = None
+        self._catalogue, self._drawing = catalogue, drawing
+        self._panel, self._nodes, self._notify = panel, nodes, notify
         self._folder, self._write_picture = save
-        self._display = Display(0, False)
         self._drapes_left = MOST_DRAPES
         self._times: deque[tuple[float, float | None]] = deque(maxlen=RECENT)
         self.thread = DrapingThread(self.report)
@@ -84,15 +77,35 @@ class Session:
         self.thread.request(kind, lambda: self._edit(change))
         self.ask(self.drape)
 
-    def ask_display(self, strand_count: int, mark_inside: bool) -> None:
-        """Draw this many strands, or with 0 the guides; mark what is inside the body."""
-        self.thread.request("display", lambda: self._set_display(Display(strand_count, mark_inside)))
+    def ask_display(self, display: Display) -> None:
+        """Draw drapes in another way, also the one that is shown."""
+        self.thread.request("display", lambda: self._set_display(display))
+
+    def ask_settings(self, settings: Settings) -> None:
+        """Show what settings describe, also in the widgets."""
+        self.thread.request("settings", lambda: self._take(settings))
+        self.ask(self.drape)
+
+    def ask_picture(self, seen_by: BrowserCamera, send: Callable[[str, bytes], None]) -> None:
+        """Draw the drape that is shown as a browser shows it.
+
+        Args:
+            send: called with the name of the file and its content.
+        """
+        self.thread.request("picture", lambda: self._draw_picture(seen_by, send))
 
     def _edit(self, change: Callable[[ViewState], ViewState]) -> None:
         before, self.state = self.state, change(self.state)
         self._drapes_left = MOST_DRAPES
         if self.state.motion is not before.motion and isinstance(self.state.draper, ClipDraper):
             self.state.draper.restart()
+
+    def _take(self, settings: Settings) -> None:
+        state = self._catalogue.state(settings)  # raises before anything on the page has changed
+        self._edit(lambda _: state)
+        self._drawing.display = Display(settings.strand_count, settings.mark_inside)
+        self._nodes.set_translucent(settings.mark_inside)
+        self._panel.show(settings, len(state.motion))
 
     def drape(self) -> None:
         """Drape the state after a change: by the network if the draper is too slow to follow every change, and again
@@ -117,20 +130,23 @@ class Session:
 
     @contextmanager
     def _restored_on_failure(self) -> Iterator[None]:
-        """If draping fails in the block, restore the last draped state and the status.
+        """If draping fails in the block, restore the last draped state, with its settings and status in the panel.
 
         Otherwise every later change would start from a state that cannot be draped, and fail too.
         """
-        status = self._panel.status.content
+        status, settings = self._panel.status.content, self._panel.settings()
         try:
             yield
         except Exception:
-            self.state, self._panel.status.content = self._draped or self.state, status
+            self._panel.status.content = status
+            if self._draped is not None:
+                self.state, shown = self._draped
+                self._panel.show(shown, len(self.state.motion))
             raise
-        self._draped = self.state
+        self._draped = self.state, settings
 
     def _show(self, drape: Drape) -> None:
-        picture = self._picture(drape, self._display)  # may fail, and then nothing on the page has changed
+        picture = self._drawing.strands(drape)  # may fail, and then nothing on the page has changed
         before, self.shown = self.shown, drape
         new_groom = before is None or before.state.groom is not drape.state.groom
         if new_groom:
@@ -142,25 +158,22 @@ class Session:
         self._panel.metrics.content = ""
         self._panel.status.content = self._status(drape)
 
-    def _picture(self, drape: Drape, display: Display) -> tuple[Float[np.ndarray, "m n 3"], UInt8[np.ndarray, "m n 3"]]:
-        """Strands to draw, and their colours."""
-        interpolation = self._interpolation(drape, display)
-        strands = drape.strands if interpolation is None else interpolation.strands(drape.strands, drape.body_vertices)
-        return strands, hair_colours(strands, drape.inside(strands) if display.mark_inside else None)
-
-    def _interpolation(self, drape: Drape, display: Display) -> GuideInterpolation | None:
-        count = display.strand_count
-        return self._catalogue.interpolation(drape.state.groom, count) if count else None
-
     def _set_display(self, display: Display) -> None:
+        before, self._drawing.display = self._drawing.display, display
         if self.shown is not None:
-            self._nodes.show(self.shown.body_vertices, *self._picture(self.shown, display), self.shown.path)
-        self._display = display
+            try:
+                picture = self._drawing.strands(self.shown)
+            except Exception:
+                self._drawing.display = before
+                raise
+            self._nodes.show(self.shown.body_vertices, *picture, self.shown.path)
+            self._panel.status.content = self._status(self.shown)
         self._nodes.set_translucent(display.mark_inside)
 
     def _status(self, drape: Drape) -> str:
         totals, networks = zip(*self._times)
-        text = f"**{drape.state.draper.name}**, {len(drape.state.groom):,} guides\n\n{median(totals):.1f} ms a drape"
+        hair = f"**{drape.state.draper.name}**, {len(drape.state.groom):,} guides, {self._drawing.note(drape)}"
+        text = f"{hair}\n\n{median(totals):.1f} ms a drape"
         known = [milliseconds for milliseconds in networks if milliseconds is not None]
         return f"{text}, network {median(known):.1f} ms" if known else text
 
@@ -176,10 +189,15 @@ class Session:
         """Write the drape that is shown, and a picture of it."""
         if self.shown is not None:
             path = free_path(self._folder, self.shown)
-            picture, interpolation = path.with_suffix(".png"), self._interpolation(self.shown, self._display)
+            picture, interpolation = path.with_suffix(".png"), self._drawing.interpolation(self.shown)
             write_drape(path, self.shown.sequence)
             self._write_picture(picture, self.shown.sequence, interpolation)
             self._notify("Saved", f"{path} and {picture.name}", False)
+
+    def _draw_picture(self, seen_by: BrowserCamera, send: Callable[[str, bytes], None]) -> None:
+        if self.shown is not None:
+            png = png_of(self.shown, self._drawing.interpolation(self.shown), seen_by)
+            send(f"{file_stem(self.shown)}.png", png)
 
     def report(self, error: Exception) -> None:
         """Show in the browsers why a job failed. The page continues with the last draped state."""
@@ -189,15 +207,20 @@ class Session:
         self._notify(title, str(error), True)
 
 
+def file_stem(drape: Drape) -> str:
+    """Name of files of a drape, without a suffix."""
+    state = drape.state
+    words = f"{state.groom.name}_{state.motion.name}_{state.frame:04d}_{state.draper.name}"
+    return re.sub(r"[^\w.-]+", "_", words)
+
+
 def free_path(folder: Path, drape: Drape) -> Path:
     """A path for the drape's .npz that no file of the folder has, with a .png of the same name free as well.
 
     Raises:
         InputError: ten thousand drapes of that name.
     """
-    state = drape.state
-    words = f"{state.groom.name}_{state.motion.name}_{state.frame:04d}_{state.draper.name}"
-    stem = re.sub(r"[^\w.-]+", "_", words)
+    stem = file_stem(drape)
     for suffix in ("", *(f"_{number}" for number in range(2, 10_000))):
         path = folder / f"{stem}{suffix}.npz"
         if not path.exists() and not path.with_name(f"{stem}{suffix}.png").exists():

@@ -7,7 +7,7 @@ STANDARD_GRAVITY = 9.81
 """Gravitational acceleration [m/s^2]."""
 
 BENDING_STIFFNESS, TWISTING_STIFFNESS = 8.0e-9, 8.0e-9 / 1.35
-"""EI and GJ of a human hair [N m^2], those of the rod; `Loading.stiffness` and `Groom.stiffness_scale` multiply them."""
+"""EI and GJ of the rod, a human hair's [N m^2]; `Loading.stiffness` and `Groom.stiffness_scale` multiply them."""
 
 VERTICES_PER_STRAND = 24
 """N of the paper."""

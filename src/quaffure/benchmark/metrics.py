@@ -115,16 +115,23 @@ class DrapeMetrics:
 
 
 def measure(
-    sequence: DrapeSequence, groom: Groom, body: BodyModel, reference: DrapeSequence | None = None
+    sequence: DrapeSequence,
+    groom: Groom,
+    body: BodyModel,
+    reference: DrapeSequence | None = None,
+    terms: Terms | None = None,
 ) -> tuple[PerFrame, PerFrame]:
     """Metrics of every frame of a drape that exists already, and of the groom as it was posed.
+
+    Args:
+        reference, terms: see `DrapeMetrics`.
 
     Raises:
         InputError: the reference holds other frames, bodies or strands, or hair of another material.
     """
     if reference is not None and reference.strands.shape != sequence.strands.shape:
         raise InputError("reference", f"strands {sequence.strands.shape}", f"{reference.strands.shape}")
-    measured = DrapeMetrics(groom, material_of(sequence), reference, fps=sequence.fps)
+    measured = DrapeMetrics(groom, material_of(sequence), reference, terms, sequence.fps)
     sequence = sequence.in_place()
     for start in range(0, len(sequence), FRAMES_AT_ONCE):
         chunk = slice(start, start + FRAMES_AT_ONCE)

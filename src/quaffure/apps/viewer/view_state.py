@@ -12,7 +12,8 @@ from quaffure.benchmark.metrics import measure
 from quaffure.body.body_model import SHAPE_COUNT, BodyModel
 from quaffure.body.motion import Motion, joint_matrices, pose_from_matrices
 from quaffure.drape_motion import bodies_of, drape_motion
-from quaffure.draper import Draper
+from quaffure.draper import Draper, LoadedDraper
+from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
@@ -95,17 +96,25 @@ class ViewState:
         draper takes."""
         frame = self.motion.select(slice(self.frame, self.frame + 1))
         pose = replace(frame, body_pose=self.body_pose())
-        if isinstance(self.draper, CoherentDraper):
-            self.draper.draper.loading = self.loads
-        if isinstance(self.draper, NeuralDraper):
-            self.draper.loading = self.loads
-        with network_clock(self.draper) as network_times:
+        draper = self._loaded_draper()
+        with network_clock(draper) as network_times:
             shape = torch.tensor(self.body_shape)
-            sequence = drape_motion(self.draper, self.groom, self.body, pose, shape, follows=True)
+            sequence = drape_motion(draper, self.groom, self.body, pose, shape, follows=True)
         sequence.meta["frame"] = self.frame
-        if isinstance(self.draper, CoherentDraper | NeuralDraper):
+        if isinstance(draper, CoherentDraper | LoadedDraper):
             sequence.meta.update(asdict(self.loads))
         return Drape(self, sequence, sum(network_times) if network_times else None)
+
+    def _loaded_draper(self) -> Draper:
+        """The draper under the loads. The network's and the one that follows stay the same, with what they keep."""
+        draper = self.draper
+        if isinstance(draper, CoherentDraper):
+            draper.draper.loading = self.loads
+        elif isinstance(draper, NeuralDraper):
+            draper.loading = self.loads
+        elif isinstance(draper, LoadedDraper):
+            return draper.under(self.loads)
+        return draper
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,8 +152,10 @@ class Drape:
         return float(self.sequence.meta["milliseconds"])
 
     def metrics(self) -> tuple[dict[str, float], dict[str, float]]:
-        """Metrics by name, of the drape and of the posed groom."""
-        draped, posed = measure(self.sequence, self.state.groom, self.state.body)
+        """Metrics by name, of the drape and of the posed groom; energies are those of the rod in its design."""
+        state = self.state
+        terms = terms_of_design(state.groom, state.body, state.draper.material, state.loads)
+        draped, posed = measure(self.sequence, state.groom, state.body, terms=terms)
         return _first_frame(draped), _first_frame(posed)
 
     def inside(self, strands: Float[np.ndarray, "m n 3"]) -> Bool[np.ndarray, "m n"]:

@@ -349,6 +349,15 @@ def test_groups_without_names_in_a_groom_file_are_refused(case: Case, tmp_path: 
         read_source(tmp_path / "groom.npz")
 
 
+def test_strands_without_a_group_are_in_one_of_their_own(case: Case) -> None:
+    group = np.zeros(len(case.placed.counts), np.int64)
+    group[1], group[2] = 1, -1
+    placed = replace(case.placed, attributes=StrandAttributes(group=group, group_names=("left", "right")))
+    clip = ExportClip(still(case), original_strands(placed, case.groom, case.body))
+    assert clip.group_names == ("left", "right", case.groom.name)
+    assert clip.groups[:4].tolist() == [0, 1, 2, 0]
+
+
 def still(case: Case) -> DrapeSequence:
     """A drape of the rest pose, in one frame."""
     motion = Motion(torch.zeros(1, 81), 30.0, "still")

@@ -134,6 +134,7 @@ def test_usd_primvars(tmp_path: Path) -> None:
         curves.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(np.float32(POINTS)))
         curves.CreateCurveVertexCountsAttr([3, 4])
         curves.CreateWidthsAttr([0.1, 0.2])
+        curves.AddScaleOp().Set((2.0, 2.0, 2.0) if name == "Beard" else (1.0, 1.0, 1.0))
         primvars = UsdGeom.PrimvarsAPI(curves)
         uniform = UsdGeom.Tokens.uniform
         primvars.CreatePrimvar("groom_id", Sdf.ValueTypeNames.IntArray, uniform).Set([first, first + 1])
@@ -143,7 +144,7 @@ def test_usd_primvars(tmp_path: Path) -> None:
     found = read_strands(tmp_path / "hair.usda").attributes
     assert (found.group_names, found.group.tolist()) == (("/Hair", "/Beard"), [0, 0, 1, 1])
     assert found.identifier.tolist() == [0, 1, 100, 101]
-    np.testing.assert_allclose(found.width, [0.1] * 3 + [0.2] * 4 + [0.1] * 3 + [0.2] * 4, rtol=1e-6)
+    np.testing.assert_allclose(found.width, [0.1] * 3 + [0.2] * 4 + [0.2] * 3 + [0.4] * 4, rtol=1e-6)
     np.testing.assert_allclose(found.root_uv, [[0.1, 0.2], [0.3, 0.4]] * 2, rtol=1e-6)
     np.testing.assert_allclose(found.colour, [[0.5, 0.25, 0.125]] * 14)
 

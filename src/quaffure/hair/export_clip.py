@@ -128,7 +128,7 @@ class ExportClip:
 
     @cached_property
     def root_uv(self) -> Float32[np.ndarray, "m 2"] | None:
-        """Texture coordinates of the body at the strands' roots, where their source or a binding tells them."""
+        """Texture coordinates of the body at the strands' roots, where their source or a binding gives them."""
         if self._attributes.root_uv is not None:
             return self._attributes.root_uv.astype(np.float32)
         if self.binding is None:
@@ -196,9 +196,11 @@ class ExportClip:
 
     @property
     def groups(self) -> Int32[np.ndarray, " m"]:
-        """Index of every strand's group in `group_names`."""
+        """Index of every strand's group in `group_names`; strands without one are in the last."""
         found = self._attributes.group
-        return np.zeros(self.strand_count, np.int32) if found is None else found.clip(min=0).astype(np.int32)
+        if found is None:
+            return np.zeros(self.strand_count, np.int32)
+        return np.where(found < 0, len(self._attributes.group_names), found).astype(np.int32)
 
     @property
     def has_groups(self) -> bool:
@@ -207,7 +209,11 @@ class ExportClip:
 
     @property
     def group_names(self) -> tuple[str, ...]:
-        return self._attributes.group_names or (str(self.sequence.meta.get("groom", "hair")),)
+        """Names of the source's groups, and that of the groom for strands without one."""
+        names, found = self._attributes.group_names, self._attributes.group
+        if names and (found is None or bool((found >= 0).all())):
+            return names
+        return (*names, str(self.sequence.meta.get("groom", "hair")))
 
     @cached_property
     def held_parts(self) -> dict[str, np.ndarray]:

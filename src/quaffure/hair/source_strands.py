@@ -146,9 +146,8 @@ class OriginalStrands(GuideInterpolation):
         draped = np.ascontiguousarray(guides, dtype=np.float32)
         if not (np.isfinite(draped).all() and np.isfinite(body_vertices).all()):
             raise InputError("guides", "finite guides and body vertices", "NaN or infinity")
-        vertices = torch.from_numpy(
-            np.array(body_vertices, dtype=np.float32)
-        )  # frames read from a file are not writable
+        # A copy: frames read from a file are not writable.
+        vertices = torch.from_numpy(np.array(body_vertices, dtype=np.float32))
         surface = posed_surface(
             self.body.surface_topology, vertices[None], torch.from_numpy(draped[:, 0].mean(0))[None]
         )
@@ -188,7 +187,7 @@ def place_strands(strands: Strands, report: RegistrationReport, body: BodyModel)
     if not report.frame.registered:
         placed += np.repeat(np.where(on_scalp[:, None], closest - roots, 0.0), strands.counts, axis=0)
     points, from_tip = placed.astype(np.float32), from_tip ^ single
-    attributes = strands.attributes.rearranged(_order(strands.counts, from_tip), report.scale)
+    attributes = strands.attributes.scaled(report.scale).rearranged(_order(strands.counts, from_tip))
     return PlacedStrands(points, strands.counts, from_tip, on_scalp, attributes)
 
 

@@ -1,4 +1,4 @@
-"""What a file says of its strands besides their shape: widths, colours, names; kept for the way out."""
+"""What a file says of its strands besides their shape: widths, colours, names; kept for export."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -62,10 +62,14 @@ class StrandAttributes:
         place = np.array([*map(names.index, self.group_names), UNKNOWN_ID])  # of the last one, strands without a group
         return replace(self, group=place[self.group], group_names=names)
 
-    def rearranged(self, order: Int[np.ndarray, " p"], scale: float) -> "StrandAttributes":
-        """With the points in another order, each within its strand, and widths times a factor."""
-        width = None if self.width is None else scale * self.width[order]
-        return replace(self, width=width, colour=None if self.colour is None else self.colour[order])
+    def scaled(self, scale: float) -> "StrandAttributes":
+        """Those of strands that are larger by a factor."""
+        return self if self.width is None else replace(self, width=scale * self.width)
+
+    def rearranged(self, order: Int[np.ndarray, " p"]) -> "StrandAttributes":
+        """With the points in another order, each within its strand."""
+        width, colour = (None if values is None else values[order] for values in (self.width, self.colour))
+        return replace(self, width=width, colour=colour)
 
     def select(self, kept: Bool[np.ndarray, " s"], counts: Int[np.ndarray, " s"]) -> "StrandAttributes":
         """Those of some of the strands.

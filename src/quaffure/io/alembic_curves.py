@@ -10,6 +10,7 @@ import numpy as np
 from alembic3d import Abc, AbcGeom
 
 from quaffure.errors import InputError, refused
+from quaffure.geometry.axes import mean_scale
 from quaffure.hair.curve_bases import (
     BEZIER,
     BSPLINE,
@@ -116,7 +117,7 @@ def _read_curves(found: _Object, path: Path) -> tuple[Strands, np.ndarray]:
         raise InputError(path, f"{counts.sum()} points in {name}", f"{len(points)}")
     points = points @ found.world[:3, :3] + found.world[3, :3]
     polylines, lengths = _polylines(sample, points, counts, name)
-    attributes = _attributes(schema, counts, lengths, name)
+    attributes = _attributes(schema, counts, lengths, name).scaled(mean_scale(found.world[:3, :3]))
     return Strands(polylines, lengths, str(path), attributes=attributes), _guides(schema, len(counts))
 
 

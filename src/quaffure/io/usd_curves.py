@@ -17,6 +17,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, Work
 
 from quaffure.errors import InputError, refused
+from quaffure.geometry.axes import mean_scale
 from quaffure.hair.curve_bases import (
     LINEAR,
     PERIODIC,
@@ -141,7 +142,8 @@ def _with_attributes(strands: Strands, curve: UsdGeom.Curves) -> Strands:
         identifier=None if identifier is None else identifier.astype(np.int64),
         root_uv=per_strand(uv, counts),
     )
-    return replace(strands, attributes=attributes)
+    world = np.array(curve.ComputeLocalToWorldTransform(time))[:3, :3]
+    return replace(strands, attributes=attributes.scaled(mean_scale(world)))
 
 
 def _group_names(api: UsdGeom.PrimvarsAPI, time: Usd.TimeCode, counts: np.ndarray) -> np.ndarray | None:

@@ -7,6 +7,7 @@ import re
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from zipfile import ZIP_LZMA, ZipFile
@@ -17,6 +18,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
+from quaffure.apps.character_table import read_table
 from quaffure.apps.cli.inputs import body_shape_of
 from quaffure.body import BodyModel, load_body
 from quaffure.config import HairMaterial
@@ -25,7 +27,7 @@ from quaffure.errors import InputError
 from quaffure.io import read_bvh, read_drape, read_head, read_usd_strands, write_groom
 from quaffure.io.groom_file import read_groom
 from quaffure.io.load_groom import load_groom
-from quaffure.io.read_motion import read_motion
+from quaffure.io.read_motion import read_joint_map, read_motion
 from quaffure.io.read_strands import STRAND_READERS, read_strands
 from quaffure.model.checkpoint import load_network
 from quaffure.model.quaffure_model import WEIGHTS
@@ -83,6 +85,21 @@ def test_a_pipe_is_refused_and_not_waited_for(suffix: str, tmp_path: Path, body:
     os.mkfifo(tmp_path / f"pipe{suffix}")
     with pytest.raises(InputError, match="found a pipe, socket or device"):
         readers(body)[suffix](tmp_path / f"pipe{suffix}")
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no devices on this system")
+def test_a_device_without_end_is_refused(tmp_path: Path, body: BodyModel) -> None:
+    for name in ("zero.hair", "zero.npz", "zero.usda", "zero.ply", "zero.toml", "zero.csv"):
+        (tmp_path / name).symlink_to("/dev/zero")
+    of_zero: tuple[Callable[[], object], ...] = (
+        *(partial(read_strands, tmp_path / f"zero.{suffix}") for suffix in ("hair", "npz", "usda", "ply")),
+        lambda: read_head(tmp_path / "zero.ply"),
+        lambda: read_joint_map(tmp_path / "zero.toml"),
+        lambda: read_table(tmp_path / "zero.csv"),
+    )
+    for read in of_zero:
+        with pytest.raises(InputError, match="found a pipe, socket or device"):
+            read()
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs on this system")

@@ -21,6 +21,7 @@ from quaffure.apps.render.video import encode_video
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip
 from quaffure.io import atomic, replacing, write_drape, write_usd
+from quaffure.io.counted_writer import write_ct2hair, write_hairsalon
 from quaffure.io.glb import write_glb
 from quaffure.io.hair_writer import write_hair
 from quaffure.io.output_path import check_output, check_output_folder, made_folder
@@ -62,6 +63,8 @@ WRITERS: dict[str, Callable[[Path], None]] = {
     "drape.glb": lambda path: write_glb(path, ExportClip(SEQUENCE)),
     "drape.ply": lambda path: write_ply(path, ExportClip(drape(SEQUENCE.strands[0], frames=1))),
     "drape.hair": lambda path: write_hair(path, ExportClip(drape(np.repeat(SEQUENCE.strands[0], 2, axis=0), 1))),
+    "drape.data": lambda path: write_hairsalon(path, ExportClip(drape(np.repeat(SEQUENCE.strands[0], 3, axis=0), 1))),
+    "drape.bin": lambda path: write_ct2hair(path, ExportClip(drape(np.repeat(SEQUENCE.strands[0], 2, axis=0), 1))),
     "drape.png": lambda path: save_png(path, Image.fromarray(NOISE)),
     "drape.mp4": lambda path: encode_video(path, [NOISE] * 9, 30.0),
     "results.json": lambda path: atomic.write_json(path, list(range(20_000))),

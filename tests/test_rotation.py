@@ -16,7 +16,8 @@ from quaffure.geometry import (
     quaternion_from_matrix,
     quaternion_multiply,
 )
-from quaffure.geometry.rotation import interpolate_rotations, shortest_arc, write_rotation
+from quaffure.geometry.rotation import interpolate_rotations, shortest_arc
+from quaffure.geometry.rotation_kernel import write_rotation
 
 coordinates = st.floats(-1, 1, allow_nan=False).filter(lambda x: x == 0 or abs(x) > 1e-3)
 directions = (

@@ -90,7 +90,7 @@ def _strands(
         body = sample_arrays(surface, sample)
         workspace = search_workspace()
         contact = np.empty((positions.shape[2], 4), np.float32)
-        seed = np.int64(0)
+        seed = int(np.int64(0))  # a literal would be a type of its own, for which the search is compiled again
         for strand in range((item % runs) * _RUN, min(strands, (item % runs + 1) * _RUN)):
             x, out, own_terms = positions[sample, strand], gradient[sample, strand], terms[sample, strand]
             own_terms[0], own_terms[1], own_terms[2] = _elastic_and_gravity(

@@ -180,7 +180,10 @@ def _fill_normal_equations(available: np.ndarray, problem: _LeastSquares) -> Non
         for edge in range(first + 1):
             for part in range(4):
                 problem.right[first] -= problem.rows[first, edge, part] * problem.constant[edge, part]
-    mean = np.trace(problem.normal_matrix) / edges
+    trace = 0.0
+    for vertex in range(edges):
+        trace += problem.normal_matrix[vertex, vertex]
+    mean = trace / edges
     for vertex in range(edges):
         share = max(available[vertex + 1], 1e-6)
         problem.normal_matrix[vertex, vertex] += REGULARIZATION * mean * (1 + (1 / share - 1) * DISTANT)
@@ -189,7 +192,10 @@ def _fill_normal_equations(available: np.ndarray, problem: _LeastSquares) -> Non
 @njit(cache=True)
 def _descend(available: np.ndarray, weight: np.ndarray, problem: _LeastSquares, support: np.ndarray) -> None:
     edges = len(problem.right)
-    most = MOST_SUPPORT * np.cumsum(weight[::-1])[::-1]
+    most, beyond = np.empty(len(weight)), 0.0
+    for vertex in range(len(weight) - 1, -1, -1):
+        beyond += weight[vertex]
+        most[vertex] = MOST_SUPPORT * beyond
     for _ in range(SWEEPS):
         for vertex in range(edges):
             if available[vertex + 1] <= 0 or problem.normal_matrix[vertex, vertex] <= 0:

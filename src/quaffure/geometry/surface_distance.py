@@ -35,9 +35,10 @@ def distance_within(
     stack, scratch = workspace
     where = classify(px, py, pz, space)
     # One call of the search: its code is long, and would be compiled into every kernel twice.
-    first, squared = np.int64(-1), _ZERO
+    first: int = int(np.int64(-1))
+    squared: Any = _ZERO
     if where == UNKNOWN:
-        first, squared = np.int64(leaf), squared_distance(body.corners[leaf], px, py, pz)
+        first, squared = leaf, squared_distance(body.corners[leaf], px, py, pz)
     elif margin > _FREE_DISTANCE or (where != FREE and margin > _ZERO):
         squared = margin * margin
     found = first

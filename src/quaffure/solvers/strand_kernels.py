@@ -96,7 +96,7 @@ def _evaluate_run(
 ) -> None:  # fmt: skip
     work = rod_workspace(direction.shape[1], direction)
     workspace = search_workspace()
-    leaf = np.int64(0)  # a literal would be a type of its own
+    leaf = int(np.int64(0))  # a literal would be a type of its own, for which the search is compiled again
     for strand in strands:
         x, gradient, contact = out.positions[strand], out.gradient[strand], out.contact[strand]
         integrate_strand(hair.root[strand], direction[strand], hair.length[strand], True, x)
@@ -197,7 +197,7 @@ def _resolve_run(
     share: float | np.floating,
 ) -> None:  # fmt: skip
     workspace = search_workspace()
-    leaf = np.int64(0)  # a literal would be a type of its own
+    leaf = int(np.int64(0))  # a literal would be a type of its own, for which the search is compiled again
     for strand in range(first, last):
         px, py, pz = hair.root[strand, 0], hair.root[strand, 1], hair.root[strand, 2]
         for edge in range(direction.shape[1]):

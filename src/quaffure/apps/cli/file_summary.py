@@ -33,7 +33,7 @@ REFUSED = "refused"
 DRAPE_ARRAYS = {"strands", "posed", "body_vertices"}
 MOTION_ARRAYS = ({"body_pose", "fps"}, *({*keys} for keys in ROTATION_KEYS))
 MOST_NAMES = 12
-"""Of groups, in a summary."""
+"""Longest list of groups in a summary."""
 SUFFIXES = (".bvh", ".obj", ".safetensors", *sorted(STRAND_READERS))
 
 Summary = dict[str, Any]

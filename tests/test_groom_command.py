@@ -12,10 +12,10 @@ from quaffure.apps.cli.outputs import check_outputs
 from quaffure.apps.cli.style_settings import ABOVE_ZERO, with_settings
 from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
-from quaffure.io import read_groom, write_groom
+from quaffure.io import load_source, read_groom, write_groom
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, HairStyle, hair_style, make_groom
-from tests.test_groom_files import tfx4_bytes
+from tests.test_groom_files import hair_bytes, tfx4_bytes
 
 FEW_ROOTS = "root_rows=14"
 
@@ -160,6 +160,21 @@ def test_import_registers_and_shows(
     brown = pixels[..., 0] - pixels[..., 2] > 25
     before, after = brown[:, :64].mean(), brown[:, 64:].mean()
     assert 0.02 < before < after  # no body on the left
+
+
+def test_import_says_what_a_file_gets_from_another(
+    tmp_path: Path, foreign: Path, body: BodyModel, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A file with widths beside one without them: groups by file, and no strand of width 0."""
+    (tmp_path / "thick.hair").write_bytes(hair_bytes([*np.load(foreign / "b.npz")["strands"]], 7))
+    out = tmp_path / "both.npz"
+    main(["groom", "import", str(foreign / "a.npz"), str(tmp_path / "thick.hair"), "--ties", "none", "--out", str(out)])
+    message = " ".join(capfd.readouterr().out.split())
+    assert "1 of 2 files have widths: strands of the others get the median of these" in message
+    attributes = load_source(out, body).attributes
+    assert attributes.width is not None
+    assert np.ptp(attributes.width) == 0 < attributes.width[0]
+    assert attributes.group_names == ("a", "thick")
 
 
 @pytest.mark.usefixtures("small_pictures")

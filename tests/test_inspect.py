@@ -30,6 +30,7 @@ def test_strands(shared_data: Path, body: BodyModel) -> None:
     assert (found["unit"], found["up"], found["forward"], found["strands_on_the_scalp"]) == ("cm", "+y", "+z", 360)
     assert found["length_m"]["mean"] == pytest.approx(0.369, abs=1e-3)
     assert found["length_units"]["mean"] == pytest.approx(36.9, abs=0.1)
+    assert (found["attributes"], found["groups"]) == (["width"], [])
     assert "refused" not in found
     known = summary_of(path, body, frame=FileFrame("y", "z", "mm"))
     assert "of the vertices inside the body" in known["refused"]

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 UNKNOWN_ID = -1
 LARGEST_ID = 2**30
-"""Largest id that is kept; the 32 bits of other formats have room for further ones after it."""
+"""Largest id that is kept: further ones after it must fit into 32 bits."""
 
 
 @dataclass(frozen=True, eq=False)

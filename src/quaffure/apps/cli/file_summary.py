@@ -1,5 +1,6 @@
 """What a file of any kind holds, what is guessed about it, and what would be refused."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,8 @@ REFUSED = "refused"
 """Key of the reason for which a file that can be read cannot be used; without it, it can."""
 DRAPE_ARRAYS = {"strands", "posed", "body_vertices"}
 MOTION_ARRAYS = ({"body_pose", "fps"}, *({*keys} for keys in ROTATION_KEYS))
+MOST_NAMES = 12
+"""Longest list of groups in a summary."""
 SUFFIXES = (".bvh", ".obj", ".safetensors", *sorted(STRAND_READERS))
 
 Summary = dict[str, Any]
@@ -90,6 +93,8 @@ def _strands(path: Path, body: BodyModel, frame: FileFrame) -> Summary:
         "length_units": _statistics(lengths),
         "extent_units": _extent(strands.points),
         "held_parts": sorted(held_parts_of(strands)),
+        "attributes": sorted({*strands.attributes.arrays()} - {"group_names"}),
+        "groups": _shortened(strands.attributes.group_names),
     }
     try:
         groom, report = register_groom(strands, body, path.stem, frame=frame)
@@ -111,6 +116,11 @@ def _strands(path: Path, body: BodyModel, frame: FileFrame) -> Summary:
         "root_distance_mm": [round(report.median_residual, 2), round(report.max_residual, 2)],
         "inside_on_arrival_percent": round(100 * report.inside_before, 2),
     }
+
+
+def _shortened(names: Sequence[str]) -> list[str]:
+    more = len(names) - MOST_NAMES
+    return [*names[:MOST_NAMES], *([f"{more} more"] if more > 0 else [])]
 
 
 def _groom(path: Path, body: BodyModel) -> Summary:

@@ -1,5 +1,6 @@
 """`quaffure grooms`: the bundled grooms; `quaffure groom new`, `import` and `hold`: groom files of the user."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -38,6 +39,8 @@ Settings = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
 
 HELD_COLOUR = (0.02, 0.09, 0.35)
 """Colour of held parts in pictures, linear RGB."""
+FILLED = {"width": ("widths", "the median"), "colour": ("colours", "the mean")}
+"""Attributes that strands of a file without them get from other files: what they are, and what is taken."""
 SHARE_OF_WARNING = 0.5
 """The import prints a warning if a smaller share of the strands is in the file."""
 
@@ -135,7 +138,8 @@ class ImportGroom:
             raise InputError("FILE", "at least one file of strands", "none")
         frame = FileFrame(self.up, self.forward, self.units, self.mirror, self.registered)
         body = load_body()
-        strands = concatenate_strands([read_strands(path) for path in self.files])
+        parts = [read_strands(path) for path in self.files]
+        strands = concatenate_strands(parts)
         mesh = None if self.head is None else read_head(self.head)
         with console.status("registering strands"):
             groom, report = register_groom(strands, body, self.out.stem, mesh, self.licence, frame=frame)
@@ -145,6 +149,8 @@ class ImportGroom:
         write_groom(self.out, guides, source if self.parts == "keep" else source.select(source.on_scalp))
         console.print(str(report))
         console.print(ties)
+        for note in _filled(parts):
+            console.print(note)
         console.print(f"{self.out}: {_summary(guides)}, one in each texel of the scalp's texture")
         if len(guides) < SHARE_OF_WARNING * len(groom):
             console.print(
@@ -216,6 +222,16 @@ def _draw_styles(path: Path) -> None:
 
 def _style_row(name: str, size: dict[str, float]) -> dict[str, object]:
     return {"name": name, "style": name.replace("_", " "), **size, "licence": LICENCE, "held_out": name in HELD_OUT}
+
+
+def _filled(parts: Sequence[Strands]) -> list[str]:
+    """What strands of some files get from the other files."""
+    having = {name: sum(name in part.attributes.arrays() for part in parts) for name in FILLED}
+    return [
+        f"{having[name]} of {len(parts)} files have {what}: strands of the others get {value} of these"
+        for name, (what, value) in FILLED.items()
+        if 0 < having[name] < len(parts)
+    ]
 
 
 def _summary(groom: Groom) -> str:

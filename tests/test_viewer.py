@@ -791,8 +791,9 @@ def test_a_picture_of_what_the_camera_shows_is_downloaded(browser: Browser, page
         browser.tab.get_by_role("button", name="Save picture").click()
     assert download.value.suggested_filename == "thinned_nod_0025_neural.png"
     picture = Image.open(download.value.path()).convert("RGB")
-    assert picture.height == HEIGHT
-    assert picture.width < WIDTH
+    (client,) = page._server.get_clients().values()
+    assert max(picture.size) == 1000
+    assert picture.width / picture.height == pytest.approx(client.camera.image_width / client.camera.image_height, 0.01)
     assert np.array(picture).std() > 20
 
 

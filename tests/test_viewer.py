@@ -791,8 +791,9 @@ def test_a_picture_of_what_the_camera_shows_is_downloaded(browser: Browser, page
         browser.tab.get_by_role("button", name="Save picture").click()
     assert download.value.suggested_filename == "thinned_nod_0025_neural.png"
     picture = Image.open(download.value.path()).convert("RGB")
-    assert picture.height == HEIGHT
-    assert picture.width < WIDTH
+    (client,) = page._server.get_clients().values()
+    assert max(picture.size) == 1000
+    assert picture.width / picture.height == pytest.approx(client.camera.image_width / client.camera.image_height, 0.01)
     assert np.array(picture).std() > 20
 
 
@@ -832,16 +833,19 @@ def test_on_a_narrow_screen_the_panel_leaves_the_head_in_view(browser: Browser, 
         panel.wait_for()
         wait_until(lambda: len(page._server.get_clients()) == 2)
         camera = page._server.get_clients()[max(page._server.get_clients())].camera
-        chin = float(page._nodes._head[2]) - 0.12  # below the joint of the head
+        head = float(page._nodes._head[2])
 
-        def height_of_chin() -> float:
-            """From the upper edge of the window, in pixels."""
+        def height_of(above_joint: float, window: float) -> float:
+            """Of a point of the head, from the upper edge of the window, in pixels."""
             distance = float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))
-            below = (camera.look_at[2] - chin) / distance / np.tan(0.5 * camera.fov)
-            return 400.0 * (1.0 + float(below))
+            share = (camera.look_at[2] - head - above_joint) / distance / np.tan(0.5 * camera.fov)
+            return 0.5 * window * (1.0 + float(share))
 
         box = panel.bounding_box()
         assert box is not None
-        wait_until(lambda: 0.0 < height_of_chin() < box["y"])
+        chin, crown = -0.12, 0.2  # m above the joint of the head
+        wait_until(lambda: 0.0 < height_of(crown, 800.0) < height_of(chin, 800.0) < box["y"])
+        tab.set_viewport_size({"width": 400, "height": 500})
+        wait_until(lambda: 0.0 < height_of(crown, 500.0) < height_of(chin, 500.0) < 0.4 * 500)
         tab.set_viewport_size({"width": 1280, "height": 800})
-        wait_until(lambda: abs(height_of_chin() - 400.0) < 120.0)
+        wait_until(lambda: abs(height_of(chin, 800.0) - 400.0) < 120.0)

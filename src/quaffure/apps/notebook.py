@@ -114,7 +114,7 @@ def _select(sequence: DrapeSequence, frames: np.ndarray) -> DrapeSequence:
 
 
 def _interpolation(groom: Groom, body: BodyModel) -> GuideInterpolation | None:
-    """Of strands between the guides; None where they are too few."""
+    """Strands between the guides; None where the guides are too few."""
     try:
         return interpolation_of(groom, body, SHOWN_STRANDS)
     except InputError:

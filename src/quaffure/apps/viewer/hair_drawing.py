@@ -50,7 +50,7 @@ class HairDrawing:
         self._without_strands: Groom | None = None
 
     def interpolation(self, drape: Drape) -> GuideInterpolation | None:
-        """Of the strands to draw; None where the guides are drawn."""
+        """The interpolation of the strands to draw; None where the guides are drawn."""
         count = self.display.strand_count
         if count is not None:
             return self._catalogue.interpolation(drape.state.groom, count) if count else None

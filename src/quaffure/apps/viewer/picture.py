@@ -9,8 +9,8 @@ from quaffure.apps.viewer.view_state import Drape
 from quaffure.extras import require_extra
 from quaffure.hair.guide_interpolation import GuideInterpolation
 
-MOST_PIXELS = 1200
-"""Along the longer side: in software, larger pictures take many seconds."""
+LONGER_SIDE = 1000
+"""Pixels of a picture. The browser's own are fewer while it is slow, as viser lowers its resolution."""
 
 
 class BrowserCamera(NamedTuple):
@@ -20,7 +20,7 @@ class BrowserCamera(NamedTuple):
         position: [m].
         look_at: the point in the middle of the picture [m].
         field_of_view: from its upper to its lower edge [rad].
-        width, height: of the picture [pixels].
+        width, height: of its picture [pixels].
     """
 
     position: tuple[float, float, float]
@@ -31,7 +31,7 @@ class BrowserCamera(NamedTuple):
 
 
 def png_of(drape: Drape, interpolation: GuideInterpolation | None, seen_by: BrowserCamera) -> bytes:
-    """A drape as the camera of a browser shows it, as a .png.
+    """A drape as the camera of a browser shows it, as a .png of the same shape.
 
     Args:
         interpolation: of strands between the guides; without it the guides are drawn.
@@ -45,7 +45,7 @@ def png_of(drape: Drape, interpolation: GuideInterpolation | None, seen_by: Brow
     from quaffure.apps.render.camera import Camera
     from quaffure.apps.render.scene import StrandRenderer
 
-    scale = min(1.0, MOST_PIXELS / max(seen_by.width, seen_by.height))
+    scale = LONGER_SIDE / max(seen_by.width, seen_by.height, 1)
     width, height = (max(1, round(scale * side)) for side in (seen_by.width, seen_by.height))
     tangent = np.tan(0.5 * seen_by.field_of_view) * min(1.0, width / height)
     camera = Camera(seen_by.position, seen_by.look_at, float(2.0 * np.arctan(tangent)))

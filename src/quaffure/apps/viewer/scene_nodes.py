@@ -31,7 +31,8 @@ LEAST_WIDTH = 0.5
 # pixels of the screen, which are smaller than those that viser decides by, so only the shape of the window is known.
 PORTRAIT = 1.15  # height of the picture, in widths
 SAME_PLACE = 1e-3  # m
-HEAD_ABOVE_PANEL = 0.19  # of the height of the picture, how far the target is above its middle
+HEAD_ABOVE_PANEL = 0.19  # of the height of the picture, how far the head is above its middle
+CROWN = 0.29  # m, of the hair on it above the target
 
 
 class SceneNodes:
@@ -142,10 +143,12 @@ class SceneNodes:
             width, height: of the picture [pixels].
         """
         azimuth = np.radians(azimuth_deg)
-        shown_height = max(2.0 * DISTANCE * np.tan(0.5 * FIELD_OF_VIEW), LEAST_WIDTH * height / max(width, 1))
+        rise = HEAD_ABOVE_PANEL if is_portrait(width, height) else 0.0
+        shown_height = max(
+            2.0 * DISTANCE * np.tan(0.5 * FIELD_OF_VIEW), LEAST_WIDTH * height / max(width, 1), CROWN / (0.5 - rise)
+        )
         distance = 0.5 * shown_height / np.tan(0.5 * FIELD_OF_VIEW)
-        below = TARGET_BELOW_HEAD + (HEAD_ABOVE_PANEL * shown_height if is_portrait(width, height) else 0.0)
-        target = self._head - (0.0, 0.0, below)
+        target = self._head - (0.0, 0.0, TARGET_BELOW_HEAD + rise * shown_height)
         eye = target + distance * np.array([np.sin(azimuth), -np.cos(azimuth), 0.08])
         return _point(eye), _point(target)
 

@@ -22,6 +22,7 @@ OUT = FIGURES / "dance.webp"
 GROOMS = ("long_wavy", "ponytail", "curly_bob")
 COLOURS = (NATURAL_COLOURS[0], NATURAL_COLOURS[1], NATURAL_COLOURS[2])
 WIDTH, HEIGHT, STRANDS, SUPERSAMPLING = 224, 256, 10_000, 3
+GUIDES = 1_200
 EVERY = 2
 EXTENT, BELOW_HEAD = 0.68, 0.16  # m
 QUALITY, MOST_BYTES = 52, 1_500_000
@@ -48,16 +49,20 @@ def main(dance: tyro.conf.Positional[Path], folder: Path = Path("runs/animation"
     return [OUT]
 
 
+def _groom(name: str) -> qf.Groom:
+    return qf.load_groom(name).thinned(GUIDES)
+
+
 def _drape(name: str, dance: Path, folder: Path) -> qf.DrapeSequence:
     path = folder / f"{name}.npz"
     if not path.exists():
-        qf.save_drape(qf.drape_clip(qf.load_groom(name), qf.load_motion(str(dance))), path)
+        qf.save_drape(qf.drape_clip(_groom(name), qf.load_motion(str(dance))), path)
     return read_drape(path)
 
 
 def _film(seq: qf.DrapeSequence, name: str, body: BodyModel, colour: tuple[float, float, float]) -> Iterator[Picture]:
     """Tiles by a camera that travels with the head and does not turn."""
-    seq, between = seq.in_place(), interpolation_of(qf.load_groom(name), body, STRANDS)
+    seq, between = seq.in_place(), interpolation_of(_groom(name), body, STRANDS)
     with StrandRenderer(WIDTH, HEIGHT, supersampling=SUPERSAMPLING) as renderer:
         for frame in range(0, len(seq), EVERY):
             skin = seq.body_vertices[frame]

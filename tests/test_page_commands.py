@@ -1,0 +1,126 @@
+"""Every command on a how-to page runs as it stands there, page by page, in one folder; slow ones with the slow tests.
+
+What makes that cheap is around the commands and not in them: bundled grooms have about 60 strands, pictures are small,
+and few strands are interpolated. The files of the reader that pages name are written before (`write_inputs`).
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from quaffure.apps.cli.main import main, parse
+from quaffure.procedural import STYLES
+from tests.page_commands import PROGRAMS, commands, write_inputs
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+HOW_TO = [ROOT / "README.md", *(DOCS / f"{page}.md" for page in (
+    "quick_start", "drape_a_clip", "grooms", "export", "guides", "view", "crowd", "train", "benchmark", "extend",
+)), *sorted(DOCS.glob("own_*.md"))]  # fmt: skip
+ROOT_ROWS = 10
+STRANDS_BETWEEN = 100
+every_page = pytest.mark.parametrize("page", HOW_TO, ids=lambda path: path.stem)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_pictures: None) -> Iterator[Path]:
+    """An empty working folder where grooms, pictures and interpolated hair are small."""
+    small = {name: replace(style, root_rows=ROOT_ROWS) for name, style in STYLES.items()}
+    for module in ("procedural.generator", "apps.cli.groom"):
+        monkeypatch.setattr(f"quaffure.{module}.STYLES", small)
+    from quaffure.hair import interpolation_of
+
+    def fewer(groom, body, count, *rest, **more):
+        return interpolation_of(groom, body, min(count, STRANDS_BETWEEN), *rest, **more)
+
+    for module in ("shown_strands", "render"):
+        monkeypatch.setattr(f"quaffure.apps.cli.{module}.interpolation_of", fewer)
+    monkeypatch.setattr("quaffure.apps.render.contact_sheet.DRAWN_STRANDS", STRANDS_BETWEEN)
+    monkeypatch.setattr("quaffure.apps.render.contact_sheet.SUPERSAMPLING", 1)
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+
+
+def run_page(path: Path, folder: Path, kinds: tuple[str, ...]) -> int:
+    """Run the commands of some kinds; the number of them."""
+    page, count = path.read_text(encoding="utf-8"), 0
+    write_inputs(folder, page)
+    for command in commands(page):
+        words = command.words
+        if words[0] == "mkdir":
+            Path(words[-1]).mkdir(parents=True, exist_ok=True)
+        if words[0] != "quaffure" or not command.runs or command.kind not in kinds:
+            continue
+        count += 1
+        try:
+            main(words[1:])
+        except SystemExit as stop:
+            assert not stop.code, f"{path.name}: {command.line}"
+    return count
+
+
+@every_page
+def test_the_commands_of_a_page_exist(page: Path) -> None:
+    for command in commands(page.read_text(encoding="utf-8")):
+        words = command.words
+        assert words[0] in PROGRAMS, command.line
+        if words[0] == "quaffure":
+            parse(words[1:])
+        if words[0] == "python" and words[1].endswith(".py"):
+            assert (ROOT / words[1]).is_file(), command.line
+
+
+@every_page
+def test_the_commands_of_a_page_run(page: Path, folder: Path) -> None:
+    if not run_page(page, folder, ("",)):
+        pytest.skip("slow ones alone")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "page", [path for path in HOW_TO if "<!-- test: slow -->" in path.read_text("utf-8")], ids=lambda path: path.stem
+)
+def test_the_slow_commands_of_a_page_run(page: Path, folder: Path) -> None:
+    assert run_page(page, folder, ("", "slow"))
+
+
+def test_blocks_their_kinds_and_continued_lines_are_found() -> None:
+    page = """
+Text with `quaffure info`.
+
+    quaffure a --x \\
+        1  # why
+
+    groom,motion
+    bob,nod
+
+<!-- test: slow -->
+```bash
+$ quaffure b
+```
+
+```python
+quaffure = 1
+```
+
+<!-- test: skip, serves until Ctrl-C -->
+```console
+quaffure c
+```
+"""
+    found = list(commands(page))
+    assert [(command.words, command.kind) for command in found] == [
+        (["quaffure", "a", "--x", "1"], ""),
+        (["quaffure", "b"], "slow"),
+        (["quaffure", "c"], "skip, serves until Ctrl-C"),
+    ]
+    assert [command.runs for command in found] == [True, True, False]
+
+
+def test_a_command_that_fails_is_named(tmp_path: Path, folder: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("    quaffure groom hold bob --out wrong.npz\n", encoding="utf-8")
+    with pytest.raises(AssertionError, match="groom hold bob"):
+        run_page(page, folder, ("",))

@@ -20,7 +20,10 @@ GUIDE = [
     ROOT / "README.md",
     *(
         ROOT / "docs" / f"{page}.md"
-        for page in ("guides", "grooms", "export", "own_files", "view", "evaluation", "metrics", "inference")
+        for page in (
+            *("guides", "grooms", "export", "own_files", "view", "evaluation", "metrics", "inference"),
+            *("quick_start", "concepts", "drape_a_clip", "train", "benchmark", "method", "gallery", "command_line"),
+        )
     ),
     *(ROOT / "docs" / f"{page}.md" for page in ("groom_code", "groomgen")),
     *(ROOT / "docs").glob("extend.md"),

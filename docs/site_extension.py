@@ -7,7 +7,7 @@ import io
 import os
 import re
 from collections.abc import Iterator
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from unittest.mock import patch
 
 from docutils import nodes
@@ -24,11 +24,8 @@ COLUMNS = 96
 def help_of(command: str) -> str:
     """What `quaffure COMMAND --help` prints."""
     printed = io.StringIO()
-    with patch.dict(os.environ, COLUMNS=str(COLUMNS)), redirect_stdout(printed):
-        try:
-            main([*command.split(), "--help"])
-        except SystemExit as stop:
-            assert not stop.code, command
+    with patch.dict(os.environ, COLUMNS=str(COLUMNS)), redirect_stdout(printed), suppress(SystemExit):
+        main([*command.split(), "--help"])
     return "\n".join(line.rstrip() for line in printed.getvalue().strip().splitlines())
 
 

@@ -1,7 +1,7 @@
 """Tips that jump in a clip, by method: `python scripts/clip_jumps.py --draper neural --draper strand_newton`.
 
-Adds rows to docs/clip_jumps.json, from which `scripts/results_table.py` takes them. Every method drapes the frames one by
-one, as `quaffure drape` runs it: `strand_newton` each from the last one, the others by themselves.
+Adds rows to docs/clip_jumps.json, from which `scripts/results_table.py` takes them. Every method drapes the frames as
+`quaffure drape` runs it: `strand_newton` each from the last one, the others by themselves.
 """
 
 import json

@@ -25,7 +25,16 @@ ROWS = {
     "adam": "Adam",
     "posed": "no draping",
 }
-COLUMNS = ("method", "time a frame", "inside [%]", "length error [%]", "distance [mm]", "excess, median", "mean", "jumps")
+COLUMNS = (
+    "method",
+    "time a frame",
+    "inside [%]",
+    "length error [%]",
+    "distance [mm]",
+    "excess, median",
+    "mean",
+    "jumps",
+)
 
 
 def main(write: bool = False) -> None:

@@ -4,7 +4,6 @@ What makes that cheap is around the commands and not in them: bundled grooms hav
 and few strands are interpolated. The files of the reader that pages name are written before (`write_inputs`).
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +17,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 HOW_TO = [ROOT / "README.md", *(DOCS / f"{page}.md" for page in (
     "quick_start", "drape_a_clip", "grooms", "export", "guides", "view", "crowd", "train", "benchmark", "extend",
+    "metrics", "inference", "evaluation",
 )), *sorted(DOCS.glob("own_*.md"))]  # fmt: skip
 ROOT_ROWS = 10
 STRANDS_BETWEEN = 100
@@ -25,7 +25,7 @@ every_page = pytest.mark.parametrize("page", HOW_TO, ids=lambda path: path.stem)
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_pictures: None) -> Iterator[Path]:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_pictures: None) -> Path:
     """An empty working folder where grooms, pictures and interpolated hair are small."""
     small = {name: replace(style, root_rows=ROOT_ROWS) for name, style in STYLES.items()}
     for module in ("procedural.generator", "apps.cli.groom"):
@@ -40,7 +40,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_pictures: None
     monkeypatch.setattr("quaffure.apps.render.contact_sheet.DRAWN_STRANDS", STRANDS_BETWEEN)
     monkeypatch.setattr("quaffure.apps.render.contact_sheet.SUPERSAMPLING", 1)
     monkeypatch.chdir(tmp_path)
-    yield tmp_path
+    return tmp_path
 
 
 def run_page(path: Path, folder: Path, kinds: tuple[str, ...]) -> int:
@@ -54,11 +54,18 @@ def run_page(path: Path, folder: Path, kinds: tuple[str, ...]) -> int:
         if words[0] != "quaffure" or not command.runs or command.kind not in kinds:
             continue
         count += 1
-        try:
-            main(words[1:])
-        except SystemExit as stop:
-            assert not stop.code, f"{path.name}: {command.line}"
+        failure = failure_of(words[1:])
+        assert not failure, f"{path.name}: {command.line}: {failure}"
     return count
+
+
+def failure_of(arguments: list[str]) -> str:
+    """Why a command ended with another exit code than 0; empty where it did not."""
+    try:
+        main(arguments)
+    except SystemExit as stop:
+        return f"exit code {stop.code}" if stop.code else ""
+    return ""
 
 
 @every_page

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -51,6 +52,15 @@ def test_links_between_pages_lead_somewhere() -> None:
         assert (ROOT / link).exists(), link
 
 
+def pages_with(word: str, index: dict[str, Any]) -> set[str]:
+    """Pages that the index names for the stem of a word."""
+    pages: set[str] = set()
+    for term, places in index["terms"].items():
+        if len(term) > 4 and word.startswith(term):
+            pages |= {index["docnames"][place] for place in (places if isinstance(places, list) else [places])}
+    return pages
+
+
 @pytest.mark.slow
 def test_the_site_is_built_offline_and_its_search_finds_words(tmp_path: Path) -> None:
     for package in ("sphinx", "furo", "myst_parser"):
@@ -60,10 +70,8 @@ def test_the_site_is_built_offline_and_its_search_finds_words(tmp_path: Path) ->
     assert run.returncode == 0, run.stderr
     index = (tmp_path / "searchindex.js").read_text(encoding="utf-8")
     found = json.loads(index.removeprefix("Search.setIndex(").removesuffix(")"))
-    for word, page in (("alemb", "own_files"), ("ponytail", "concepts"), ("stiff", "drape_a_clip")):
-        places = next(value for term, value in found["terms"].items() if term.startswith(word))
-        names = {found["docnames"][place] for place in (places if isinstance(places, list) else [places])}
-        assert page in names, f"{word}: {names}"
+    for word, page in (("alembic", "own_files"), ("ponytail", "gallery"), ("stiffness", "drape_a_clip")):
+        assert page in pages_with(word, found), word
     commands = (tmp_path / "command_line.html").read_text(encoding="utf-8")
     for option in ("quaffure groom hold", "--settle", "--write-cases"):
         assert option in commands

@@ -42,7 +42,7 @@ def main(only: str = "") -> list[Path]:
 
 def groom(renderer: TileRenderer, body: BodyModel) -> Picture:
     """The bare scalp, a few guides, all of them, and the strands in between."""
-    scene, view, colour = at_rest(make_groom("wavy_bob", body), body), View(30.0, below_head=0.02), NATURAL_COLOURS[0]
+    scene, view, colour = at_rest(make_groom("wavy_bob", body), body), View(30.0, extent=0.45, below_head=0.03), NATURAL_COLOURS[0]
     guides, few = scene.posed[0], scene.groom.thinned(GUIDES).rest_strands
     tiles = {
         "the scalp": renderer.strands_alone(guides[:0], scene.bodies, 0, view, colour),
@@ -58,7 +58,10 @@ def bodies(renderer: TileRenderer, body: BodyModel) -> Picture:
     view, shape = View(25.0, extent=1.1, below_head=0.3), torch.zeros(4, 10)
     shape[1, 0], shape[2, 1] = -2.5, 2.5
     pose = torch.cat([torch.zeros(3, 81), bundled_clip("bow", body).body_pose[BOW_FRAME : BOW_FRAME + 1]])
-    batch, titles = BodyBatch(body, pose, shape), ("mean shape", "shape: first -2.5", "shape: second 2.5", "pose: a bow")
+    batch, titles = (
+        BodyBatch(body, pose, shape),
+        ("mean shape", "shape: first -2.5", "shape: second 2.5", "pose: a bow"),
+    )
     bare = torch.zeros(0, 2, 3)
     tiles = [renderer.strands_alone(bare, batch, sample, view, NATURAL_COLOURS[0]) for sample in range(4)]
     return grid([[captioned(tile, Caption(title)) for tile, title in zip(tiles, titles)]])

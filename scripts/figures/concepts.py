@@ -11,12 +11,11 @@ from tiles import FIGURES, Caption, Picture, TileRenderer, View, at_rest, captio
 
 from quaffure.apps.render import NATURAL_COLOURS
 from quaffure.body import BodyModel, bundled_clip, load_body
-from quaffure.config import HairMaterial
-from quaffure.energies import HairEnergy, hair_terms, released, sag_free_rest
+from quaffure.energies import HairEnergy, hair_terms, released
 from quaffure.hair import Groom
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers import LbfgsDraper, StrandNewtonDraper
+from quaffure.solvers import StrandNewtonDraper
 from quaffure.solvers.strand_newton import StrandNewtonSetting
 from quaffure.types import Positions
 
@@ -42,7 +41,11 @@ def main(only: str = "") -> list[Path]:
 
 def groom(renderer: TileRenderer, body: BodyModel) -> Picture:
     """The bare scalp, a few guides, all of them, and the strands in between."""
-    scene, view, colour = at_rest(make_groom("wavy_bob", body), body), View(30.0, extent=0.45, below_head=0.03), NATURAL_COLOURS[0]
+    scene, view, colour = (
+        at_rest(make_groom("wavy_bob", body), body),
+        View(30.0, extent=0.45, below_head=0.03),
+        NATURAL_COLOURS[0],
+    )
     guides, few = scene.posed[0], scene.groom.thinned(GUIDES).rest_strands
     tiles = {
         "the scalp": renderer.strands_alone(guides[:0], scene.bodies, 0, view, colour),
@@ -81,7 +84,7 @@ def energy(renderer: TileRenderer, body: BodyModel) -> Picture:
     scene = _in_clip(hair, body, "neck_turn", TURN_FRAME)
     of_groom = StrandNewtonDraper().energy_of(scene)
     tiles = []
-    for title, positions in {"posed": scene.posed, "3 passes": _draped(scene, 3), "20 passes": _draped(scene)}.items():
+    for title, positions in {"posed": scene.posed, "5 passes": _draped(scene, 5), "20 passes": _draped(scene)}.items():
         caption = Caption(title, tuple(_terms(of_groom, positions, scene)))
         print(caption)
         tiles.append(renderer.column(scene, positions, [view], NATURAL_COLOURS[2], caption))
@@ -91,9 +94,8 @@ def energy(renderer: TileRenderer, body: BodyModel) -> Picture:
 def rest(renderer: TileRenderer, body: BodyModel) -> Picture:
     """An upright groom: as designed, draped with the design as its stress-free shape, draped with the sag-free one."""
     hair, view = make_groom("long_ringlets", body), View(35.0, extent=0.72, below_head=0.14)
-    scene, material = at_rest(hair, body), HairMaterial()
-    stress_free = LbfgsDraper(material, terms=hair_terms("rod")).drape(scene)
-    sag_free = LbfgsDraper(material, terms=hair_terms("rod", sag_free_rest(hair, body, material))).drape(scene)
+    scene = at_rest(hair, body)
+    stress_free, sag_free = StrandNewtonDraper(terms=hair_terms("rod")).drape(scene), _draped(scene)
     shown = []
     for title, positions in (("as designed", scene.posed), ("stress-free", stress_free), ("sag-free", sag_free)):
         moved = 1000 * float((positions - scene.posed).norm(dim=-1).mean())

@@ -30,7 +30,7 @@ SERVES = "view"
 """The command that runs until Ctrl-C."""
 PROGRAMS = ("quaffure", "python", "python3", "torchrun", "pip", "make", "mkdir", "source", "apt-get")
 PARTS = ("back", "front_top", "side", "tail")
-FRAMES_OF_MOTION = 330
+FRAMES_OF_MOTION = {"dance.bvh": 61, "walk.bvh": 301}
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,8 @@ def write_inputs(folder: Path, page: str) -> None:
         "theirs.usd": lambda path: qf.save_drape(hair, path),
         "theirs.abc": lambda path: qf.save_drape(hair, path),
         "hair.abc": lambda path: qf.save_drape(hair, path),
-        "dance.bvh": lambda path: path.write_text(motion_text(FRAMES_OF_MOTION)),
-        "walk.bvh": lambda path: path.write_text(motion_text(FRAMES_OF_MOTION)),
+        "dance.bvh": lambda path: path.write_text(motion_text(FRAMES_OF_MOTION[path.name])),
+        "walk.bvh": lambda path: path.write_text(motion_text(FRAMES_OF_MOTION[path.name])),
         "characters.csv": lambda path: path.write_text(table_of(page) or ""),
     }
     for part, strands in zip(PARTS, np.array_split(hair.strands[0], len(PARTS))):

@@ -80,7 +80,7 @@ def drape(renderer: TileRenderer, body: BodyModel) -> Picture:
 
 def energy(renderer: TileRenderer, body: BodyModel) -> Picture:
     """The terms of the energy while the solver lowers it."""
-    hair, view = make_groom("long_wavy", body), View(15.0, extent=0.8, below_head=0.2)
+    hair, view = make_groom("long_wavy", body), View(15.0, extent=0.62, below_head=0.12)
     scene = _in_clip(hair, body, "neck_turn", TURN_FRAME)
     of_groom = StrandNewtonDraper().energy_of(scene)
     tiles = []
@@ -93,7 +93,7 @@ def energy(renderer: TileRenderer, body: BodyModel) -> Picture:
 
 def rest(renderer: TileRenderer, body: BodyModel) -> Picture:
     """An upright groom: as designed, draped with the design as its stress-free shape, draped with the sag-free one."""
-    hair, view = make_groom("long_ringlets", body), View(35.0, extent=0.72, below_head=0.14)
+    hair, view = make_groom("long_coils", body), View(35.0, extent=0.66, below_head=0.14)
     scene = at_rest(hair, body)
     stress_free, sag_free = StrandNewtonDraper(terms=hair_terms("rod")).drape(scene), _draped(scene)
     shown = []

@@ -28,7 +28,7 @@ GUIDES, STRANDS = 1_200, 6_000
 FRAMES, EVERY = "60:240", 2
 WIDTH, HEIGHT, SUPERSAMPLING = 224, 256, 2
 AZIMUTH_DEG, EXTENT, BELOW_HEAD = 20.0, 0.68, 0.16  # m
-QUALITY, MOST_BYTES = 52, 1_500_000
+QUALITY, MOST_BYTES = 72, 1_500_000
 
 
 def main(dance: tyro.conf.Positional[Path], folder: Path = Path("runs/animation")) -> list[Path]:

@@ -30,7 +30,7 @@ SERVES = "view"
 """The command that runs until Ctrl-C."""
 PROGRAMS = ("quaffure", "python", "python3", "torchrun", "pip", "make", "mkdir", "source", "apt-get")
 PARTS = ("back", "front_top", "side", "tail")
-FRAMES_OF_MOTION = {"dance.bvh": 61, "walk.bvh": 301}
+FRAMES_OF_MOTION = {"dance.bvh": 121, "walk.bvh": 331}
 
 
 @dataclass(frozen=True)

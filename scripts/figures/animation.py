@@ -41,7 +41,7 @@ def main(dance: tyro.conf.Positional[Path], folder: Path = Path("runs/animation"
     pictures = [Image.fromarray(np.hstack(tiles)) for tiles in zip(*films)]
     more = {"append_images": pictures[1:], "duration": round(1000 * EVERY / clip.fps), "loop": 0}
     with replacing(OUT) as temporary:
-        pictures[0].save(temporary, format="WEBP", save_all=True, quality=QUALITY, method=6, **more)
+        pictures[0].save(temporary, format="WEBP", save_all=True, quality=QUALITY, method=4, **more)
     assert OUT.stat().st_size <= MOST_BYTES, OUT.stat().st_size
     return [OUT]
 

@@ -72,12 +72,16 @@ def _cells(name: str, results: dict[str, Any]) -> tuple[str, ...]:
     mean = {key: summary[key].get("mean", 0.0) for key in summary}
     return (
         _time(summary["milliseconds"]["median"]),
-        f"{mean['body_intersection_percent']:.2g}",
+        _short(mean["body_intersection_percent"]),
         f"{mean['length_error_percent']:.1g}",
         f"{mean['distance_mm']:.0f}",
-        f"{statistics.median(excess):.2g}",
-        f"{mean['excess_energy']:.2g}",
+        _short(statistics.median(excess)),
+        _short(mean["excess_energy"]),
     )
+
+
+def _short(value: float) -> str:
+    return f"{value:.0f}" if abs(value) >= 10 else f"{value:.2g}"
 
 
 def _time(milliseconds: float) -> str:

@@ -45,18 +45,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_pictures: None
 
 def run_page(path: Path, folder: Path, kinds: tuple[str, ...]) -> int:
     """Run the commands of some kinds; the number of them."""
-    page, count = path.read_text(encoding="utf-8"), 0
-    write_inputs(folder, page)
-    for command in commands(page):
-        words = command.words
-        if words[0] == "mkdir":
-            Path(words[-1]).mkdir(parents=True, exist_ok=True)
-        if words[0] != "quaffure" or not command.runs or command.kind not in kinds:
-            continue
-        count += 1
-        failure = failure_of(words[1:])
+    page = path.read_text(encoding="utf-8")
+    chosen = [command for command in commands(page) if command.runs and command.kind in kinds]
+    if chosen:
+        write_inputs(folder, page)
+    for command in chosen:
+        failure = failure_of(command.words[1:])
         assert not failure, f"{path.name}: {command.line}: {failure}"
-    return count
+    return len(chosen)
 
 
 def failure_of(arguments: list[str]) -> str:

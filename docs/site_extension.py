@@ -18,7 +18,7 @@ from sphinx.writers.html5 import HTML5Translator
 
 from quaffure.apps.cli.main import main
 
-COLUMNS = 96
+COLUMNS = 88
 
 
 def help_of(command: str) -> str:

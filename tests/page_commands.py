@@ -3,6 +3,7 @@
 A comment before a block, which readers of the page do not see, says what the tests do with it:
 
     <!-- test: slow -->                     takes more than some seconds: runs with the slow tests
+    <!-- test: slow, with --steps 2 -->     the same, and these options have these values where a command has them
     <!-- test: skip, needs a launcher -->   can't run here: its commands are parsed, and not run
 """
 
@@ -19,12 +20,13 @@ import torch
 import quaffure as qf
 from quaffure.baselines import PosedDraper
 from quaffure.body import Motion
+from quaffure.io import write_groom
 from tests.test_groom_files import tfx4_bytes
 from tests.test_retarget import CHANNELS, SKELETON
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"(?:^    .*\n)+", re.MULTILINE)
-DIRECTIVE = re.compile(r"<!-- test: (slow|skip, [^>]+?) -->\s*$")
+DIRECTIVE = re.compile(r"<!-- test: (slow|slow, with (?:--[a-z-]+ \w+ ?)+|skip, [^>]+?) ?-->\s*$")
 SHELLS = ("bash", "console", "sh")
 SERVES = "view"
 """The command that runs until Ctrl-C."""
@@ -39,7 +41,7 @@ class Command:
 
     Attributes:
         line: as on the page; continued lines are joined.
-        kind: empty, "slow" or "skip, REASON".
+        kind: empty, "slow", "slow, with OPTIONS" or "skip, REASON".
     """
 
     line: str
@@ -52,6 +54,19 @@ class Command:
         for word in shlex.split(self.line, comments=True):
             words += sorted(glob.glob(word)) or [word]
         return words
+
+    @property
+    def arguments(self) -> list[str]:
+        """Of `quaffure`, with the values that the page's comment gives to options of this command."""
+        arguments = self.words[1:]
+        for option, value in re.findall(r"(--[a-z-]+) (\w+)", self.kind.partition("slow, with ")[2]):
+            if option in arguments:
+                arguments[arguments.index(option) + 1] = value
+        return arguments
+
+    @property
+    def is_slow(self) -> bool:
+        return self.kind.startswith("slow")
 
     @property
     def runs(self) -> bool:
@@ -82,7 +97,7 @@ def _shell_blocks(text: str) -> Iterator[tuple[str, str]]:
             found.append((match.start(), lines))
     for start, block in sorted(found):
         directive = DIRECTIVE.search(text[:start])
-        yield directive[1] if directive else "", block
+        yield directive[1].strip() if directive else "", block
 
 
 def table_of(text: str) -> str | None:
@@ -106,9 +121,12 @@ def write_inputs(folder: Path, page: str) -> None:
     }
     for part, strands in zip(PARTS, np.array_split(hair.strands[0], len(PARTS))):
         writers[f"{part}.tfx"] = lambda path, strands=strands: path.write_bytes(tfx4_bytes(list(strands)))
+    if "mine.npz" in page and "--out mine.npz" not in page:
+        writers["mine.npz"] = lambda path: write_groom(path, qf.load_groom("bob"))
     for name, write in writers.items():
         if name in page:
             write(folder / name)
+    (folder / "out").mkdir()
 
 
 def motion_text(frames: int) -> str:

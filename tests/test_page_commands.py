@@ -43,14 +43,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_pictures: None
     return tmp_path
 
 
-def run_page(path: Path, folder: Path, kinds: tuple[str, ...]) -> int:
-    """Run the commands of some kinds; the number of them."""
+def run_page(path: Path, folder: Path, slow_too: bool) -> int:
+    """Run the commands of a page in their order; the number of them."""
     page = path.read_text(encoding="utf-8")
-    chosen = [command for command in commands(page) if command.runs and command.kind in kinds]
+    chosen = [command for command in commands(page) if command.runs and (slow_too or not command.is_slow)]
     if chosen:
         write_inputs(folder, page)
     for command in chosen:
-        failure = failure_of(command.words[1:])
+        failure = failure_of(command.arguments)
         assert not failure, f"{path.name}: {command.line}: {failure}"
     return len(chosen)
 
@@ -77,16 +77,16 @@ def test_the_commands_of_a_page_exist(page: Path) -> None:
 
 @every_page
 def test_the_commands_of_a_page_run(page: Path, folder: Path) -> None:
-    if not run_page(page, folder, ("",)):
+    if not run_page(page, folder, slow_too=False):
         pytest.skip("slow ones alone")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "page", [path for path in HOW_TO if "<!-- test: slow -->" in path.read_text("utf-8")], ids=lambda path: path.stem
+    "page", [path for path in HOW_TO if "<!-- test: slow" in path.read_text("utf-8")], ids=lambda path: path.stem
 )
 def test_the_slow_commands_of_a_page_run(page: Path, folder: Path) -> None:
-    assert run_page(page, folder, ("", "slow"))
+    assert run_page(page, folder, slow_too=True)
 
 
 def test_blocks_their_kinds_and_continued_lines_are_found() -> None:
@@ -112,18 +112,25 @@ quaffure = 1
 ```console
 quaffure c
 ```
+
+<!-- test: slow, with --steps 2 --every 1 -->
+
+    quaffure d --steps 400
 """
     found = list(commands(page))
     assert [(command.words, command.kind) for command in found] == [
         (["quaffure", "a", "--x", "1"], ""),
         (["quaffure", "b"], "slow"),
         (["quaffure", "c"], "skip, serves until Ctrl-C"),
+        (["quaffure", "d", "--steps", "400"], "slow, with --steps 2 --every 1"),
     ]
-    assert [command.runs for command in found] == [True, True, False]
+    assert [command.runs for command in found] == [True, True, False, True]
+    assert [command.is_slow for command in found] == [False, True, False, True]
+    assert found[-1].arguments == ["d", "--steps", "2"]
 
 
 def test_a_command_that_fails_is_named(tmp_path: Path, folder: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("    quaffure groom hold bob --out wrong.npz\n", encoding="utf-8")
     with pytest.raises(AssertionError, match="groom hold bob"):
-        run_page(page, folder, ("",))
+        run_page(page, folder, slow_too=False)

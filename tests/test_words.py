@@ -88,7 +88,7 @@ CLASSES = {
 }
 ALLOWED = (
     r"[\"']slides[\"']|--(?:no-)?slides",  # a key of weights files and its option
-    r"[\"]crowd[\"]|quaffure crowd|docs/crowd\.md|\[CROWD OPTIONS\]",  # the command for many characters
+    r"[\"]crowd[\"]|quaffure crowd|(?:docs/)?crowd\.md|\[CROWD OPTIONS\]",  # the command for many characters
 )
 
 

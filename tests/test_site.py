@@ -70,7 +70,7 @@ def test_the_site_is_built_offline_and_its_search_finds_words(tmp_path: Path) ->
     assert run.returncode == 0, run.stderr
     index = (tmp_path / "searchindex.js").read_text(encoding="utf-8")
     found = json.loads(index.removeprefix("Search.setIndex(").removesuffix(")"))
-    for word, page in (("alembic", "own_files"), ("ponytail", "gallery"), ("stiffness", "drape_a_clip")):
+    for word, page in (("alembic", "own_files"), ("ponytail", "grooms"), ("stiffness", "drape_a_clip")):
         assert page in pages_with(word, found), word
     commands = (tmp_path / "command_line.html").read_text(encoding="utf-8")
     for option in ("quaffure groom hold", "--settle", "--write-cases"):

@@ -1,12 +1,16 @@
 """The documentation site: `make docs` builds it into out/docs, offline, any warning an error."""
 
+import sys
 from importlib.metadata import version as version_of
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 project = "quaffure"
 author = "the quaffure authors"
 release = version_of("quaffure")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "site_extension"]
 exclude_patterns = ["Makefile"]
 default_role = "code"
 html_theme = "furo"
@@ -14,7 +18,8 @@ html_title = f"quaffure {release}"
 html_show_sphinx = False
 
 myst_heading_anchors = 4
-myst_enable_extensions = ["colon_fence"]
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+html_math_renderer = "mathml"
 
 napoleon_use_ivar = True
 autodoc_typehints = "signature"

@@ -6,7 +6,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PAGES = ("README.md", "docs/examples.md", "docs/extend.md", "docs/grooms.md", "docs/groom_code.md")
+PAGES = (
+    "README.md",
+    "docs/quick_start.md",
+    "docs/examples.md",
+    "docs/extend.md",
+    "docs/grooms.md",
+    "docs/groom_code.md",
+)
 
 
 def blocks(page: str) -> list[str]:

@@ -20,7 +20,10 @@ GUIDE = [
     ROOT / "README.md",
     *(
         ROOT / "docs" / f"{page}.md"
-        for page in ("guides", "grooms", "export", "own_files", "view", "evaluation", "metrics", "inference")
+        for page in (
+            *("guides", "grooms", "export", "own_files", "view", "evaluation", "metrics", "inference"),
+            *("quick_start", "concepts", "drape_a_clip", "train", "benchmark", "method", "gallery", "command_line"),
+        )
     ),
     *(ROOT / "docs" / f"{page}.md" for page in ("groom_code", "groomgen")),
     *(ROOT / "docs").glob("extend.md"),
@@ -85,7 +88,7 @@ CLASSES = {
 }
 ALLOWED = (
     r"[\"']slides[\"']|--(?:no-)?slides",  # a key of weights files and its option
-    r"[\"]crowd[\"]|quaffure crowd|docs/crowd\.md|\[CROWD OPTIONS\]",  # the command for many characters
+    r"[\"]crowd[\"]|quaffure crowd|(?:docs/)?crowd\.md|\[CROWD OPTIONS\]",  # the command for many characters
 )
 
 

@@ -100,7 +100,7 @@ class EvaluateCommand:
     report: Path | None = None
     """A folder for the results as a page, evaluation_results.md, with a picture."""
     quick: bool = False
-    """A few cases of the set, and of the solvers xpbd alone: a minute or two."""
+    """A few cases of the set, and of the solvers strand_newton alone: a minute or two."""
     draper: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """A row to run; may be given several times. Without it, all, or those of --quick, and those of --weights."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()

@@ -57,15 +57,18 @@ def main(arguments: list[str] | None = None) -> None:
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     console.quiet = False  # after a command with --json in the same process
     try:
-        _parsed(arguments).run()
+        parse(arguments).run()
     except InputError as error:
         _refuse(str(error))
     except KeyboardInterrupt:
         sys.exit(130)
 
 
-def _parsed(arguments: list[str] | None) -> Command:
-    """The subcommand with its options; a boxed error message of tyro is printed in one line instead."""
+def parse(arguments: list[str] | None = None) -> Command:
+    """The subcommand with its options, which `run` does not check yet.
+
+    Exits with 2 and one line on the error stream, in place of tyro's boxed message, for words that are no command.
+    """
     message = io.StringIO()
     try:
         with redirect_stderr(message):

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 from quaffure.errors import InputError
 
@@ -11,7 +12,8 @@ MOST = 2**31 - 1
 LARGEST_NUMBER = 1e9
 
 
-class Entry(NamedTuple):
+@dataclass(frozen=True)
+class Entry:
     """One object, and where it is.
 
     Attributes:

@@ -55,8 +55,8 @@ def read_scene(root: Entry) -> GltfScene:
     roots = _scene_roots(root, parents)
     shown: list[bool] = []
     for index in sequence:
-        above = int(parents[index])
-        shown.append(shown[order[above]] if above >= 0 else index in roots)
+        parent = int(parents[index])
+        shown.append(shown[order[parent]] if parent >= 0 else index in roots)
     ordered = [entries[index] for index in sequence]
     above = np.array([order[parents[index]] if parents[index] >= 0 else -1 for index in sequence])
     translation, rotation, scale = map(np.array, zip(*map(_transform, ordered)))

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 from numba import njit
 
-Bytes = UInt8[np.ndarray, " n"]
+Stream = UInt8[np.ndarray, " n"]
+Bytes = UInt8[np.ndarray, " m"]
 ATTRIBUTES_HEADER, TRIANGLES_HEADER, INDICES_HEADER = 0xA0, 0xE1, 0xD1
 TRIANGLES_TAIL, INDICES_TAIL = 16, 4
 GROUP = 16
@@ -23,7 +24,7 @@ FILTERS: dict[str, tuple[int, ...]] = {
 """Names of filters and the strides that they take [bytes]."""
 
 
-def decode_meshopt(stream: Bytes, count: int, stride: int, mode: str, kind: str = "NONE") -> Bytes:
+def decode_meshopt(stream: Stream, count: int, stride: int, mode: str, kind: str = "NONE") -> Bytes:
     """The `count * stride` bytes of a buffer view.
 
     Args:
@@ -46,15 +47,15 @@ def decode_meshopt(stream: Bytes, count: int, stride: int, mode: str, kind: str 
     if stream[0] != MODES[mode]:
         raise ValueError(f"a stream that begins with {stream[0]:#x} in mode {mode}")
     if mode == "ATTRIBUTES":
-        decoded = np.zeros((count, stride), dtype=np.uint8)
-        is_whole = _decode_attributes(stream, decoded)
+        decoded = np.zeros(count * stride, dtype=np.uint8)
+        is_whole = _decode_attributes(stream, decoded.reshape(count, stride))
     else:
         indices = np.zeros(count, dtype=np.uint32)
         is_whole = (_decode_triangles if mode == "TRIANGLES" else _decode_indices)(stream, indices)
         decoded = (indices.astype(np.uint16) if stride == 2 else indices).view(np.uint8)
     if not is_whole:
         raise ValueError("compressed bytes that end early or are left over")
-    return filtered(decoded.reshape(-1), stride, kind if mode == "ATTRIBUTES" else "NONE")
+    return filtered(decoded, stride, kind if mode == "ATTRIBUTES" else "NONE")
 
 
 def least_size(count: int, stride: int, mode: str) -> int:
@@ -185,7 +186,7 @@ def _read_varint(stream: np.ndarray, at: int, end: int) -> tuple[int, int]:
     """An unsigned LEB128 of 32 bits, and where it ends; -1 beyond the stream."""
     value, shift = 0, 0
     while at < end and shift < 35:
-        byte = np.int64(stream[at])
+        byte = int(np.int64(stream[at]))
         at += 1
         value |= (byte & 0x7F) << shift
         if byte < 0x80:
@@ -225,7 +226,7 @@ def _decode_triangles(stream: np.ndarray, out: np.ndarray) -> bool:
     at = 1 + count
     corners, is_pushed = np.zeros(3, dtype=np.int64), np.zeros(3, dtype=np.bool_)
     for triangle in range(count):
-        code = np.int64(stream[1 + triangle])
+        code = int(np.int64(stream[1 + triangle]))
         is_pushed[:] = False
         if code < 0xF0:
             edge = (edge_end - 1 - (code >> 4)) & 15
@@ -235,7 +236,7 @@ def _decode_triangles(stream: np.ndarray, out: np.ndarray) -> bool:
             if low == 0:
                 c, following = following, following + 1
             elif low < 13:
-                c = vertices[(vertex_end - 1 - low) & 15]
+                c = int(vertices[(vertex_end - 1 - low) & 15])
             elif low < 15:
                 last = (last + 2 * low - 27) & 0xFFFFFFFF
                 c = last
@@ -250,14 +251,14 @@ def _decode_triangles(stream: np.ndarray, out: np.ndarray) -> bool:
             if code >= 0xFE:
                 if at >= end:
                     return False
-                pair = np.int64(stream[at])
+                pair = int(np.int64(stream[at]))
                 at += 1
                 if pair == 0:
                     following = 0
             else:
-                pair = np.int64(stream[end + (code & 15)])
+                pair = int(np.int64(stream[end + (code & 15)]))
             first = 15 if code == 0xFF else 0
-            for corner, how in enumerate((first, pair >> 4, pair & 15)):
+            for corner, how in enumerate((first, int(pair >> 4), int(pair & 15))):
                 if how == 0:
                     corners[corner], following = following, following + 1
                 elif how < 15 or code < 0xFE:

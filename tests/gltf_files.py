@@ -88,25 +88,27 @@ SCALE = 0.01
 
 
 def figure(
-    turned: np.ndarray | None = None, path: np.ndarray | None = None, fps: float = 30.0, prefix: str = "mixamorig:"
-) -> GltfFile:
+    turned: np.ndarray | None = None, path: np.ndarray | None = None, fps: float = 30.0, prefix: str = "mixamorig:",
+    places: np.ndarray = PLACES,
+) -> GltfFile:  # fmt: skip
     """A skinned figure whose joints have frames of any rotation, below a node that makes metres of centimetres.
 
     Args:
         turned: rotation of each joint from rest, relative to its parent, in the scene's axes [frames, joints, 3, 3].
         path: place of the hips [frames, 3] [cm].
+        places: of the joints at rest [cm].
     """
     file = GltfFile()
     frames = Rotation.from_rotvec(np.random.default_rng(3).normal(size=(len(NAMES), 3)))
     above = [frames[p] if p >= 0 else Rotation.identity() for p in PARENTS]
-    offsets = PLACES - np.where(PARENTS[:, None] < 0, 0, PLACES[PARENTS])
+    offsets = places - np.where(PARENTS[:, None] < 0, 0, places[PARENTS])
     file.add("nodes", name="Armature", children=[1], scale=[SCALE] * 3)
     for joint, name in enumerate(NAMES):
         children = [int(child) + 1 for child in np.flatnonzero(joint == PARENTS)]
         fields = {"children": children} if children else {}
         file.add("nodes", name=prefix + name, translation=above[joint].inv().apply(offsets[joint]).tolist(),
                  rotation=(above[joint].inv() * frames[joint]).as_quat().tolist(), **fields)  # fmt: skip
-    _add_skin(file, frames)
+    _add_skin(file, frames, places)
     file.document |= {"scene": 0, "scenes": [{"nodes": [0, len(NAMES) + 1]}]}
     if turned is not None:
         times = np.arange(len(turned)) / fps
@@ -126,13 +128,13 @@ def figure(
     return file
 
 
-def _add_skin(file: GltfFile, frames: Rotation) -> None:
+def _add_skin(file: GltfFile, frames: Rotation, places: np.ndarray) -> None:
     """A mesh of a tetrahedron round every joint, bound in metres."""
     corners = np.array([[0, 0, 0], [3, 0, 0], [0, 3, 0], [0, 0, 3]])
-    vertices = SCALE * (PLACES[:, None] + corners).reshape(-1, 3)
+    vertices = SCALE * (places[:, None] + corners).reshape(-1, 3)
     faces = (4 * np.arange(len(NAMES))[:, None, None] + [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]).reshape(-1)
     world = np.tile(np.eye(4), (len(NAMES), 1, 1))
-    world[:, :3, :3], world[:, :3, 3] = SCALE * frames.as_matrix(), SCALE * PLACES
+    world[:, :3, :3], world[:, :3, 3] = SCALE * frames.as_matrix(), SCALE * places
     matrices = np.linalg.inv(world).transpose(0, 2, 1).reshape(-1, 16)
     joints = np.zeros((len(vertices), 4), np.uint8)
     joints[:, 0] = np.repeat(np.arange(len(NAMES)), 4)

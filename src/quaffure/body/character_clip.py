@@ -55,13 +55,14 @@ def animation_of(character: Character, name: str = "") -> CharacterAnimation:
 
 def character_clip(
     character: Character,
-    animation: CharacterAnimation,
+    animation: CharacterAnimation | None,
     fps: float,
     rest: Float[np.ndarray, "n 4 4"] | None = None,
 ) -> BvhClip:
     """An animation as a clip of the character's joints, at a constant rate from its first key on.
 
     Args:
+        animation: without one, the clip is one frame at rest.
         fps: frames per second.
         rest: `scene_from_node` of every node in the pose of zero rotations; that of `bind_pose` without.
 
@@ -70,7 +71,7 @@ def character_clip(
     """
     rest = bind_pose(character) if rest is None else rest
     joints = character.joints
-    times = frame_times(animation, fps, MAX_FRAMES)
+    times = np.zeros(1) if animation is None else frame_times(animation, fps, MAX_FRAMES)
     poses = [pose.world[:, joints] for pose in poses_at(character, animation, times)]
     rotations = np.concatenate([_turned(world[:, :, :3, :3], rest[joints, :3, :3]) for world in poses])
     positions = np.concatenate([world[:, :, :3, 3] for world in poses])
@@ -95,7 +96,7 @@ def character_clip(
         channels=tuple(channels),
         values=np.concatenate(columns, axis=1),
         frame_time=1 / fps,
-        source=f"{character.source}#{animation.name}",
+        source=character.source if animation is None else f"{character.source}#{animation.name}",
     )
 
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from quaffure.body.body_model import BodyModel, load_body
+from quaffure.body.character_clip import file_and_clip
 from quaffure.body.clips import CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion, resample
 from quaffure.errors import InputError
@@ -33,7 +34,7 @@ def load_motion(
         if joints is not None:
             raise InputError(joints, "a joint map for a .bvh, .glb or .gltf file", f"the bundled motion {name}")
         return bundled_clip(name, body)
-    if not Path(name).suffix:
+    if not file_and_clip(name)[0].suffix:
         raise InputError(f"motion '{name}'", f"a file or one of {', '.join(CLIP_NAMES)}", "neither")
     motion = resample(read_motion(Path(name), body, joints), FPS)
     return motion.in_place() if in_place else motion

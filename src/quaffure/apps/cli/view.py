@@ -30,9 +30,9 @@ class ViewCommand:
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")] = "long_straight"
     """A bundled groom (see `quaffure grooms`) or a file: .abc, .bin, .data, .hair, .npy, .npz, .ply, .tfx, .usd."""
     motion: str = "nod"
-    """A bundled clip, `rest` for the rest pose, or a .bvh or .npz file."""
+    """A bundled clip, `rest` for the rest pose, or a file: .bvh, .glb, .gltf (FILE#NAME), .npz."""
     joints: Path | None = None
-    """A joint map (.toml) for a .bvh motion whose joint names are not known; `quaffure inspect` writes one to edit."""
+    """A joint map (.toml) for a motion whose joint names are not known; `quaffure inspect` writes one to edit."""
     in_place: bool = False
     """Leave out the path of the body through the world; it turns, but does not travel."""
     weights: Path | None = None

@@ -15,6 +15,7 @@ from quaffure.body.character import Character
 from quaffure.errors import InputError
 from quaffure.io.gltf import read_character
 from tests.gltf_files import NAMES, PLACES, GltfFile, figure
+from tests.meshopt_streams import compressed
 
 TRIANGLE = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
@@ -115,7 +116,11 @@ def sparse_alone(file: GltfFile) -> int:
                     sparse={"count": 3, "indices": indices, "values": values})  # fmt: skip
 
 
-LAYOUTS = (interleaved, quantised, signed, plain_integers, sparse, sparse_alone)
+def meshopt(file: GltfFile) -> int:
+    return compressed(file, TRIANGLE)
+
+
+LAYOUTS = (meshopt, interleaved, quantised, signed, plain_integers, sparse, sparse_alone)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.__name__)
@@ -211,6 +216,28 @@ def test_a_character_of_meshopt_streams(shared_data: Path) -> None:
     rigid = (skin.weights * (skin.joints == head)).sum(1) > 0.9
     assert np.linalg.norm(skin.vertices[rigid] - found.nodes.world[head, :3, 3], axis=1).max() < 0.25
     assert found.animations == ()
+
+
+def test_compressed_indices_and_their_contradictions(tmp_path: Path) -> None:
+    file = GltfFile()
+    corners = [0, 2, 1, 3, 1, 2, 0, 1, 3]
+    found = read(mesh_file(file=file, indices=compressed(file, np.uint16(corners), "TRIANGLES")), tmp_path)
+    assert found.meshes[0].faces.flatten().tolist() == corners
+    extension = file.document["bufferViews"][0]["extensions"]["EXT_meshopt_compression"]
+    good = dict(extension)
+    for change, message in (
+        ({"count": 2**30}, "as it is decompressed, found 18"),
+        ({"byteLength": 2**31 - 1}, "bytes in its buffer, found"),
+        ({"byteLength": 20}, "a meshopt stream, found compressed bytes that end early"),
+        ({"byteLength": 12}, "at least 20 compressed bytes, found 12"),
+        ({"mode": "LINES"}, "at least 35 compressed bytes|mode 'LINES'"),
+        ({"mode": "ATTRIBUTES", "byteStride": 4, "count": 4}, "a meshopt stream, found a stream that begins with 0xe1"),
+        ({"buffer": 1}, "a uri, or to be the binary part"),
+        ({"byteStride": 1}, "byteStride from 2 to 256"),
+    ):
+        extension |= good | change
+        with pytest.raises(InputError, match=message):
+            read(file, tmp_path)
 
 
 def changed(path: str, value: Any) -> Callable[[GltfFile], None]:

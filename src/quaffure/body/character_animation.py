@@ -19,10 +19,10 @@ from quaffure.body.character import (
 from quaffure.errors import InputError
 
 NODES_AT_ONCE = 2**16
-"""Of all frames that are computed together."""
+"""Nodes of all frames that are computed together."""
 MOST_NODES = 2**25  # in all frames
 SMALLEST_SINE = 1e-6
-"""Of the angle between two quaternions; below it, the arc is a line."""
+"""Sine of the angle between two quaternions; below it, the arc is a line."""
 
 
 class CharacterPoses(NamedTuple):

@@ -216,68 +216,99 @@ def _decode_indices(stream: np.ndarray, out: np.ndarray) -> bool:
     return at == end
 
 
+_NEXT, _LAST, _AT, _EDGES, _VERTICES = range(5)
+"""State of the decoder of triangles: the next unused index, the last one that was stored in full, the place in the
+stream, and how many edges and vertices have been remembered, each in its ring of sixteen."""
+
+
 @njit(cache=True)
 def _decode_triangles(stream: np.ndarray, out: np.ndarray) -> bool:
     """Fill `out` with three indices a triangle, from recent edges and vertices."""
     count, end = len(out) // 3, len(stream) - 16
-    edges, edge_end = np.zeros((16, 2), dtype=np.int64), 0
-    vertices, vertex_end = np.zeros(16, dtype=np.int64), 0
-    following, last = 0, 0
-    at = 1 + count
-    corners, is_pushed = np.zeros(3, dtype=np.int64), np.zeros(3, dtype=np.bool_)
+    edges, vertices = np.zeros((16, 2), dtype=np.int64), np.zeros(16, dtype=np.int64)
+    state = np.zeros(5, dtype=np.int64)
+    state[_AT] = 1 + count
+    corners, is_new = np.zeros(3, dtype=np.int64), np.zeros(3, dtype=np.bool_)
     for triangle in range(count):
         code = int(np.int64(stream[1 + triangle]))
-        is_pushed[:] = False
         if code < 0xF0:
-            edge = (edge_end - 1 - (code >> 4)) & 15
-            a, b = edges[edge, 0], edges[edge, 1]
-            low = code & 15
-            is_pushed[2] = low == 0 or low >= 13
-            if low == 0:
-                c, following = following, following + 1
-            elif low < 13:
-                c = int(vertices[(vertex_end - 1 - low) & 15])
-            elif low < 15:
-                last = (last + 2 * low - 27) & 0xFFFFFFFF
-                c = last
-            else:
-                delta, at = _read_varint(stream, at, end)
-                if at < 0:
-                    return False
-                last = (last + _zigzag(delta)) & 0xFFFFFFFF
-                c = last
-            corners[0], corners[1], corners[2] = a, b, c
+            _triangle_on_edge(stream, code, state, edges, vertices, corners, is_new)
         else:
-            if code >= 0xFE:
-                if at >= end:
-                    return False
-                pair = int(np.int64(stream[at]))
-                at += 1
-                if pair == 0:
-                    following = 0
-            else:
-                pair = int(np.int64(stream[end + (code & 15)]))
-            first = 15 if code == 0xFF else 0
-            for corner, how in enumerate((first, int(pair >> 4), int(pair & 15))):
-                if how == 0:
-                    corners[corner], following = following, following + 1
-                elif how < 15 or code < 0xFE:
-                    corners[corner] = vertices[(vertex_end - how) & 15]
-                else:
-                    delta, at = _read_varint(stream, at, end)
-                    if at < 0:
-                        return False
-                    last = (last + _zigzag(delta)) & 0xFFFFFFFF
-                    corners[corner] = last
-                is_pushed[corner] = how == 0 or how == 15
-            edges[edge_end & 15, 0], edges[edge_end & 15, 1] = corners[1], corners[0]
-            edge_end += 1
-        edges[edge_end & 15, 0], edges[edge_end & 15, 1] = corners[2], corners[1]
-        edges[(edge_end + 1) & 15, 0], edges[(edge_end + 1) & 15, 1] = corners[0], corners[2]
-        edge_end += 2
+            _free_triangle(stream, code, state, vertices, corners, is_new)
+            _remember_edge(edges, state, corners[1], corners[0])
+        if state[_AT] < 0:
+            return False
+        _remember_edge(edges, state, corners[2], corners[1])
+        _remember_edge(edges, state, corners[0], corners[2])
         for corner in range(3):
-            if is_pushed[corner]:
-                vertices[vertex_end & 15] = corners[corner]
-                vertex_end += 1
+            if is_new[corner]:
+                vertices[state[_VERTICES] & 15] = corners[corner]
+                state[_VERTICES] += 1
             out[3 * triangle + corner] = corners[corner]
-    return at == end
+    return bool(state[_AT] == end)
+
+
+@njit(cache=True)
+def _triangle_on_edge(
+    stream: np.ndarray, code: int, state: np.ndarray, edges: np.ndarray, vertices: np.ndarray, corners: np.ndarray,
+    is_new: np.ndarray,
+) -> None:  # fmt: skip
+    """A triangle on a recent edge."""
+    edge, low = (state[_EDGES] - 1 - (code >> 4)) & 15, code & 15
+    corners[0], corners[1] = edges[edge, 0], edges[edge, 1]
+    is_new[0] = is_new[1] = False
+    is_new[2] = low == 0 or low >= 13
+    if low == 0:
+        corners[2] = state[_NEXT]
+        state[_NEXT] += 1
+    elif low < 13:
+        corners[2] = vertices[(state[_VERTICES] - 1 - low) & 15]
+    elif low < 15:
+        state[_LAST] = (state[_LAST] + 2 * low - 27) & 0xFFFFFFFF  # 13 is one less, 14 one more
+        corners[2] = state[_LAST]
+    else:
+        corners[2] = _stored_index(stream, state)
+
+
+@njit(cache=True)
+def _free_triangle(
+    stream: np.ndarray, code: int, state: np.ndarray, vertices: np.ndarray, corners: np.ndarray, is_new: np.ndarray
+) -> None:
+    """A triangle on no recent edge."""
+    end = len(stream) - 16
+    if code < 0xFE:
+        pair = int(np.int64(stream[end + (code & 15)]))
+    elif state[_AT] < end:
+        pair = int(np.int64(stream[state[_AT]]))
+        state[_AT] += 1
+        if pair == 0:
+            state[_NEXT] = 0
+    else:
+        state[_AT] = -1
+        return
+    for corner, how in enumerate((15 if code == 0xFF else 0, int(pair >> 4), int(pair & 15))):
+        if how == 0:
+            corners[corner] = state[_NEXT]
+            state[_NEXT] += 1
+        elif how < 15 or code < 0xFE:
+            corners[corner] = vertices[(state[_VERTICES] - how) & 15]
+        else:
+            corners[corner] = _stored_index(stream, state)
+        is_new[corner] = how == 0 or how == 15
+
+
+@njit(cache=True)
+def _stored_index(stream: np.ndarray, state: np.ndarray) -> int:
+    """An index that is stored as the difference to the last one."""
+    if state[_AT] < 0:
+        return 0
+    delta, state[_AT] = _read_varint(stream, state[_AT], len(stream) - 16)
+    state[_LAST] = (state[_LAST] + _zigzag(delta)) & 0xFFFFFFFF
+    return int(state[_LAST])
+
+
+@njit(cache=True)
+def _remember_edge(edges: np.ndarray, state: np.ndarray, a: int, b: int) -> None:
+    place = state[_EDGES] & 15
+    edges[place, 0], edges[place, 1] = a, b
+    state[_EDGES] += 1

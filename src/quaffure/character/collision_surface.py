@@ -3,14 +3,15 @@
 What is inside is what the generalized winding number of all skin says [Jacobson et al. 2013, "Robust inside-outside
 segmentation using generalized winding numbers"]. Mouth, nostrils and eyes are closed morphologically: the surface is
 moved outwards by a radius and back inwards. Both steps are level sets of a signed distance on a grid that is stored
-near them only. The result is simplified by quadric errors, finest at the head, and its vertices are moved onto the
-skin.
+near them only. The result is simplified by collapsing its shortest edges, finest at the head (by quadric errors, flat
+parts would get slivers, whose frames hair could not follow), and its vertices are spread evenly and moved onto the skin.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from quaffure.geometry.hole_filling import boundary_loops, fill_loop
@@ -32,6 +33,7 @@ SNAP = 0.0025
 """Vertices nearer to the skin than this are moved onto it [m]."""
 LEAST_VOLUME = 2e-5
 """Pieces smaller than this are left out [m^3]."""
+RELAXATIONS = 4
 FACES = 24000
 """Of the result."""
 FINE_RADIUS, COARSENING = 0.16, 1.5
@@ -63,7 +65,10 @@ def closed_surface(
     skin = _welded(skin)
     outer = _pieces(_level_set(skin, radius))
     closed = _pieces(_level_set(outer, -radius))
-    return _on_skin(_simplified(closed, head, face_count), skin)
+    simple = _on_skin(_simplified(closed, head, face_count), skin)
+    for _ in range(RELAXATIONS):
+        simple = _on_skin(_relaxed(simple), skin)
+    return simple
 
 
 def _welded(mesh: Triangles) -> Triangles:
@@ -181,12 +186,30 @@ def _pieces(mesh: Triangles) -> Triangles:
 
 
 def _simplified(mesh: Triangles, head: Float[np.ndarray, "3"], face_count: int) -> Triangles:
-    """Fewer faces, of least quadric error in a space in which what is far from the head is small."""
+    """Fewer faces, of equal size in a space in which what is far from the head is small."""
     import igl
 
-    warped = _warped(mesh.vertices, head)
-    found = igl.qslim(np.asfortranarray(warped), np.asfortranarray(mesh.faces.astype(np.int32)), face_count)
-    return Triangles(np.ascontiguousarray(_unwarped(found[0], head)), np.ascontiguousarray(found[1]))
+    warped = np.asfortranarray(_warped(mesh.vertices, head))
+    vertices, faces, _, _ = igl.decimate(warped, np.asfortranarray(mesh.faces.astype(np.int32)), face_count)
+    return Triangles(np.ascontiguousarray(_unwarped(vertices, head)), np.ascontiguousarray(faces))
+
+
+def _relaxed(mesh: Triangles) -> Triangles:
+    """Vertices moved along the surface, halfway to the mean of their neighbours."""
+    import igl
+
+    normals = igl.per_vertex_normals(mesh.vertices, mesh.faces)
+    step = neighbour_mean(mesh.faces, len(mesh.vertices)) @ mesh.vertices - mesh.vertices
+    step -= (step * normals).sum(1)[:, None] * normals
+    return Triangles(mesh.vertices + 0.5 * step, mesh.faces)
+
+
+def neighbour_mean(faces: Int[np.ndarray, "f 3"], count: int) -> csr_matrix:
+    """Matrix that takes the mean over the neighbours of every vertex."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = np.unique(np.concatenate([edges, edges[:, ::-1]]), axis=0)
+    degree = np.bincount(edges[:, 0], minlength=count)
+    return csr_matrix((1.0 / degree[edges[:, 0]], (edges[:, 0], edges[:, 1])), shape=(count, count))
 
 
 def _warped(points: Float[np.ndarray, "p 3"], head: Float[np.ndarray, "3"]) -> Float[np.ndarray, "p 3"]:

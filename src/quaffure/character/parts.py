@@ -26,7 +26,7 @@ LEAST_AREA = 0.02
 """Of a head [m^2]; a skin that covers less of it is none."""
 ENOUGH = 0.5
 """Share of the area of the part that covers most of a region, from which a part that is skin already is enough."""
-LARGEST_INNER, INNER_SHARE = 0.09, 0.8
+LARGEST_INNER, INNER_SHARE = 0.09, 0.6
 """Extent of eyes, teeth and tongues [m], and the share of their vertices in the convex hull of the head's skin."""
 
 

@@ -57,7 +57,7 @@ def retarget_bvh(
     start = _lead_in_frames(clip, joint_map) if drops_lead_in else 0
     skeleton = source_skeleton(replace(clip, values=clip.values[start:]), joint_map)
     rotations = {
-        joint: source.rotation(skeleton.world) @ _alignment(joint, skeleton, body)
+        joint: source.rotation(skeleton.world) @ rest_alignment(joint, skeleton, body)
         for joint, source in joint_map.items()
         if not joint.endswith("FingerBase")
     }
@@ -92,8 +92,8 @@ def body_bone(body: BodyModel, joint: str, end: str) -> Float[Tensor, "3"]:
     return body.rest_joints[body.joint_names.index(end)] - body.rest_joints[body.joint_names.index(joint)]
 
 
-def _alignment(joint: str, skeleton: SourceSkeleton, body: BodyModel) -> Float[Tensor, "3 3"]:
-    """A of the module's formula."""
+def rest_alignment(joint: str, skeleton: SourceSkeleton, body: BodyModel) -> Float[Tensor, "3 3"]:
+    """A of the module's formula: the rotation of a joint in the source's rest pose from its own."""
     if joint not in skeleton.bones:
         return torch.eye(3, dtype=torch.float64)
     bone = torch.from_numpy(skeleton.bones[joint])

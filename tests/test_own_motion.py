@@ -159,6 +159,12 @@ def test_one_root_is_where_the_file_has_its_vertex(
         np.testing.assert_allclose(clip.body_vertices(frame), mesh.posed(poses.world[frame], weights), atol=0.01)
         # Up in the body's space is y in the file, and 5 cm are 5 of its units.
         np.testing.assert_allclose(found[:, 1] - found[:, 0], [[0, 5, 0]] * len(chosen), atol=1e-2)
+    arrays = clip.file_arrays()
+    moved_back = (
+        arrays["file_scale"] * clip.sequence.strands[4] @ arrays["file_rotation"].T + arrays["file_translation"]
+    )
+    moved_back = moved_back + arrays["root_offset"][4][:, None]
+    np.testing.assert_allclose(moved_back.reshape(-1, 3), clip.points(4), atol=1e-3)
     assert (clip.up_axis, clip.start) == ("y", 0.5)
     turned = replace(clip, is_z_up=True).points(3)
     np.testing.assert_allclose(turned, clip.points(3)[:, [0, 2, 1]] * [1, -1, 1])

@@ -83,6 +83,27 @@ class PlacedClip(ExportClip):
         # glTF counts v from the top of the image.
         return None if mesh.uv is None else (mesh.uv * [1, -1] + [0, 1])[mesh.faces].astype(np.float32)
 
+    def file_arrays(self) -> dict[str, np.ndarray]:
+        """What a drape file holds of the way to the character's file, for every vertex x of a strand and frame:
+        `file_scale * file_rotation @ x + file_translation + root_offset`."""
+        origin, sequence = self.space.origin, self.sequence
+        arrays = {
+            "file_scale": np.array(origin.scale),
+            "file_rotation": origin.rotation,
+            "file_translation": origin.translation,
+            "file_start": np.array(self.start),
+        }
+        rest = sequence.posed[0] if self.binding is None else self.binding.strands
+        roots = self.space.bound(np.asarray(rest)[:, 0])
+        if roots is not None and self.space.skin is not None:
+            arrays["root_offset"] = np.stack(
+                [
+                    self.space.skin.positions(roots, frame) - origin.file_from_body(sequence.strands[frame, :, 0])
+                    for frame in range(len(sequence))
+                ]
+            ).astype(np.float32)
+        return arrays
+
     @cached_property
     def _roots(self) -> BoundPoints | None:
         return self.space.bound(self.inner.rest_points[np.cumsum(self.counts) - self.counts])

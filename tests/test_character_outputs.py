@@ -18,6 +18,7 @@ from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.placed_clip import PlacedClip, placed_clip
 from quaffure.io import read_drape
 from quaffure.io.gltf import read_character
+from quaffure.io.read_strands import read_strands
 from tests.characters import character
 from tests.test_own_motion import FPS, binding_of, drape_of, moving, own_body, scalp_vertices
 
@@ -94,6 +95,32 @@ def test_alembic_lines_up_in_unreal(written: tuple[PlacedClip, Character, np.nda
     points = np.array(schema.getValue(Abc.ISampleSelector(time)).getPositions(), np.float32).reshape(-1, 3, 3)
     x, y, z = roots_in_file(moved, chosen, FRAME).T
     np.testing.assert_allclose(points[:, 0], 100 * np.stack([x, z, y], axis=1), atol=1.0)
+
+
+def test_files_of_one_frame_line_up(written: tuple[PlacedClip, Character, np.ndarray], tmp_path: Path) -> None:
+    """Z up as programs turn glTF, or y up as their formats ask."""
+    clip, moved, chosen = written
+    one = drape_frame(clip, FRAME)
+    roots = roots_in_file(moved, chosen, FRAME)
+    for suffix, factor, y_up in ((".ply", 1, False), (".hair", 1, False), (".data", 1, True), (".bin", 1000, True)):
+        write_output(tmp_path / f"hair{suffix}", one)
+        points = read_strands(tmp_path / f"hair{suffix}").points.reshape(-1, 3, 3)[:, 0] / factor
+        expected = roots if y_up else roots[:, [0, 2, 1]] * np.array([1, -1, 1])
+        np.testing.assert_allclose(points, expected, atol=0.01, err_msg=suffix)
+
+
+def drape_frame(clip: PlacedClip, frame: int) -> PlacedClip:
+    """One frame of a clip."""
+    own, skin = clip.sequence, clip.space.skin
+    assert skin is not None
+    assert own.body_translation is not None
+    sequence = replace(
+        own, strands=own.strands[frame : frame + 1], posed=own.posed[frame : frame + 1],
+        body_vertices=own.body_vertices[frame : frame + 1], body_pose=own.body_pose[frame : frame + 1],
+        body_translation=own.body_translation[frame : frame + 1],
+    )  # fmt: skip
+    space = replace(clip.space, skin=replace(skin, times=skin.times[frame : frame + 1], _last={}))
+    return placed_clip(ExportClip(sequence, binding=clip.binding), space)
 
 
 def test_drape_files_hold_the_way_to_the_file(

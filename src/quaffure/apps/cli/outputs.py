@@ -19,8 +19,6 @@ from quaffure.io.output_path import check_distinct, check_one_frame, check_outpu
 PICTURES = (".png", ".mp4")
 USD = (".usd", ".usda", ".usdc")
 EXPORTS = (*USD, ".abc")
-Z_UP_WRITERS = (".abc", ".glb")
-"""Formats whose writers take z up and turn it to their own axes; others have the axes of a character's file."""
 ONE_FRAME = (".hair", ".ply", ".data", ".bin")
 SUFFIXES = (".npz", *EXPORTS, ".glb", *ONE_FRAME, *PICTURES)
 EXTRA_OF = {**dict.fromkeys(PICTURES, "render"), **dict.fromkeys(USD, "usd"), ".abc": "alembic"}
@@ -97,7 +95,7 @@ def write_output(path: Path, clip: ExportClip) -> None:
     """
     check_packages(path)
     suffix = path.suffix.lower()
-    if isinstance(clip, PlacedClip) and suffix in Z_UP_WRITERS:
+    if isinstance(clip, PlacedClip) and suffix not in USD:  # whose stages say which axis is up
         clip = replace(clip, is_z_up=True)
     if suffix == ".npz":
         from quaffure.io.drape_file import write_drape

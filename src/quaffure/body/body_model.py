@@ -194,7 +194,7 @@ class BodyModel:
         return dense.scatter_add_(1, self.skin_joints, self.skin_weights)
 
 
-def load_body(path: Path | None = None) -> BodyModel:
+def load_body(path: str | Path | None = None) -> BodyModel:
     """The body that the package ships, or one of a file: imported from a character (`quaffure body import`) or baked
     (`scripts/bake_body.py`).
 
@@ -203,7 +203,7 @@ def load_body(path: Path | None = None) -> BodyModel:
     Raises:
         InputError: the file is missing, is no body file, or its arrays contradict each other.
     """
-    return _shipped_body() if path is None else _read_body(path)
+    return _shipped_body() if path is None else _read_body(Path(path))
 
 
 @cache

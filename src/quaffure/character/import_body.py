@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -63,10 +64,12 @@ class ImportedBody:
 
     Attributes:
         body: the body.
-        notes: in words.
+        joint_map: which joints are which.
+        notes: the rest, in words.
     """
 
     body: BodyModel
+    joint_map: JointMap
     notes: tuple[str, ...]
 
 
@@ -109,7 +112,7 @@ def import_body(
     scalp, scalp_note = _scalp(carried, at_rest, surface, ears, all_parts, skeleton, settings, character.source)
     notes = (*_notes(skeleton, fit, surface, skin, middle), *parts.notes, scalp_note)
     body = _body(template, at_rest, (joints, shares), skeleton, ears, scalp, _origin(skeleton, character, digest))
-    return ImportedBody(body, notes)
+    return ImportedBody(body, skeleton.joint_map, notes)
 
 
 def _middle_of_head(parts: Parts, template: BodyModel) -> Float[np.ndarray, "3"]:
@@ -189,7 +192,7 @@ def _origin(skeleton: FittedSkeleton, character: Character, digest: str) -> Body
         scale=1.0 / skeleton.metres,
         rotation=skeleton.body_from_file.T,
         translation=skeleton.origin,
-        source=character.source,
+        source=Path(character.source).name,
         digest=digest,
         joint_nodes=skeleton.joint_nodes,
     )

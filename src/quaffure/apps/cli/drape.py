@@ -76,6 +76,8 @@ class DrapeCommand:
     """Frames A:B:STEP of the motion at 30 frames per second."""
     in_place: bool = False
     """Leave out the path of the body through the world; it turns, but does not travel."""
+    body: Path | None = None
+    """A body of your own (.npz, from `quaffure body import`) instead of the shipped one."""
     shape: str = ""
     """Ten body shape coefficients separated by commas, or a file that holds them; without it, the mean body."""
     head: Path | None = None
@@ -124,10 +126,10 @@ class DrapeCommand:
     def run(self) -> None:
         console.quiet = self.json
         check_outputs(
-            self.out, (self.groom, self.motion, self.shape, self.head, self.joints, self.weights, self.reference)
+            self.out, (self.groom, self.motion, self.shape, self.body, self.head, self.joints, self.weights, self.reference)
         )
         times = Stopwatch()
-        body = load_body()
+        body = load_body(self.body)
         motion = motion_of(self.motion, body, self.in_place, self.joints).frames(self.frames)
         check_frames(self.out, len(range(0, len(motion), self.export.every)))
         space = character_space_of(self.motion, motion, body, self.export)
@@ -195,6 +197,7 @@ class DrapeCommand:
             "motion": array_digest(motion.body_pose, *path),
             "fps": motion.fps,
             "shape": body_shape.tolist(),
+            "body": None if self.body is None else hashlib.sha256(self.body.read_bytes()).hexdigest(),
             "draper": self._name,
             "model": self.model,
             "weights": None if self.weights is None else hashlib.sha256(self.weights.read_bytes()).hexdigest(),

@@ -27,19 +27,21 @@ class RenderCommand:
     """Where to write; may be given several times. The suffix picks the format: .png, .mp4, .usd, .usda, .usdc, .glb,
     .hair, .ply, .data and .bin (of one frame), .abc (with its groom asset beside it: walk_groom.abc beside
     walk.abc)."""
+    body: Path | None = None
+    """A body of your own (.npz, from `quaffure body import`) that the drape is of."""
     strands: int | None = None
     """Strands to interpolate between the draped ones: 10,000 to 100,000 are a full head of hair. Without it, the draped
     strands are drawn."""
     export: ExportSettings = field(default_factory=ExportSettings)
 
     def run(self) -> None:
-        check_outputs(self.out, (self.drape,))
+        check_outputs(self.out, (self.drape, self.body))
         for path in self.out:
             if path.suffix.lower() == ".npz":
                 raise InputError(path, "a picture, a video or a file for another program", "a drape file")
         sequence = read_drape(self.drape)
         check_frames(self.out, len(range(0, len(sequence), self.export.every)))
-        body, groom, interpolation, binding = load_body(), None, None, None
+        body, groom, interpolation, binding = load_body(self.body), None, None, None
         if self.strands is not None:
             groom = groom_of_drape(sequence, body)
             interpolation = interpolation_of(groom, body, self.strands)

@@ -9,6 +9,7 @@ import tyro
 from quaffure.apps.cli.console import console
 from quaffure.apps.cli.inputs import motion_of
 from quaffure.apps.cli.outputs import write_output
+from quaffure.body.body_model import load_body
 from quaffure.body.clips import CLIP_NAMES
 from quaffure.errors import InputError
 from quaffure.extras import require_extra
@@ -37,6 +38,8 @@ class ViewCommand:
     """Leave out the path of the body through the world; it turns, but does not travel."""
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones."""
+    body: Path | None = None
+    """A body of your own (.npz, from `quaffure body import`) instead of the shipped one."""
     port: int = 8080
     """The port of the page; 0 for any free one."""
     host: str = "127.0.0.1"
@@ -65,7 +68,7 @@ class ViewCommand:
 
         if not self.folder.is_dir():
             raise InputError("--folder", "an existing folder", f"{self.folder}")
-        model = load_model(self.weights)
+        model = load_model(self.weights).on(load_body(self.body))
         motion = (
             None
             if self.motion in (*CLIP_NAMES, REST)

@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from quaffure.body.body_model import BodyModel
-from quaffure.body.character_clip import animation_of, file_and_clip
+from quaffure.body.character_clip import animation_of
 from quaffure.body.motion import Motion
 from quaffure.body.own_motion import is_own
 from quaffure.hair.character_space import AnimatedSkin, CharacterSpace, skin_of
+from quaffure.input_file import file_and_clip
 from quaffure.io.gltf import read_character
 from quaffure.io.gltf_document import GLTF_SUFFIXES
 

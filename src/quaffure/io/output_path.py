@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from quaffure.body.character_clip import file_and_clip
 from quaffure.errors import InputError, refused
+from quaffure.input_file import file_and_clip
 from quaffure.io.temporary_file import sweep_temporary_files
 
 WRITABLE = "a writable folder"

@@ -10,13 +10,13 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.character import Character, CharacterAnimation
-from quaffure.body.character_clip import animation_of, character_clip, file_and_clip
+from quaffure.body.character_clip import animation_of, character_clip
 from quaffure.body.joint_map import JointMap, joint_map_from
 from quaffure.body.motion import Motion
 from quaffure.body.own_motion import is_own, own_motion
 from quaffure.body.retargeting import RETARGET_FPS, retarget_bvh
 from quaffure.errors import InputError, refused
-from quaffure.input_file import check_input_file, read_text
+from quaffure.input_file import check_input_file, file_and_clip, read_text
 from quaffure.io.amass import read_amass
 from quaffure.io.bvh import read_bvh
 from quaffure.io.gltf import FBX_ADVICE, read_character

@@ -31,8 +31,8 @@ UNSAVED_BYTES = 64e6
 
 
 def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[[], object] = lambda: None) -> None:
-    """Write the drape as a stage: z up, metres, time codes that count the frames of the drape, at its rate. In the scene
-    of a character it is y up, and the body is the character's skin.
+    """Write the drape as a stage: z up, metres, time codes that count the frames of the drape, at its rate. In a
+    character's scene it is y up, and the body is the character's skin.
 
     `/Drape/Body` is a mesh, `/Drape/Hair/Strands` and `/Drape/Hair/Guides` are curves through the strands' vertices
     (pinned Catmull-Rom, so that no vertex is added). `primvars:rest` holds the strands at rest, or where the clip has

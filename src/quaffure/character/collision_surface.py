@@ -3,8 +3,9 @@
 What is inside is what the generalized winding number of all skin says [Jacobson et al. 2013, "Robust inside-outside
 segmentation using generalized winding numbers"]. Mouth, nostrils and eyes are closed morphologically: the surface is
 moved outwards by a radius and back inwards. Both steps are level sets of a signed distance on a grid that is stored
-near them only. The result is simplified by collapsing its shortest edges, finest at the head (by quadric errors, flat
-parts would get slivers, whose frames hair could not follow), and its vertices are spread evenly and moved onto the skin.
+near them only. The result is simplified by collapsing its shortest edges, finest at the head; by quadric errors, flat
+parts would get slivers, whose frames hair could not follow. Its vertices are then spread evenly and moved onto the
+skin.
 """
 
 from typing import NamedTuple
@@ -54,20 +55,25 @@ class Triangles(NamedTuple):
 
 
 def closed_surface(
-    skin: Triangles, head: Float[np.ndarray, "3"], face_count: int = FACES, radius: float = CLOSING_RADIUS
+    skin: Triangles, head: Float[np.ndarray, "3"], cell: float = CELL, face_count: int = FACES
 ) -> Triangles:
     """A closed surface around everything that is inside of a mesh.
 
     Args:
         head: the middle of the head, where triangles are smallest [m].
-        radius: openings narrower than twice this are closed [m].
+        cell: of the grid [m].
+
+    Raises:
+        ValueError: the surface has holes, which is a fault of this function.
     """
     skin = _welded(skin)
-    outer = _pieces(_level_set(skin, radius))
-    closed = _pieces(_level_set(outer, -radius))
+    outer = _pieces(_level_set(skin, CLOSING_RADIUS, cell))
+    closed = _pieces(_level_set(outer, -CLOSING_RADIUS, cell))
     simple = _on_skin(_simplified(closed, head, face_count), skin)
     for _ in range(RELAXATIONS):
         simple = _on_skin(_relaxed(simple), skin)
+    if boundary_loops(simple.faces):
+        raise ValueError("the collision surface has holes")
     return simple
 
 
@@ -102,17 +108,17 @@ def closest_on(
     return face, weights / weights.sum(1, keepdims=True), closest
 
 
-def _level_set(mesh: Triangles, level: float) -> Triangles:
+def _level_set(mesh: Triangles, level: float, cell: float) -> Triangles:
     """The surface at a signed distance from the inside of a mesh, positive outwards [m]."""
     import igl
 
     vertices, faces = np.ascontiguousarray(mesh.vertices), mesh.faces.astype(np.int64)
     low = vertices.min(0) - MARGIN - max(level, 0.0)
-    cells = _cells(mesh, level, low)
+    cells = _cells(mesh, level, low, cell)
     shape = cells.max(0) + 2
     keys = np.ravel_multi_index(tuple((cells[:, None] + CORNERS).reshape(-1, 3).T), shape)
     unique, index = np.unique(keys, return_inverse=True)
-    points = low + CELL * np.stack(np.unravel_index(unique, shape), 1)
+    points = low + cell * np.stack(np.unravel_index(unique, shape), 1)
     kind = igl.SignedDistanceType.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
     parts = np.array_split(points, -(-len(points) // SAMPLES_AT_ONCE))
     values = np.concatenate([igl.signed_distance(part, vertices, faces, kind)[0] for part in parts])
@@ -120,15 +126,15 @@ def _level_set(mesh: Triangles, level: float) -> Triangles:
     return Triangles(found[0], found[1])
 
 
-def _cells(mesh: Triangles, level: float, low: Float[np.ndarray, "3"]) -> Int[np.ndarray, "n 3"]:
+def _cells(mesh: Triangles, level: float, low: Float[np.ndarray, "3"], cell: float) -> Int[np.ndarray, "n 3"]:
     """Cells of the grid that a level set can pass."""
-    size = BLOCK * CELL
+    size = BLOCK * cell
     count = np.ceil((mesh.vertices.max(0) + MARGIN + max(level, 0.0) - low) / size).astype(int)
     blocks = _lattice(*count)
-    passed, torn = _near(blocks, size, low, mesh, level), _near_hole(blocks, count, low, mesh)
+    passed, torn = _near(blocks, size, low, mesh, level), _near_hole(blocks, count, low, size, mesh)
     fine = (BLOCK * blocks[passed & ~torn][:, None] + _lattice(BLOCK, BLOCK, BLOCK)).reshape(-1, 3)
     whole = (BLOCK * blocks[torn][:, None] + _lattice(BLOCK, BLOCK, BLOCK)).reshape(-1, 3)
-    return np.concatenate([fine[_near(fine, CELL, low, mesh, level)], whole])
+    return np.concatenate([fine[_near(fine, cell, low, mesh, level)], whole])
 
 
 def _near(
@@ -140,7 +146,11 @@ def _near(
 
 
 def _near_hole(
-    blocks: Int[np.ndarray, "n 3"], count: Int[np.ndarray, "3"], low: Float[np.ndarray, "3"], mesh: Triangles
+    blocks: Int[np.ndarray, "n 3"],
+    count: Int[np.ndarray, "3"],
+    low: Float[np.ndarray, "3"],
+    size: float,
+    mesh: Triangles,
 ) -> Bool[np.ndarray, " n"]:
     """Blocks in which inside and outside can meet away from the mesh, across a hole of it, where the sign of the
     distance changes at any distance."""
@@ -149,7 +159,6 @@ def _near_hole(
     rim = np.unique([vertex for loop in boundary_loops(mesh.faces) for vertex in loop]).astype(int)
     if not len(rim):
         return np.zeros(len(blocks), dtype=bool)
-    size = BLOCK * CELL
     corners = low + size * _lattice(*(count + 1))
     winding = igl.fast_winding_number(np.ascontiguousarray(mesh.vertices), mesh.faces.astype(np.int64), corners)
     inside = (winding > 0.5).reshape(count + 1)

@@ -15,6 +15,8 @@ ROUNDS = 30
 WIDTHS = (0.03, 0.006)
 """Of the robust weight of a distance, in the first and the last round [m]."""
 DAMPING = 1e-3
+LARGEST_CHANGE = 0.1
+"""Of the pitch [rad] and of the logarithms of the scales in a round."""
 SCALES = (0.5, 2.5)
 """Of a head, relative to the shipped body's, along each axis."""
 
@@ -43,9 +45,7 @@ class HeadFit:
         return Rotation.from_rotvec([self.pitch, 0.0, 0.0]).as_matrix()
 
 
-def fit_head(
-    template: BodyModel, surface: Triangles, on_head: Bool[np.ndarray, " v"], source: str
-) -> HeadFit:
+def fit_head(template: BodyModel, surface: Triangles, on_head: Bool[np.ndarray, " v"], source: str) -> HeadFit:
     """Fit the shipped body's head to the head of a closed surface.
 
     Args:
@@ -110,7 +110,6 @@ def _step(fit: HeadFit, points: Float[np.ndarray, "p 3"], targets: Float[np.ndar
     normal = (flat * wide[:, None]).T @ flat
     gradient = (flat * wide[:, None]).T @ residual.reshape(-1)
     step = np.linalg.solve(normal + DAMPING * np.diag(normal.diagonal()), -gradient)
-    return replace(
-        fit, scale=fit.scale * np.exp(np.clip(step[:3], -0.1, 0.1)), pitch=fit.pitch + float(np.clip(step[3], -0.1, 0.1)),
-        place=fit.place + step[4:],
-    )  # fmt: skip
+    change = np.clip(step[:4], -LARGEST_CHANGE, LARGEST_CHANGE)
+    scale, pitch = fit.scale * np.exp(change[:3]), fit.pitch + float(change[3])
+    return replace(fit, scale=scale, pitch=pitch, place=fit.place + step[4:])

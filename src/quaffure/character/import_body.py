@@ -15,7 +15,7 @@ from quaffure.body.character import Character
 from quaffure.body.joint_map import JointMap
 from quaffure.body.pose_features import HEAD
 from quaffure.body.scalp import ScalpChart
-from quaffure.character.collision_surface import Triangles, closed_surface, closest_on, distance_to
+from quaffure.character.collision_surface import CELL, Triangles, closed_surface, closest_on, distance_to
 from quaffure.character.head_fit import HeadFit, fit_head
 from quaffure.character.parts import Part, Parts, choose_parts, joined, parts_of
 from quaffure.character.scalp import (
@@ -49,6 +49,7 @@ class ImportSettings:
         hair_mesh: name of a mesh or material of hair, whose footprint is the scalp.
         roots: of a groom that was made on the character [file units], and its file.
         collide: names of meshes or materials that hair collides with, besides the skin.
+        cell: of the grid on which the surface is made [m].
     """
 
     joint_map: JointMap | None = None
@@ -56,6 +57,7 @@ class ImportSettings:
     hair_mesh: str = ""
     roots: tuple[Float[np.ndarray, "s 3"], str] | None = None
     collide: tuple[str, ...] = field(default=())
+    cell: float = CELL
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ def import_body(
     on_step("making one closed surface of the skin")
     vertices, faces, weights = joined((*parts.skin, *parts.inner))
     skin, middle = Triangles(vertices, faces), _middle_of_head(parts, template)
-    surface = closed_surface(skin, middle)
+    surface = closed_surface(skin, middle, settings.cell)
     face, barycentric, _ = closest_on(surface.vertices, skin)
     joints, shares = _strongest((barycentric[..., None] * weights[skin.faces[face]]).sum(1))
     dense = np.zeros((len(joints), len(template.joint_names)))
@@ -142,8 +144,12 @@ def _scalp(
         named = _named(parts, settings.scalp, "--scalp", source)
         middles, others = in_file.vertices[in_file.faces].mean(1), [part for part in parts if part not in named]
         wanted = distance_to(middles, _mesh(named)) <= (distance_to(middles, _mesh(others)) if others else np.inf)
-        scalp = scalp_of_faces(wanted & (carried.distance(at_rest.vertices[at_rest.faces].mean(1)) < 0.1), at_rest,
-                               ears, f"--scalp {settings.scalp}")
+        scalp = scalp_of_faces(
+            wanted & (carried.distance(at_rest.vertices[at_rest.faces].mean(1)) < 0.1),
+            at_rest,
+            ears,
+            f"--scalp {settings.scalp}",
+        )
         return scalp, f"scalp: {settings.scalp}"
     if settings.hair_mesh:
         hair = _mesh(_named(parts, settings.hair_mesh, "--hair-mesh", source))
@@ -182,8 +188,9 @@ def _notes(
     return (
         f"height {np.ptp(surface.vertices[:, 2]):.2f} m{unit}; the head is {scale} the shipped body's in width, depth, "
         "height",
-        f"surface: {len(surface.vertices)} vertices; within {NEAR_HAIR:g} m of the head {100 * (distance < FAR).mean():.1f}"
-        f" % of its triangles are within {1e3 * FAR:g} mm of the skin, the others across openings of it",
+        f"surface: {len(surface.vertices)} vertices; within {NEAR_HAIR:g} m of the head "
+        f"{100 * (distance < FAR).mean():.1f} % of its triangles are within {1e3 * FAR:g} mm of the skin, the others "
+        "across openings of it",
     )
 
 

@@ -98,9 +98,7 @@ def parts_of(character: Character, skeleton: FittedSkeleton) -> list[Part]:
     return parts
 
 
-def choose_parts(
-    parts: list[Part], joint_names: tuple[str, ...], source: str, collide: tuple[str, ...] = ()
-) -> Parts:
+def choose_parts(parts: list[Part], joint_names: tuple[str, ...], source: str, collide: tuple[str, ...] = ()) -> Parts:
     """Skin by the weights of head, torso, arms and legs; hair by its name; eyes and teeth by where they are.
 
     Args:

@@ -159,11 +159,14 @@ def _extended_uv(points: Float[np.ndarray, "p 3"], carried: CarriedScalp) -> Flo
     corners = carried.mesh.faces[face]
     first, second, third = (carried.mesh.vertices[corners[:, k]] for k in range(3))
     normal = np.cross(second - first, third - first)
-    weights = np.stack(
-        [
-            (np.cross(b - points, c - points) * normal).sum(1)
-            for b, c in ((second, third), (third, first), (first, second))
-        ],
-        axis=1,
-    ) / (normal**2).sum(1)[:, None]
+    weights = (
+        np.stack(
+            [
+                (np.cross(b - points, c - points) * normal).sum(1)
+                for b, c in ((second, third), (third, first), (first, second))
+            ],
+            axis=1,
+        )
+        / (normal**2).sum(1)[:, None]
+    )
     return (weights[..., None] * carried.uv[corners]).sum(1)

@@ -2,7 +2,6 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -56,7 +55,7 @@ def _largest_piece(chosen: Bool[np.ndarray, " k"], neighbours: Int[np.ndarray, "
     links = coo_matrix((np.ones(both.sum()), (first[both], second[both])), shape=(len(chosen), len(chosen)))
     piece = connected_components(links, directed=False)[1]
     sizes = np.bincount(piece[chosen], minlength=piece.max() + 1)
-    return chosen & (piece == sizes.argmax())
+    return np.asarray(chosen & (piece == sizes.argmax()))
 
 
 def _at_waists(faces: Int[np.ndarray, "k 3"], inside: Bool[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:

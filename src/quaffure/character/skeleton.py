@@ -1,9 +1,9 @@
 """The skeleton of a character on the joints of the body.
 
 Joints that the file has are where the file has them. Others are placed between the ones above and below them, at the
-share of the way that they have in the shipped body, or else from the one above, in proportion. Arms and legs are then turned from the
-file's rest pose to the body's, by the rotation with which its motion is retargeted (`quaffure.body.retargeting`), so
-that a pose means the same on every body.
+share of the way that they have in the shipped body, or else from the one above, in proportion. Arms and legs are then
+turned from the file's rest pose to the body's, by the rotation with which its motion is retargeted
+(`quaffure.body.retargeting`), so that a pose means the same on every body.
 """
 
 from dataclasses import dataclass, replace
@@ -121,7 +121,7 @@ def rest_clip(character: Character) -> BvhClip:
 
 
 def _metres_per_unit(character: Character, turn: Float[np.ndarray, "3 3"], template: BodyModel) -> float:
-    """Metres, as glTF asks, or else the first known unit that gives a human height, or one that gives the template's."""
+    """1, as glTF asks, or else the first known unit that gives a human height, or one that gives the template's."""
     heights = np.concatenate([mesh.vertices @ turn[2] for mesh in character.meshes])
     height = float(np.ptp(heights))
     fitting = [unit for unit in UNITS if HEIGHTS[0] < unit * height < HEIGHTS[1]]

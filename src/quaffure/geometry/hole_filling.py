@@ -35,7 +35,7 @@ def fill_loop(loop: Int[np.ndarray, " n"], vertices: Float[np.ndarray, "v 3"]) -
     while pending:
         first, last = pending.pop()
         if last - first >= 2:
-            middle = int(split[first, last])
-            triangles.append((loop[first], loop[middle], loop[last]))
-            pending += [(first, middle), (middle, last)]
+            between = int(split[first, last])
+            triangles.append((loop[first], loop[between], loop[last]))
+            pending += [(first, between), (between, last)]
     return np.array(triangles)

@@ -96,9 +96,7 @@ class ShowBody:
 class BodyCommand:
     """Make a body file of a character, or draw one."""
 
-    action: (
-        Annotated[ImportBody, tyro.conf.subcommand("import")] | Annotated[ShowBody, tyro.conf.subcommand("show")]
-    )
+    action: Annotated[ImportBody, tyro.conf.subcommand("import")] | Annotated[ShowBody, tyro.conf.subcommand("show")]
 
     def run(self) -> None:
         self.action.run()

@@ -125,9 +125,8 @@ class DrapeCommand:
 
     def run(self) -> None:
         console.quiet = self.json
-        check_outputs(
-            self.out, (self.groom, self.motion, self.shape, self.body, self.head, self.joints, self.weights, self.reference)
-        )
+        options = self.shape, self.body, self.head, self.joints, self.weights, self.reference
+        check_outputs(self.out, (self.groom, self.motion, *options))
         times = Stopwatch()
         body = load_body(self.body)
         motion = motion_of(self.motion, body, self.in_place, self.joints).frames(self.frames)

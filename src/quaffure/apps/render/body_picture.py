@@ -62,9 +62,7 @@ def _tiles(body: BodyModel) -> list[UInt8[np.ndarray, "h w 3"]]:
     return [*heads, *(_with_joints(picture, body, camera) for picture, camera in zip(bodies, whole))]
 
 
-def _with_joints(
-    picture: UInt8[np.ndarray, "h w 3"], body: BodyModel, camera: Camera
-) -> UInt8[np.ndarray, "h w 3"]:
+def _with_joints(picture: UInt8[np.ndarray, "h w 3"], body: BodyModel, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
     image = Image.fromarray(picture)
     pen = ImageDraw.Draw(image)
     places = _pixels(body.rest_joints.double().numpy(), camera)

@@ -165,5 +165,5 @@ def test_a_skeleton_of_the_body_is_refused(written: tuple[PlacedClip, Character,
     own = own_body(character(body), body)
     motion = own_motion(written[1], written[1].animations[0], own, FPS)
     with pytest.raises(InputError, match="--skinned"):
-        character_space_of("walk", motion, own, ExportSettings(skinned=True))
-    assert character_space_of("walk", motion, body, ExportSettings(skinned=True)) is None
+        character_space_of("walk", own, motion.times, ExportSettings(skinned=True))
+    assert character_space_of("walk", body, motion.times, ExportSettings(skinned=True)) is None

@@ -6,6 +6,7 @@ Rotations between frames are interpolated spherically, joint by joint; translati
 import re
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -78,6 +79,11 @@ class Motion:
     def seconds(self) -> float:
         """Time from the first frame to the last [s]."""
         return (len(self) - 1) / self.fps
+
+    @property
+    def times(self) -> Float[np.ndarray, " f"]:
+        """Times of the frames in the file that they come from [s]."""
+        return self.start + np.arange(len(self)) / self.fps
 
     def in_place(self) -> "Motion":
         """The motion without translation; heading and tilt stay."""

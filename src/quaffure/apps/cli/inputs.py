@@ -32,19 +32,19 @@ def motion_of(text: str, body: BodyModel, in_place: bool = False, joints: Path |
     return motion
 
 
-def character_space_of(text: str, motion: Motion, body: BodyModel, settings: ExportSettings) -> CharacterSpace | None:
+def character_space_of(
+    text: str, body: BodyModel, times: Float[np.ndarray, " f"], settings: ExportSettings
+) -> CharacterSpace | None:
     """`read_character_space`, printing where files will be.
 
     Raises:
         InputError: a skeleton is asked for, too: that of the body is not the character's.
     """
-    space = read_character_space(body, motion, text)
+    space = read_character_space(body, text, times)
     if space is None:
         return None
     if settings.skinned:
-        raise InputError(
-            "--skinned", "the shipped body, or files without a skeleton", f"the body of {space.origin.source}"
-        )
+        raise InputError("--skinned", "the shipped body, or files without a skeleton", f"that of {space.origin.source}")
     moved = "its own skin moves the roots" if space.skin is not None else "in a motion that it does not have"
     console.print(f"hair is written in the scene of {space.origin.source}, {moved}", markup=False, highlight=False)
     return space

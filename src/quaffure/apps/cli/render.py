@@ -4,17 +4,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import torch
 import tyro
 
 from quaffure.apps.cli.console import console
+from quaffure.apps.cli.inputs import character_space_of
 from quaffure.apps.cli.outputs import check_frames, check_outputs, is_export, known_groom, write_output
 from quaffure.body.body_model import load_body
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.guide_interpolation import groom_of_drape, interpolation_of
+from quaffure.hair.placed_clip import placed_clip
 from quaffure.io.drape_file import read_drape
+from quaffure.io.gltf_animation import LAST_SECOND
+from quaffure.npz import read_numbers
 
 
 @dataclass(frozen=True)
@@ -29,13 +34,15 @@ class RenderCommand:
     walk.abc)."""
     body: Path | None = None
     """A body of your own (.npz, from `quaffure body import`) that the drape is of."""
+    motion: str = ""
+    """The character's file that the drape is of, and its animation (FILE.glb#NAME): its skin then moves the roots."""
     strands: int | None = None
     """Strands to interpolate between the draped ones: 10,000 to 100,000 are a full head of hair. Without it, the draped
     strands are drawn."""
     export: ExportSettings = field(default_factory=ExportSettings)
 
     def run(self) -> None:
-        check_outputs(self.out, (self.drape, self.body))
+        check_outputs(self.out, (self.drape, self.body, self.motion))
         for path in self.out:
             if path.suffix.lower() == ".npz":
                 raise InputError(path, "a picture, a video or a file for another program", "a drape file")
@@ -45,11 +52,23 @@ class RenderCommand:
         if self.strands is not None:
             groom = groom_of_drape(sequence, body)
             interpolation = interpolation_of(groom, body, self.strands)
-        if is_export(self.out):
+        if is_export(self.out) or body.origin is not None:
             groom = known_groom(sequence, body) if groom is None else groom
             if groom is not None:
                 binding = groom_binding(groom, body, torch.from_numpy(sequence.body_shape))
         clip = ExportClip(sequence, interpolation, binding, self.export)
+        times = _start_of(self.drape) + np.arange(len(sequence)) / sequence.fps
+        space = character_space_of(self.motion, body, times, self.export)
+        if space is not None:
+            clip = placed_clip(clip, space)
         for path in self.out:
             console.print(f"writing {path}")
             write_output(path, clip)
+
+
+def _start_of(drape: Path) -> float:
+    """Time of a drape's first frame in its character's file [s]; 0 of one without."""
+    start = read_numbers(drape, ("file_start",)).get("file_start", np.zeros(1))
+    if start.size != 1 or not abs(float(start.flat[0])) <= LAST_SECOND:
+        raise InputError(drape, f"one number file_start within {LAST_SECOND:g} s", "another")
+    return float(start.flat[0])

@@ -1,5 +1,7 @@
 """Characters made of the body of the package: another rig, rest pose, unit and axes, and another head."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -20,6 +22,10 @@ Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """From the body's axes to those of glTF."""
 
 
+REFERENCE_GRID = 0.006
+"""Cells of the surface in tests, twice as large as by default [m]."""
+
+
 def t_pose(body: BodyModel) -> Float[torch.Tensor, "1 81"]:
     pose = torch.zeros(1, 27, 3)
     for side, sign in (("Left", -1.0), ("Right", 1.0)):
@@ -31,15 +37,17 @@ def character(
     body: BodyModel,
     names: dict[str, str] = MIXAMO,
     prefix: str = "mixamorig:",
-    shape: Float[torch.Tensor, "1 10"] | None = None,
+    head_scale: tuple[float, float, float] = (1.0, 1.0, 1.0),
     centimetres: bool = True,
 ) -> Character:
     """The body in a T pose, y up, on a rig that has fewer joints, whose frames are not aligned with the world's.
 
     Args:
         names: joints of the rig, parents first, and the body's of each; what others move, the nearest above moves.
+        head_scale: of the head about its joint, along the body's axes, fading out along the neck.
     """
-    posed = body.pose(t_pose(body), torch.zeros(1, 10) if shape is None else shape)
+    posed = body.pose(t_pose(body), torch.zeros(1, 10))
+    vertices = stretched_head(body, posed.vertices[0], head_scale).double().numpy()
     scale = 100.0 if centimetres else 1.0
     own = [body.joint_names.index(joint) for joint in names.values()]
     node_of = np.empty(27, dtype=np.int64)
@@ -49,9 +57,23 @@ def character(
     positions = scale * posed.joint_positions[0].double().numpy()[own] @ Y_UP.T
     turns = np.random.default_rng(5).normal(size=(len(own), 4))
     nodes = nodes_at([f"{prefix}{name}" for name in names], parents, positions, turns)
-    vertices = scale * posed.vertices[0].double().numpy() @ Y_UP.T
+    vertices = scale * vertices @ Y_UP.T
     mesh = mesh_of("Body", vertices, body.faces.numpy(), nodes, node_of[body.skin_joints.numpy()], body.skin_weights)
     return Character(nodes, (mesh,), (), "character.glb")
+
+
+def stretched_head(
+    body: BodyModel, vertices: Float[torch.Tensor, "v 3"], scale: tuple[float, float, float]
+) -> Float[torch.Tensor, "v 3"]:
+    """Vertices of the body, those of the head scaled about its joint."""
+    joint = body.joint_names.index("Head")
+    share = body.dense_skin_weights[:, joint, None]
+    centre = body.rest_joints[joint]
+    return vertices + share * (torch.tensor(scale) - 1) * (vertices - centre)
+
+
+def with_mesh(of: Character, mesh: SkinnedMesh) -> Character:
+    return replace(of, meshes=(*of.meshes, mesh))
 
 
 def mesh_of(

@@ -17,7 +17,7 @@ import torch
 from numba import set_num_threads
 
 from quaffure.apps.drape_clip import drape_clip, save_drape
-from quaffure.body.body_model import load_body
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.draper import Draper
 from quaffure.energies.loading import Loading
@@ -49,7 +49,8 @@ class CharacterRow:
         frames: A:B:STEP of the motion.
         shape: coefficients of the body, separated by spaces; the mean body where it is empty.
         stiffness: multiple of the hair's.
-        seed: of a bundled style.
+        seed: of a bundled style on the shipped body.
+        body: a body file; the shipped body where it is empty.
     """
 
     groom: str
@@ -59,6 +60,7 @@ class CharacterRow:
     shape: str = ""
     stiffness: str = "1"
     seed: str = "0"
+    body: str = ""
 
 
 @dataclass(frozen=True)
@@ -154,23 +156,29 @@ def drape_row(row: CharacterRow, draper: str) -> None:
     Raises:
         InputError: what the row names cannot be read or draped, or its output not be written.
     """
-    motion = _motion(row.motion).frames(row.frames)
+    motion = _motion(row.motion, row.body).frames(row.frames)
     shape = torch.tensor([_float(row, "shape", text) for text in row.shape.split()] or [0.0] * 10)
     if len(shape) != 10:
         raise InputError(f"shape of {row.out}", "10 coefficients", f"{len(shape)}")
-    groom, own_draper = _groom(row.groom, int(_number(row, "seed"))), _draper(draper, _number(row, "stiffness"))
-    hair = drape_clip(groom, motion, shape, own_draper)
-    save_drape(hair, row.out)
+    groom = _groom(row.groom, int(_number(row, "seed")), row.body)
+    own_draper = _draper(draper, _number(row, "stiffness"))
+    hair = drape_clip(groom, motion, shape, own_draper, _body(row.body))
+    save_drape(hair, row.out, body=_body(row.body))
 
 
 @cache
-def _groom(name: str, seed: int) -> Groom:
-    return make_groom(name, load_body(), seed) if name in STYLES else load_groom(name)
+def _body(path: str) -> BodyModel:
+    return load_body(path or None)
 
 
 @cache
-def _motion(name: str) -> Motion:
-    return load_motion(name)
+def _groom(name: str, seed: int, body: str) -> Groom:
+    return make_groom(name, load_body(), seed) if name in STYLES and not body else load_groom(name, _body(body))
+
+
+@cache
+def _motion(name: str, body: str) -> Motion:
+    return load_motion(name, _body(body))
 
 
 @cache

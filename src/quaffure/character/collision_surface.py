@@ -102,6 +102,7 @@ def closest_on(
     import igl
 
     _, face, closest = igl.point_mesh_squared_distance(points, mesh.vertices, mesh.faces.astype(np.int64))
+    face = face.astype(np.int64)  # igl's own 64-bit integers are another type for numpy
     corners = mesh.vertices[mesh.faces[face]]
     weights = igl.barycentric_coordinates(closest, *(np.ascontiguousarray(corners[:, k]) for k in range(3)))
     weights = np.clip(np.nan_to_num(weights, nan=1 / 3), 0.0, 1.0)
@@ -123,14 +124,14 @@ def _level_set(mesh: Triangles, level: float, cell: float) -> Triangles:
     parts = np.array_split(points, -(-len(points) // SAMPLES_AT_ONCE))
     values = np.concatenate([igl.signed_distance(part, vertices, faces, kind)[0] for part in parts])
     found = igl.marching_cubes(values - level, points, index.reshape(-1, 8).astype(np.int64), 0.0)
-    return Triangles(found[0], found[1])
+    return Triangles(found[0], found[1].astype(np.int64))
 
 
 def _cells(mesh: Triangles, level: float, low: Float[np.ndarray, "3"], cell: float) -> Int[np.ndarray, "n 3"]:
     """Cells of the grid that a level set can pass."""
     size = BLOCK * cell
     count = np.ceil((mesh.vertices.max(0) + MARGIN + max(level, 0.0) - low) / size).astype(int)
-    blocks = _lattice(*count)
+    blocks = _lattice(*count.tolist())
     passed, torn = _near(blocks, size, low, mesh, level), _near_hole(blocks, count, low, size, mesh)
     fine = (BLOCK * blocks[passed & ~torn][:, None] + _lattice(BLOCK, BLOCK, BLOCK)).reshape(-1, 3)
     whole = (BLOCK * blocks[torn][:, None] + _lattice(BLOCK, BLOCK, BLOCK)).reshape(-1, 3)
@@ -159,7 +160,7 @@ def _near_hole(
     rim = np.unique([vertex for loop in boundary_loops(mesh.faces) for vertex in loop]).astype(int)
     if not len(rim):
         return np.zeros(len(blocks), dtype=bool)
-    corners = low + size * _lattice(*(count + 1))
+    corners = low + size * _lattice(*(count + 1).tolist())
     winding = igl.fast_winding_number(np.ascontiguousarray(mesh.vertices), mesh.faces.astype(np.int64), corners)
     inside = (winding > 0.5).reshape(count + 1)
     corner = np.stack([inside[tuple((blocks + offset).T)] for offset in CORNERS])
@@ -200,7 +201,7 @@ def _simplified(mesh: Triangles, head: Float[np.ndarray, "3"], face_count: int) 
 
     warped = np.asfortranarray(_warped(mesh.vertices, head))
     vertices, faces, _, _ = igl.decimate(warped, np.asfortranarray(mesh.faces.astype(np.int32)), face_count)
-    return Triangles(np.ascontiguousarray(_unwarped(vertices, head)), np.ascontiguousarray(faces))
+    return Triangles(np.ascontiguousarray(_unwarped(vertices, head)), faces.astype(np.int64, order="C"))
 
 
 def _relaxed(mesh: Triangles) -> Triangles:

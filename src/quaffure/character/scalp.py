@@ -73,6 +73,7 @@ def carried_scalp(template: BodyModel, surface: Triangles, ears: Int[np.ndarray,
     uv[patch] = template.scalp.uv.double().numpy()
     points = fit(template.rest_vertices[used].double().numpy())
     fine, faces = igl.upsample(np.hstack([points, uv]), patch, SUBDIVISIONS)
+    faces = faces.astype(np.int64)
     points, uv = np.ascontiguousarray(fine[:, :3]), np.ascontiguousarray(fine[:, 3:])
     without_ears = Triangles(surface.vertices, surface.faces[~np.isin(surface.faces, ears).any(1)])
     mean = neighbour_mean(faces, len(points))

@@ -44,7 +44,7 @@ def disc(faces: Int[np.ndarray, "k 3"], wanted: Bool[np.ndarray, " k"]) -> Bool[
         inside &= ~_at_waists(faces, inside)
         if (inside == before).all():
             break
-    return inside
+    return np.asarray(inside)
 
 
 def _largest_piece(chosen: Bool[np.ndarray, " k"], neighbours: Int[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
@@ -117,7 +117,7 @@ def _rounded(
     """Harmonic coordinates in a rounded square of the patch's area [m], places of the rim, and its vertices."""
     import igl
 
-    rim = igl.boundary_loop(patch)
+    rim = igl.boundary_loop(patch).astype(np.int64)
     target = rounded_square(points[rim])
     start = igl.harmonic(points, patch, rim, target, 1)
     flat_area = np.abs(np.cross(*edge_pairs(np.pad(start, ((0, 0), (0, 1))), patch))[:, 2]).sum()

@@ -16,7 +16,7 @@ from quaffure.extras import is_installed
 from quaffure.hair.character_space import AnimatedSkin, CharacterSpace, skin_of
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.placed_clip import PlacedClip, placed_clip
-from quaffure.io import read_drape
+from quaffure.io import read_drape, write_drape
 from quaffure.io.gltf import read_character
 from quaffure.io.read_strands import read_strands
 from tests.characters import character
@@ -136,12 +136,26 @@ def test_drape_files_hold_the_way_to_the_file(
     np.testing.assert_allclose(roots, roots_in_file(moved, chosen, FRAME), atol=0.01)
 
 
+def test_a_drape_file_keeps_when_its_motion_starts(
+    written: tuple[PlacedClip, Character, np.ndarray], tmp_path: Path
+) -> None:
+    sequence = written[0].sequence
+    assert sequence.times[0] == 0
+    write_drape(tmp_path / "hair.npz", replace(sequence, meta={"start": 0.5}))
+    found = read_drape(tmp_path / "hair.npz")
+    np.testing.assert_allclose(found.times, 0.5 + np.arange(9) / FPS)
+    for wrong in ("0.5", 1e300, None, True):
+        assert replace(found, meta={"start": wrong}).times[0] == 0
+
+
 def test_another_motion_is_placed_without_the_file(written: tuple[PlacedClip, Character, np.ndarray]) -> None:
     clip = written[0]
     other = replace(clip, space=replace(clip.space, skin=None))
     np.testing.assert_allclose(other.points(2), clip.points(2), atol=0.01)  # the body has every joint of this file
     np.testing.assert_array_equal(other.body_faces, clip.inner.body_faces)
     assert "root_offset" not in other.file_arrays()
+    with pytest.raises(InputError, match="one of the body that was imported"):
+        placed_clip(ExportClip(clip.sequence), clip.space)
 
 
 def test_the_skin_is_found_by_place_and_hair_is_left_out(body: BodyModel) -> None:

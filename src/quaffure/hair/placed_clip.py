@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Float32, Int, Int32
 
+from quaffure.errors import InputError
 from quaffure.hair.character_space import BoundPoints, CharacterSpace
 from quaffure.hair.export_clip import ExportClip
 
@@ -123,6 +124,12 @@ class PlacedClip(ExportClip):
 
 
 def placed_clip(clip: ExportClip, space: CharacterSpace) -> PlacedClip:
-    """A clip of the drape's world in the scene of a character."""
+    """A clip of the drape's world in the scene of a character.
+
+    Raises:
+        InputError: roots follow the character's skin, but where they are on it at rest is not known.
+    """
+    if clip.binding is None and space.skin is not None:
+        raise InputError("the drape", "one of the body that was imported from the character", "another body")
     own = {each.name: getattr(clip, each.name) for each in fields(ExportClip)}
     return PlacedClip(**own, inner=clip, space=space)

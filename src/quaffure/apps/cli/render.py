@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import torch
 import tyro
 
@@ -18,8 +17,6 @@ from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.guide_interpolation import groom_of_drape, interpolation_of
 from quaffure.hair.placed_clip import placed_clip
 from quaffure.io.drape_file import read_drape
-from quaffure.io.gltf_animation import LAST_SECOND
-from quaffure.npz import read_numbers
 
 
 @dataclass(frozen=True)
@@ -57,18 +54,9 @@ class RenderCommand:
             if groom is not None:
                 binding = groom_binding(groom, body, torch.from_numpy(sequence.body_shape))
         clip = ExportClip(sequence, interpolation, binding, self.export)
-        times = _start_of(self.drape) + np.arange(len(sequence)) / sequence.fps
-        space = character_space_of(self.motion, body, times, self.export)
+        space = character_space_of(self.motion, body, sequence.times, self.export)
         if space is not None:
             clip = placed_clip(clip, space)
         for path in self.out:
             console.print(f"writing {path}")
             write_output(path, clip)
-
-
-def _start_of(drape: Path) -> float:
-    """Time of a drape's first frame in its character's file [s]; 0 of one without."""
-    start = read_numbers(drape, ("file_start",)).get("file_start", np.zeros(1))
-    if start.size != 1 or not abs(float(start.flat[0])) <= LAST_SECOND:
-        raise InputError(drape, f"one number file_start within {LAST_SECOND:g} s", "another")
-    return float(start.flat[0])

@@ -8,8 +8,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from quaffure.body.character import AnimationChannel, Character
 from quaffure.body.character_animation import frame_times, poses_at, sampled
-from quaffure.body.character_clip import animation_of, bind_pose, file_and_clip
+from quaffure.body.character_clip import animation_of, bind_pose
 from quaffure.errors import InputError
+from quaffure.input_file import file_and_clip
 from quaffure.io.gltf import read_character
 from tests.gltf_files import NAMES, GltfFile, figure
 

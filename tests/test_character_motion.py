@@ -12,6 +12,7 @@ import quaffure as qf
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel, Motion
 from quaffure.errors import InputError
+from quaffure.io.output_path import check_output
 from quaffure.io.read_motion import read_motion
 from tests.gltf_files import NAMES, PARENTS, GltfFile, figure
 
@@ -105,6 +106,13 @@ def test_clips_are_chosen_by_name(body: BodyModel, tmp_path: Path) -> None:
         read(file, tmp_path, body)
     with pytest.raises(InputError, match="an animation, found none"):
         read(figure(), tmp_path, body)
+
+
+def test_a_character_is_not_replaced_by_its_hair(tmp_path: Path) -> None:
+    path = tmp_path / "file.glb"
+    path.write_bytes(figure(np.tile(np.eye(3), (3, len(NAMES), 1, 1))).glb())
+    with pytest.raises(InputError, match="an output that is none of the inputs"):
+        check_output(path, ".glb", inputs=(f"{path}#moves",))
 
 
 def test_joint_maps(body: BodyModel, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

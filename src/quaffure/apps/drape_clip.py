@@ -41,13 +41,18 @@ def drape_clip(
 
 
 def save_drape(
-    sequence: DrapeSequence, path: str | Path, strands: int | None = None, body: BodyModel | None = None
+    sequence: DrapeSequence,
+    path: str | Path,
+    strands: int | None = None,
+    body: BodyModel | None = None,
+    motion: str | Path = "",
 ) -> None:
     """Write a drape as the suffix says: .npz, .usd, .usda, .usdc, .abc, .glb, .png, .mp4, and of one frame .hair, .ply.
 
     Args:
         strands: to interpolate between the draped ones; an .npz always holds the draped ones.
-        body: of the drape; the shipped one by default.
+        body: of the drape; the shipped one by default. Files of an imported one are in the scene of its character.
+        motion: the character's file and clip that the drape is of (`FILE.glb#NAME`); its skin then moves the roots.
 
     Raises:
         InputError: another suffix, a missing package, or not writable.
@@ -55,14 +60,19 @@ def save_drape(
     from quaffure.apps.cli.outputs import check_frames, check_outputs, is_export, known_groom, write_output
     from quaffure.hair.export_clip import ExportClip
     from quaffure.hair.groom_binding import groom_binding
+    from quaffure.hair.placed_clip import placed_clip
+    from quaffure.io.character_scene import read_character_space
 
     path, body = Path(path), body or load_body()
-    check_outputs((path,), ())
+    check_outputs((path,), (motion,))
     check_frames((path,), len(sequence))
-    groom = known_groom(sequence, body) if is_export((path,)) else None
+    is_bound = is_export((path,)) or body.origin is not None
+    groom = known_groom(sequence, body) if is_bound else None
     interpolation = None if strands is None else interpolation_of(groom_of_drape(sequence, body), body, strands)
     binding = None if groom is None else groom_binding(groom, body, torch.from_numpy(sequence.body_shape))
-    write_output(path, ExportClip(sequence, interpolation, binding))
+    clip = ExportClip(sequence, interpolation, binding)
+    space = read_character_space(body, motion, sequence.times)
+    write_output(path, clip if space is None else placed_clip(clip, space))
 
 
 def draw(

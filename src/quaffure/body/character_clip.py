@@ -4,9 +4,7 @@ In a BVH file the frames of joints at rest are those of the file. With W a node'
     G = W W_rest^T,    local rotation = G_parent^T G,    position channels = G_parent^T (p - p_parent)
 """
 
-import re
 import warnings
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -24,13 +22,6 @@ POSE_TOLERANCE = 1e-3
 """Within which a pose is another one, in sizes of the figure."""
 MOVED = 1e-5
 """Change of an offset that is motion, in lengths of the figure."""
-_NAMED_CLIP = re.compile(r"(.+\.(?:glb|gltf))#(.*)", re.IGNORECASE | re.DOTALL)
-
-
-def file_and_clip(source: str | Path) -> tuple[Path, str]:
-    """The file in `FILE.glb#CLIP`, and the name of the clip; no name where there is none."""
-    match = _NAMED_CLIP.fullmatch(str(source))
-    return (Path(match[1]), match[2]) if match is not None and not Path(source).exists() else (Path(source), "")
 
 
 def animation_of(character: Character, name: str = "") -> CharacterAnimation:

@@ -6,6 +6,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32, Int, Int32
 
+LAST_SECOND = 1e6
+"""Latest time at which a motion may start in its file."""
+
 
 @dataclass(frozen=True)
 class DrapeSequence:
@@ -42,6 +45,13 @@ class DrapeSequence:
     def __len__(self) -> int:
         """Number of frames."""
         return len(self.strands)
+
+    @property
+    def times(self) -> Float[np.ndarray, " f"]:
+        """Times of the frames in the file of the motion [s]; from 0 where `meta` does not say when it starts."""
+        start = self.meta.get("start", 0.0)
+        known = type(start) in (int, float) and abs(start) <= LAST_SECOND
+        return (float(start) if known else 0.0) + np.arange(len(self)) / self.fps
 
     def in_place(self) -> "DrapeSequence":
         """The drape as seen from a camera that moves with the body: without its translation."""

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.character_clip import file_and_clip
 from quaffure.body.clips import CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion, resample
 from quaffure.errors import InputError
+from quaffure.input_file import file_and_clip
 from quaffure.io.read_motion import read_motion
 
 FPS = 30.0

@@ -10,12 +10,13 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.character import Character, CharacterAnimation
-from quaffure.body.character_clip import animation_of, character_clip, file_and_clip
+from quaffure.body.character_clip import animation_of, character_clip
 from quaffure.body.joint_map import JointMap, joint_map_from
 from quaffure.body.motion import Motion
+from quaffure.body.own_motion import is_own, own_motion
 from quaffure.body.retargeting import RETARGET_FPS, retarget_bvh
 from quaffure.errors import InputError, refused
-from quaffure.input_file import check_input_file, read_text
+from quaffure.input_file import check_input_file, file_and_clip, read_text
 from quaffure.io.amass import read_amass
 from quaffure.io.bvh import read_bvh
 from quaffure.io.gltf import FBX_ADVICE, read_character
@@ -32,9 +33,10 @@ def read_motion(path: Path, body: BodyModel, joints: Path | None = None) -> Moti
     """The motion in a file, on the body's joints; its suffix, in any case, selects the format.
 
     `.bvh` is retargeted from any skeleton whose joints are known by name or by a map; so is an animation of a character
-    (`.glb`, `.gltf`), which `FILE.glb#NAME` or `FILE.glb#0` selects where it has several. An `.npz` with `body_pose`
-    [F,81] and `fps` (such as a drape file) is taken as it is, with `body_translation` [F,3] where it has one; any other
-    `.npz` is read as AMASS or SMPL-X. The motion is called after the file.
+    (`.glb`, `.gltf`), which `FILE.glb#NAME` or `FILE.glb#0` selects where it has several, and which a body that was
+    imported from the character takes exactly. An `.npz` with `body_pose` [F,81] and `fps` (such as a drape file) is
+    taken as it is, with `body_translation` [F,3] where it has one; any other `.npz` is read as AMASS or SMPL-X. The
+    motion is called after the file.
 
     Args:
         joints: a joint map (.toml) for a .bvh, .glb or .gltf file (`quaffure.body.joint_map`).
@@ -55,7 +57,10 @@ def read_motion(path: Path, body: BodyModel, joints: Path | None = None) -> Moti
         character = read_character(path)
         animation = animation_of(character, clip)
         name = f"{path.stem}_{animation.name}" if len(character.animations) > 1 else path.stem
-        motion = retarget_character(character, animation, body, joint_map)
+        if joint_map is None and is_own(body, character):
+            motion = own_motion(character, animation, body, RETARGET_FPS)
+        else:
+            motion = retarget_character(character, animation, body, joint_map)
         return replace(motion, name=re.sub(r"[^\w.-]+", "_", name))  # files are named after motions
     if suffix == ".bvh":
         return replace(retarget_bvh(read_bvh(path), body, joint_map), name=path.stem)
@@ -71,7 +76,7 @@ def retarget_character(
         InputError: as `retarget_bvh`.
     """
     clip = character_clip(character, animation, RETARGET_FPS)
-    return retarget_bvh(clip, body, joint_map, drops_lead_in=False)
+    return replace(retarget_bvh(clip, body, joint_map, drops_lead_in=False), start=animation.span[0])
 
 
 def read_joint_map(path: Path) -> JointMap:

@@ -8,12 +8,14 @@ import torch
 import tyro
 
 from quaffure.apps.cli.console import console
+from quaffure.apps.cli.inputs import character_space_of
 from quaffure.apps.cli.outputs import check_frames, check_outputs, is_export, known_groom, write_output
 from quaffure.body.body_model import load_body
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.guide_interpolation import groom_of_drape, interpolation_of
+from quaffure.hair.placed_clip import placed_clip
 from quaffure.io.drape_file import read_drape
 
 
@@ -29,13 +31,15 @@ class RenderCommand:
     walk.abc)."""
     body: Path | None = None
     """A body of your own (.npz, from `quaffure body import`) that the drape is of."""
+    motion: str = ""
+    """The character's file that the drape is of, and its animation (FILE.glb#NAME): its skin then moves the roots."""
     strands: int | None = None
     """Strands to interpolate between the draped ones: 10,000 to 100,000 are a full head of hair. Without it, the draped
     strands are drawn."""
     export: ExportSettings = field(default_factory=ExportSettings)
 
     def run(self) -> None:
-        check_outputs(self.out, (self.drape, self.body))
+        check_outputs(self.out, (self.drape, self.body, self.motion))
         for path in self.out:
             if path.suffix.lower() == ".npz":
                 raise InputError(path, "a picture, a video or a file for another program", "a drape file")
@@ -45,11 +49,14 @@ class RenderCommand:
         if self.strands is not None:
             groom = groom_of_drape(sequence, body)
             interpolation = interpolation_of(groom, body, self.strands)
-        if is_export(self.out):
+        if is_export(self.out) or body.origin is not None:
             groom = known_groom(sequence, body) if groom is None else groom
             if groom is not None:
                 binding = groom_binding(groom, body, torch.from_numpy(sequence.body_shape))
         clip = ExportClip(sequence, interpolation, binding, self.export)
+        space = character_space_of(self.motion, body, sequence.times, self.export)
+        if space is not None:
+            clip = placed_clip(clip, space)
         for path in self.out:
             console.print(f"writing {path}")
             write_output(path, clip)

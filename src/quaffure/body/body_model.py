@@ -46,7 +46,7 @@ ORIGIN_ARRAYS: Spec = {
     "file_digest": ((), TEXT),
     "file_joint_nodes": ((JOINT_COUNT,), TEXT),
 }
-"""Of an imported body (`BodyOrigin`)."""
+"""Arrays that an imported body has besides (`BodyOrigin`)."""
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,13 @@ from quaffure.geometry.hole_filling import boundary_loops, fill_loop
 CLOSING_RADIUS = 0.004
 """Openings narrower than twice this are closed [m]."""
 CELL = 0.003
-"""Of the grid [m]."""
+"""Edge of a cell of the grid [m]."""
 BLOCK = 8
 """Cells of the grid in a block, which is left out where the surface does not pass."""
 MARGIN = 0.012
-"""Of the grid around the mesh [m]."""
+"""Width of the grid around the mesh [m]."""
 CORNERS = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])
-"""Of a cell, in the order that igl expects."""
+"""Corners of a cell, in the order that igl expects."""
 SAMPLES_AT_ONCE = 2_000_000
 WELD = 1e-6
 """Vertices of a mesh that are as near as this are one [m]."""
@@ -36,7 +36,7 @@ LEAST_VOLUME = 2e-5
 """Pieces smaller than this are left out [m^3]."""
 RELAXATIONS = 4
 FACES = 24000
-"""Of the result."""
+"""Number of triangles of the result."""
 FINE_RADIUS, COARSENING = 0.16, 1.5
 """The radius around the middle of the head within which the surface is fine, and the radius over which triangles grow
 to twice their length, in units of the first."""

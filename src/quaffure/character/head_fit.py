@@ -13,12 +13,12 @@ from quaffure.errors import InputError
 
 ROUNDS = 30
 WIDTHS = (0.03, 0.006)
-"""Of the robust weight of a distance, in the first and the last round [m]."""
+"""Scale of the robust weight of a distance, in the first and the last round [m]."""
 DAMPING = 1e-3
 LARGEST_CHANGE = 0.1
-"""Of the pitch [rad] and of the logarithms of the scales in a round."""
+"""Limit of a round for the pitch [rad] and the logarithms of the scales."""
 SCALES = (0.5, 2.5)
-"""Of a head, relative to the shipped body's, along each axis."""
+"""Limits of a head's size relative to the shipped body's, along each axis."""
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,13 @@ from quaffure.character.collision_surface import CELL, Triangles, closed_surface
 from quaffure.character.head_fit import HeadFit, fit_head
 from quaffure.character.parts import Part, Parts, choose_parts, joined, parts_of
 from quaffure.character.scalp import (
-    CarriedScalp,
     Scalp,
+    TransferredScalp,
     around_roots,
-    carried_scalp,
     ears_of,
-    scalp_of_carried,
     scalp_of_faces,
+    scalp_of_transferred,
+    transferred_scalp,
     under_hair,
 )
 from quaffure.character.skeleton import FittedSkeleton, fit_skeleton
@@ -110,8 +110,8 @@ def import_body(
     fit = fit_head(template, at_rest, on_head, character.source)
     ears = ears_of(at_rest, on_head, template, fit)
     # Parts and roots are compared with the surface in the file's pose, in which they are.
-    carried = carried_scalp(template, at_rest, ears, fit)
-    scalp, scalp_note = _scalp(carried, at_rest, surface, ears, all_parts, skeleton, settings, character.source)
+    transferred = transferred_scalp(template, at_rest, ears, fit)
+    scalp, scalp_note = _scalp(transferred, at_rest, surface, ears, all_parts, skeleton, settings, character.source)
     notes = (*_notes(skeleton, fit, surface, skin, middle), *parts.notes, scalp_note)
     body = _body(template, at_rest, (joints, shares), skeleton, ears, scalp, _origin(skeleton, character, digest))
     return ImportedBody(body, skeleton.joint_map, notes)
@@ -130,7 +130,7 @@ def _strongest(weights: Float[np.ndarray, "v 27"]) -> tuple[Int[np.ndarray, "v 8
 
 
 def _scalp(
-    carried: CarriedScalp,
+    transferred: TransferredScalp,
     at_rest: Triangles,
     in_file: Triangles,
     ears: Int[np.ndarray, " e"],
@@ -145,7 +145,7 @@ def _scalp(
         middles, others = in_file.vertices[in_file.faces].mean(1), [part for part in parts if part not in named]
         wanted = distance_to(middles, _mesh(named)) <= (distance_to(middles, _mesh(others)) if others else np.inf)
         scalp = scalp_of_faces(
-            wanted & (carried.distance(at_rest.vertices[at_rest.faces].mean(1)) < 0.1),
+            wanted & (transferred.distance(at_rest.vertices[at_rest.faces].mean(1)) < 0.1),
             at_rest,
             ears,
             f"--scalp {settings.scalp}",
@@ -153,15 +153,15 @@ def _scalp(
         return scalp, f"scalp: {settings.scalp}"
     if settings.hair_mesh:
         hair = _mesh(_named(parts, settings.hair_mesh, "--hair-mesh", source))
-        wanted = under_hair(in_file, hair, carried)
+        wanted = under_hair(in_file, hair, transferred)
         return scalp_of_faces(wanted, at_rest, ears, f"--hair-mesh {settings.hair_mesh}"), (
             f"scalp: the footprint of {settings.hair_mesh}"
         )
     if settings.roots is not None:
         roots, name = settings.roots
-        wanted = around_roots(in_file, skeleton.in_body_space(roots), carried, name)
+        wanted = around_roots(in_file, skeleton.in_body_space(roots), transferred, name)
         return scalp_of_faces(wanted, at_rest, ears, name), f"scalp: around the roots of {name}"
-    return scalp_of_carried(carried, at_rest, ears, source), "scalp: that of the shipped body, carried over"
+    return scalp_of_transferred(transferred, at_rest, ears, source), "scalp: that of the shipped body, transferred"
 
 
 def _named(parts: list[Part], pattern: str, option: str, source: str) -> list[Part]:

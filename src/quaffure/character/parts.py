@@ -23,7 +23,7 @@ REGIONS = {
 }
 """Regions of the skin, and the joints that move them, in the order in which parts are chosen."""
 LEAST_AREA = 0.02
-"""Of a head [m^2]; a skin that covers less of it is none."""
+"""Least area of skin on a head [m^2]."""
 ENOUGH = 0.5
 """Share of the area of the part that covers most of a region, from which a part that is skin already is enough."""
 LARGEST_INNER, INNER_SHARE = 0.09, 0.6

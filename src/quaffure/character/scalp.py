@@ -1,4 +1,4 @@
-"""The scalp of a character: that of the shipped body carried over, or one that a file shows."""
+"""The scalp of a character: that of the shipped body transferred, or one that a file shows."""
 
 from typing import NamedTuple
 
@@ -14,17 +14,17 @@ from quaffure.character.scalp_chart import check_disc, disc, fitted_to_square, u
 from quaffure.errors import InputError
 
 SUBDIVISIONS = 2
-"""Of the shipped scalp's triangles, which are a centimetre wide."""
+"""How often the shipped scalp's triangles, a centimetre wide, are divided into four."""
 PROJECTIONS, SMOOTHINGS = 4, 6
 NEAR_EAR = 0.012  # m
 NEAR_PATCH = 0.004
-"""Distance of a triangle's middle from the carried scalp, up to which it is part of it [m]."""
+"""Distance of a triangle's middle from the transferred scalp, up to which it is part of it [m]."""
 WIDER = 0.025
-"""How far a hair mesh or a groom can move the hairline outwards from the carried scalp's [m]."""
+"""How far a hair mesh or a groom can move the hairline outwards from the transferred scalp's [m]."""
 FOOTPRINT, ROOT_DISTANCE = 0.02, 0.012
 """Distance of the scalp from a hair mesh, and from the nearest root of a groom [m]."""
 LARGEST_ROOT_DISTANCE = 0.02
-"""Of the middle root of a groom from the head that it was made on [m]."""
+"""Median distance of a groom's roots from the head beyond which it was made on another one [m]."""
 
 
 class Scalp(NamedTuple):
@@ -39,7 +39,7 @@ class Scalp(NamedTuple):
     uv: Float[np.ndarray, "f 3 2"]
 
 
-class CarriedScalp(NamedTuple):
+class TransferredScalp(NamedTuple):
     """The shipped body's scalp on another head.
 
     Attributes:
@@ -65,7 +65,9 @@ def ears_of(surface: Triangles, on_head: Bool[np.ndarray, " v"], template: BodyM
     return candidates[on_ear & near]
 
 
-def carried_scalp(template: BodyModel, surface: Triangles, ears: Int[np.ndarray, " e"], fit: HeadFit) -> CarriedScalp:
+def transferred_scalp(
+    template: BodyModel, surface: Triangles, ears: Int[np.ndarray, " e"], fit: HeadFit
+) -> TransferredScalp:
     """The shipped scalp placed by the fit of the head and drawn onto the surface, smoothly, but not onto ears."""
     used, flat = np.unique(template.faces[template.scalp.faces].numpy(), return_inverse=True)
     patch = flat.reshape(-1, 3)
@@ -82,27 +84,29 @@ def carried_scalp(template: BodyModel, surface: Triangles, ears: Int[np.ndarray,
         for _ in range(SMOOTHINGS):
             offset = 0.5 * (offset + mean @ offset)
         points = points + offset
-    return CarriedScalp(Triangles(closest_on(points, without_ears)[2], faces), uv)
+    return TransferredScalp(Triangles(closest_on(points, without_ears)[2], faces), uv)
 
 
-def scalp_of_carried(carried: CarriedScalp, surface: Triangles, ears: Int[np.ndarray, " e"], source: str) -> Scalp:
-    """The faces under the carried scalp, with its chart.
+def scalp_of_transferred(
+    transferred: TransferredScalp, surface: Triangles, ears: Int[np.ndarray, " e"], source: str
+) -> Scalp:
+    """The faces under the transferred scalp, with its chart.
 
     Raises:
         InputError: they are no disc.
     """
     middles = surface.vertices[surface.faces].mean(1)
-    near = np.flatnonzero(carried.distance(middles) < NEAR_PATCH)
-    face, weights, _ = closest_on(middles[near], carried.mesh)
+    near = np.flatnonzero(transferred.distance(middles) < NEAR_PATCH)
+    face, weights, _ = closest_on(middles[near], transferred.mesh)
     # The closest point of what is beside the scalp lies on its rim.
-    rim = np.isin(carried.mesh.faces[face], igl.boundary_loop(carried.mesh.faces))
+    rim = np.isin(transferred.mesh.faces[face], igl.boundary_loop(transferred.mesh.faces))
     beside = (np.where(rim, 0.0, weights).sum(1) < 1e-6) & ~rim.all(1)
     inside = np.zeros(len(surface.faces), dtype=bool)
     inside[near[~beside]] = True
     chosen = _patch(surface, inside, ears, source)
     used, flat = np.unique(surface.faces[chosen], return_inverse=True)
     patch, points = flat.reshape(-1, 3), surface.vertices[used]
-    uv = without_flips(points, patch, _extended_uv(points, carried))
+    uv = without_flips(points, patch, _extended_uv(points, transferred))
     if uv.min() < 0 or uv.max() > 1:
         uv = fitted_to_square(uv)
     return Scalp(np.flatnonzero(chosen), uv[patch])
@@ -122,18 +126,18 @@ def scalp_of_faces(
     return Scalp(np.flatnonzero(chosen), fitted_to_square(unrolled(points, patch))[patch])
 
 
-def under_hair(surface: Triangles, hair: Triangles, carried: CarriedScalp) -> Bool[np.ndarray, " k"]:
-    """Faces under a mesh of hair, not far outside of the carried scalp."""
+def under_hair(surface: Triangles, hair: Triangles, transferred: TransferredScalp) -> Bool[np.ndarray, " k"]:
+    """Faces under a mesh of hair, not far outside of the transferred scalp."""
     middles = surface.vertices[surface.faces].mean(1)
-    near = carried.distance(middles) < WIDER
+    near = transferred.distance(middles) < WIDER
     near[near] = np.linalg.norm(closest_on(middles[near], hair)[2] - middles[near], axis=1) < FOOTPRINT
     return near
 
 
 def around_roots(
-    surface: Triangles, roots: Float[np.ndarray, "s 3"], carried: CarriedScalp, source: str
+    surface: Triangles, roots: Float[np.ndarray, "s 3"], transferred: TransferredScalp, source: str
 ) -> Bool[np.ndarray, " k"]:
-    """Faces near roots of a groom, not far outside of the carried scalp.
+    """Faces near roots of a groom, not far outside of the transferred scalp.
 
     Raises:
         InputError: a groom that was made on another head.
@@ -143,7 +147,7 @@ def around_roots(
         raise InputError(source, "roots on the head of the character, in the file's space", f"{apart:.3g} m apart")
     middles = surface.vertices[surface.faces].mean(1)
     distance, _ = cKDTree(roots).query(middles)
-    return (distance < ROOT_DISTANCE) & (carried.distance(middles) < WIDER)
+    return (distance < ROOT_DISTANCE) & (transferred.distance(middles) < WIDER)
 
 
 def _patch(
@@ -154,11 +158,11 @@ def _patch(
     return chosen
 
 
-def _extended_uv(points: Float[np.ndarray, "p 3"], carried: CarriedScalp) -> Float[np.ndarray, "p 2"]:
-    """Chart of the carried scalp at points near it; linear beyond its rim."""
-    face, _, _ = closest_on(points, carried.mesh)
-    corners = carried.mesh.faces[face]
-    first, second, third = (carried.mesh.vertices[corners[:, k]] for k in range(3))
+def _extended_uv(points: Float[np.ndarray, "p 3"], transferred: TransferredScalp) -> Float[np.ndarray, "p 2"]:
+    """Chart of the transferred scalp at points near it; linear beyond its rim."""
+    face, _, _ = closest_on(points, transferred.mesh)
+    corners = transferred.mesh.faces[face]
+    first, second, third = (transferred.mesh.vertices[corners[:, k]] for k in range(3))
     normal = np.cross(second - first, third - first)
     weights = (
         np.stack(
@@ -170,4 +174,4 @@ def _extended_uv(points: Float[np.ndarray, "p 3"], carried: CarriedScalp) -> Flo
         )
         / (normal**2).sum(1)[:, None]
     )
-    return (weights[..., None] * carried.uv[corners]).sum(1)
+    return (weights[..., None] * transferred.uv[corners]).sum(1)

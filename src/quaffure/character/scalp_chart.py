@@ -11,7 +11,7 @@ SQUARENESS = 4.0  # exponent of the superellipse that the rim is drawn towards; 
 MARGIN = 0.01  # of the unit square, on each side
 SLIM_ROUNDS = 60
 SOFTNESS = 5.0  # weight that holds the rim to the rounded square; 0 lets it go
-CARRIED_WEIGHT = 1e4  # that holds every vertex to its place in another chart
+TRANSFERRED_WEIGHT = 1e4  # that holds every vertex to its place in another chart
 MIDLINE = 1e-4, 0.01
 """Distances of the rim's vertices from the plane of symmetry, of a symmetric head and of any other [m]."""
 LEAST_FACES, MOST_ROUNDS = 40, 20
@@ -48,7 +48,7 @@ def disc(faces: Int[np.ndarray, "k 3"], wanted: Bool[np.ndarray, " k"]) -> Bool[
 
 
 def _largest_piece(chosen: Bool[np.ndarray, " k"], neighbours: Int[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
-    """Of the chosen faces those in the largest piece that is connected by edges."""
+    """The chosen faces in the largest piece that is connected by edges."""
     first = np.repeat(np.arange(len(chosen)), 3)
     second = neighbours.ravel()
     both = chosen[first] & chosen[second]
@@ -108,7 +108,7 @@ def without_flips(points: Points, patch: Patch, uv: Float[np.ndarray, "p 2"]) ->
     metres = np.sqrt(_area(points, patch) / flat_area)
     start += metres * uv.mean(0) - start.mean(0)
     everywhere = np.arange(len(points))
-    return _slim(points, patch, start, everywhere, metres * uv, CARRIED_WEIGHT) / metres
+    return _slim(points, patch, start, everywhere, metres * uv, TRANSFERRED_WEIGHT) / metres
 
 
 def _rounded(

@@ -37,10 +37,10 @@ def transfer_groom(groom: Groom, source: BodyModel, target: BodyModel) -> Groom:
     moved = pushed_out(moved, rest_surface(target))
     moved[:, 0] = roots
     uv = target.scalp.uv_at(faces, barycentric)
-    carried = replace(
+    transferred = replace(
         groom, rest_strands=without_folds(moved), root_faces=faces, root_barycentric=barycentric, root_uv=uv
     )
-    return select_guides(carried)
+    return select_guides(transferred)
 
 
 def _located(uv: Float[Tensor, "s 2"], chart: ScalpChart) -> tuple[Int[Tensor, " s"], Float[Tensor, "s 3"]]:

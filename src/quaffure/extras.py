@@ -6,6 +6,7 @@ from quaffure.errors import InputError
 
 EXTRAS = {
     "alembic": ("alembic3d", "imath"),
+    "character": ("igl",),
     "view": ("viser", "msgspec", "websockets"),
     "render": ("av", "moderngl", "PIL"),
     "usd": ("pxr",),

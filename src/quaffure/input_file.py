@@ -1,9 +1,12 @@
 """What every reader checks before it opens a file."""
 
+import re
 import stat
 from pathlib import Path
 
 from quaffure.errors import InputError, refused
+
+_NAMED_CLIP = re.compile(r"(.+\.(?:glb|gltf))#(.*)", re.IGNORECASE | re.DOTALL)
 
 
 def check_input_file(path: Path, expected: str) -> None:
@@ -34,3 +37,9 @@ def read_text(path: Path, expected: str, encoding: str = "utf-8", errors: str = 
     check_input_file(path, expected)
     with refused(path, expected, OSError, UnicodeDecodeError):
         return path.read_text(encoding=encoding, errors=errors)
+
+
+def file_and_clip(source: str | Path) -> tuple[Path, str]:
+    """The file in `FILE.glb#CLIP`, and the name of the clip; no name where there is none."""
+    match = _NAMED_CLIP.fullmatch(str(source))
+    return (Path(match[1]), match[2]) if match is not None and not Path(source).exists() else (Path(source), "")

@@ -6,11 +6,14 @@ import re
 import struct
 from collections.abc import Callable
 from io import BytesIO
+from typing import Any
 from zipfile import ZipFile
 
 NUMBERS = (b"nan", b"inf", b"-1", b"0", b"1e39", b"-1e308", b"9" * 30, b"2147483648", b"0x10", b"1_0", b"", b"--5")
 """What replaces a number of a text."""
 INTEGERS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
+VALUES = (-1, 1e30, 0.5, None, True, "0", [], {}, [0], [1, 2, 3], 10**30)
+"""What replaces a value of JSON."""
 FLOATS = (float("nan"), float("inf"), -1e39, 1e-45, 3e38)
 
 
@@ -28,6 +31,8 @@ def _change_of(seed: bytes, random_: random.Random) -> Callable[[bytes, random.R
         changes += [_member] * 16
     elif seed[8:9] == b"{":
         changes += [_header] * 12
+    elif seed.startswith(b"glTF"):
+        changes += [_document] * 16
     elif b"\0" not in seed:
         changes += [_number] * 9 + [_line] * 3
     return random_.choice(changes)
@@ -108,6 +113,41 @@ def _header(content: bytes, random_: random.Random) -> bytes:
     except (ValueError, KeyError, TypeError, IndexError, AttributeError):
         header = _bits(header, random_)
     return struct.pack("<Q", len(header)) + header + rest
+
+
+def _document(content: bytes, random_: random.Random) -> bytes:
+    """A changed, missing or repeated value of a .glb's JSON, whose length then fits, or changes in what follows it."""
+    size = int.from_bytes(content[12:16], "little")
+    text, rest = content[20 : 20 + size], content[20 + size :]
+    if random_.random() < 0.2:
+        return content[: 20 + size] + rest[:8] + _bits(rest[8:], random_)
+    try:
+        document = json.loads(text)
+        _change_value(document, random_)
+        text = json.dumps(document).encode()
+    except (ValueError, IndexError):
+        text = _number(text, random_)
+    text += b" " * (-len(text) % 4)
+    return content[:12] + struct.pack("<I", len(text)) + content[16:20] + text + rest
+
+
+def _change_value(document: Any, random_: random.Random) -> None:
+    """Change a value somewhere in nested lists and dictionaries."""
+    place = document
+    while True:
+        keys = list(place) if isinstance(place, dict) else range(len(place))
+        key = random_.choice(keys)
+        below = place[key]
+        if not isinstance(below, dict | list) or not below or random_.random() < 0.1:
+            break
+        place = below
+    if random_.random() < 0.2:
+        del place[key]
+    elif isinstance(below, str):
+        place[key] = random_.choice(("", "STEP", "CUBICSPLINE", "rotation", "weights", "VEC4", "\n", "x" * 5000))
+    else:
+        near = [below - 1, below + 1, 2 * below] if isinstance(below, int | float) else [[below], {}]
+        place[key] = random_.choice((*near, *near, *near, *INTEGERS, *VALUES))
 
 
 def _member(content: bytes, random_: random.Random) -> bytes:

@@ -17,9 +17,11 @@ from typing import Any
 from quaffure.apps.character_table import read_table
 from quaffure.apps.cli.inputs import body_shape_of
 from quaffure.body import BodyModel, load_body
+from quaffure.body.character_animation import frame_times, poses_at
 from quaffure.errors import InputError
 from quaffure.extras import is_installed
 from quaffure.io import read_drape, read_head, usd_curves
+from quaffure.io.gltf import read_character
 from quaffure.io.groom_file import read_groom
 from quaffure.io.load_groom import load_groom
 from quaffure.io.read_motion import read_joint_map, read_motion
@@ -40,6 +42,7 @@ def readers(body: BodyModel) -> dict[str, Callable[[Path], object]]:
         "npz drape": read_drape,
         "npz body": load_body,
         **dict.fromkeys(("npz motion", "npz amass", "bvh"), lambda path: read_motion(path, body)),
+        **dict.fromkeys(("glb", "gltf"), lambda path: _read_and_retarget(path, body)),
         **dict.fromkeys(("obj", "ply head"), read_head),
         "toml joints": read_joint_map,
         "csv": lambda path: body_shape_of(str(path)),
@@ -50,6 +53,16 @@ def readers(body: BodyModel) -> dict[str, Callable[[Path], object]]:
         **_alembic_reader(),
         "checkpoint": lambda path: RunFolder(path.parent).load({"identity": "fuzzed"}),
     }
+
+
+def _read_and_retarget(path: Path, body: BodyModel) -> None:
+    character = read_character(path)
+    for animation in character.animations[:2]:
+        for pose in poses_at(character, animation, frame_times(animation, 30.0, 10_000)):
+            for mesh in character.meshes:
+                mesh.posed(pose.world[0], pose.morph_weights.get(mesh.node, [None])[0])
+    if character.animations:
+        read_motion(Path(f"{path}#0"), body)
 
 
 def _alembic_reader() -> dict[str, Callable[[Path], object]]:

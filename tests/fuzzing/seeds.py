@@ -1,5 +1,6 @@
 """Small valid files of every format that is read, made on the fly."""
 
+import json
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -7,6 +8,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 
 from quaffure.body import load_body
 from quaffure.body.joint_map import bundled_joint_map, joint_map_text
@@ -17,6 +19,9 @@ from quaffure.io import write_drape, write_groom, write_usd
 from quaffure.model import NetworkConfig, build_network, save_network
 from quaffure.training.run_folder import RunFolder
 from tests.fuzzing.written_seeds import ply_heads, ply_of_properties, write_strands
+from tests.gltf_files import NAMES as RIG_NAMES
+from tests.gltf_files import GltfFile, figure
+from tests.meshopt_streams import compressed
 from tests.test_groom_files import EVEN, GOOD, RAGGED, npz_bytes, ragged_npz
 from tests.test_retarget import CHANNELS, NAMES, SKELETON, random_angles
 from tests.training_runs import tiny_groom
@@ -59,6 +64,8 @@ def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
         "npz amass": (".npz", (npz_bytes(poses=poses, trans=poses[:, :3], mocap_framerate=120.0),)),
         "bvh": (".bvh", (_bvh(),)),
         "toml joints": (".toml", (joint_map_text(bundled_joint_map("smpl")).encode(),)),
+        "glb": (".glb", (_figure().glb(), _compressed())),
+        "gltf": (".gltf", (_indented(_figure().gltf()),)),
         "obj": (".obj", (_obj(),)),
         "csv": (".csv", (b"0.5,-1,0,0,0,2e-1,0,0,0,0\n", b"0 1 0 1 0 1 0 1 0 1")),
         "csv characters": (".csv", (CHARACTERS,)),
@@ -139,6 +146,31 @@ def _bvh() -> bytes:
     angles = random_angles(3).reshape(3, len(NAMES) * 3)
     rows = [" ".join(f"{angle:.3f}" for angle in row) for row in angles]
     return "\n".join([*lines, "MOTION", "Frames: 3", "Frame Time: 0.033333", *rows, ""]).encode()
+
+
+def _figure() -> GltfFile:
+    """A figure with a mesh, an animation and morph targets."""
+    turned = Rotation.from_euler("x", [[0.0], [0.3], [0.1]]).as_matrix()
+    file = figure(np.repeat(turned[:, None], len(RIG_NAMES), axis=1), np.full((3, 3), 90.0))
+    primitive = file.document["meshes"][0]["primitives"][0]
+    primitive["targets"] = [{"POSITION": primitive["attributes"]["POSITION"]}]
+    times, weights = np.array([0, 0.1]), np.array([0, 1, 0] * 2)
+    file.animation("smile", [(len(RIG_NAMES) + 1, "weights", "CUBICSPLINE", times, weights.reshape(-1, 1))])
+    return file
+
+
+def _compressed() -> bytes:
+    """A mesh of meshopt streams."""
+    file = GltfFile()
+    corners = compressed(file, np.uint16([0, 2, 1, 3, 1, 2]), "TRIANGLES")
+    primitive = {"attributes": {"POSITION": compressed(file, np.float32(CUBE[:4]))}, "indices": corners}
+    file.add("meshes", primitives=[primitive])
+    file.add("nodes", mesh=0)
+    return file.glb()
+
+
+def _indented(document: bytes) -> bytes:
+    return json.dumps(json.loads(document), indent=1).encode()
 
 
 def _obj() -> bytes:

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from quaffure.apps.drape_clip import drape_clip, save_drape
-from quaffure.body.body_model import load_body
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.clips import CLIP_NAMES
 from quaffure.body.motion import Motion
 from quaffure.draper import Draper
@@ -47,7 +47,8 @@ class CharacterRow:
         frames: A:B:STEP of the motion.
         shape: coefficients of the body, separated by spaces; the mean body where it is empty.
         stiffness: multiple of the hair's.
-        seed: of a bundled style.
+        seed: of a bundled style on the shipped body.
+        body: a body file; the shipped body where it is empty.
     """
 
     groom: str
@@ -57,12 +58,14 @@ class CharacterRow:
     shape: str = ""
     stiffness: str = "1"
     seed: str = "0"
+    body: str = ""
 
     def absolute(self) -> "CharacterRow":
         """The same row for a process in another folder."""
         groom = self.groom if self.groom in STYLES else str(Path(self.groom).absolute())
         motion = self.motion if self.motion in CLIP_NAMES else str(Path(self.motion).absolute())
-        return replace(self, groom=groom, motion=motion, out=str(Path(self.out).absolute()))
+        body = self.body and str(Path(self.body).absolute())
+        return replace(self, groom=groom, motion=motion, out=str(Path(self.out).absolute()), body=body)
 
 
 NAMES = tuple(field.name for field in fields(CharacterRow))
@@ -108,25 +111,34 @@ def drape_row(row: CharacterRow, draper: str) -> None:
     Raises:
         InputError: what the row names cannot be read or draped, or its output not be written.
     """
-    motion = _motion(row.motion).frames(row.frames)
+    motion = _motion(row.motion, row.body).frames(row.frames)
     shape = torch.tensor([_number(row, "shape", text) for text in row.shape.split()] or [0.0] * 10)
     if len(shape) != 10:
         raise InputError(f"shape of {row.out}", "10 coefficients", f"{len(shape)}")
     seed = _number(row, "seed", row.seed)
     if not (seed.is_integer() and 0 <= seed < 2**32):
         raise InputError(f"seed of {row.out}", f"a whole number from 0 to {2**32 - 1}", f"'{row.seed}'")
-    own_draper = _draper(draper, _number(row, "stiffness", row.stiffness))
-    save_drape(drape_clip(_groom(row.groom, int(seed)), motion, shape, own_draper), row.out)
+    groom, own_draper = (
+        _groom(row.groom, int(seed), row.body),
+        _draper(draper, _number(row, "stiffness", row.stiffness)),
+    )
+    body = _body(row.body)
+    save_drape(drape_clip(groom, motion, shape, own_draper, body), row.out, body=body)
 
 
 @lru_cache(KEPT)
-def _groom(name: str, seed: int) -> Groom:
-    return make_groom(name, load_body(), seed) if name in STYLES else load_groom(name)
+def _body(path: str) -> BodyModel:
+    return load_body(path or None)
 
 
 @lru_cache(KEPT)
-def _motion(name: str) -> Motion:
-    return load_motion(name)
+def _groom(name: str, seed: int, body: str) -> Groom:
+    return make_groom(name, load_body(), seed) if name in STYLES and not body else load_groom(name, _body(body))
+
+
+@lru_cache(KEPT)
+def _motion(name: str, body: str) -> Motion:
+    return load_motion(name, _body(body))
 
 
 @lru_cache(KEPT)

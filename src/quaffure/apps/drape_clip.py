@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from quaffure.body.body_model import load_body
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.drape_motion import drape_motion
 from quaffure.draper import Draper
@@ -23,23 +23,36 @@ SHOWN_STRANDS = 12_000
 
 
 def drape_clip(
-    groom: Groom, motion: Motion, body_shape: Float[Tensor, "10"] | None = None, draper: Draper | None = None
+    groom: Groom,
+    motion: Motion,
+    body_shape: Float[Tensor, "10"] | None = None,
+    draper: Draper | None = None,
+    body: BodyModel | None = None,
 ) -> DrapeSequence:
-    """A groom on the bundled body in every frame of a motion.
+    """A groom on a body in every frame of a motion.
 
     Args:
         body_shape: beta [standard deviations]; the mean body by default.
         draper: `CoherentDraper()` by default, which lets hair follow from frame to frame.
+        body: that groom and motion were loaded for; the shipped one by default.
     """
     shape = torch.zeros(10) if body_shape is None else body_shape
-    return drape_motion(draper or CoherentDraper(), groom, load_body(), motion, shape)
+    return drape_motion(draper or CoherentDraper(), groom, body or load_body(), motion, shape)
 
 
-def save_drape(sequence: DrapeSequence, path: str | Path, strands: int | None = None) -> None:
+def save_drape(
+    sequence: DrapeSequence,
+    path: str | Path,
+    strands: int | None = None,
+    body: BodyModel | None = None,
+    motion: str | Path = "",
+) -> None:
     """Write a drape as the suffix says: .npz, .usd, .usda, .usdc, .abc, .glb, .png, .mp4, and of one frame .hair, .ply.
 
     Args:
         strands: to interpolate between the draped ones; an .npz always holds the draped ones.
+        body: of the drape; the shipped one by default. Files of an imported one are in the scene of its character.
+        motion: the character's file and clip that the drape is of (`FILE.glb#NAME`); its skin then moves the roots.
 
     Raises:
         InputError: another suffix, a missing package, or not writable.
@@ -47,22 +60,30 @@ def save_drape(sequence: DrapeSequence, path: str | Path, strands: int | None = 
     from quaffure.apps.cli.outputs import check_frames, check_outputs, is_export, known_groom, write_output
     from quaffure.hair.export_clip import ExportClip
     from quaffure.hair.groom_binding import groom_binding
+    from quaffure.hair.placed_clip import placed_clip
+    from quaffure.io.character_scene import read_character_space
 
-    path, body = Path(path), load_body()
-    check_outputs((path,), ())
+    path, body = Path(path), body or load_body()
+    check_outputs((path,), (motion,))
     check_frames((path,), len(sequence))
-    groom = known_groom(sequence, body) if is_export((path,)) else None
+    is_bound = is_export((path,)) or body.origin is not None
+    groom = known_groom(sequence, body) if is_bound else None
     interpolation = None if strands is None else interpolation_of(groom_of_drape(sequence, body), body, strands)
     binding = None if groom is None else groom_binding(groom, body, torch.from_numpy(sequence.body_shape))
-    write_output(path, ExportClip(sequence, interpolation, binding))
+    clip = ExportClip(sequence, interpolation, binding)
+    space = read_character_space(body, motion, sequence.times)
+    write_output(path, clip if space is None else placed_clip(clip, space))
 
 
-def draw(sequence: DrapeSequence, frame: int = 0, view: str = "front", size: int = 512) -> "Image":
+def draw(
+    sequence: DrapeSequence, frame: int = 0, view: str = "front", size: int = 512, body: BodyModel | None = None
+) -> "Image":
     """A frame as a picture, which notebooks show by themselves.
 
     Args:
         view: front, 3/4, side or back.
         size: width and height [pixels].
+        body: of the drape; the shipped one by default.
 
     Raises:
         InputError: missing packages, or no OpenGL on this machine.
@@ -72,6 +93,6 @@ def draw(sequence: DrapeSequence, frame: int = 0, view: str = "front", size: int
 
     from quaffure.apps.render.pictures import frame_picture
 
-    body = load_body()
+    body = body or load_body()
     interpolation = interpolation_of(groom_of_drape(sequence, body), body, SHOWN_STRANDS)
     return Image.fromarray(frame_picture(sequence, frame, view, interpolation, size))

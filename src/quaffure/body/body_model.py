@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from quaffure.body.body_origin import BodyOrigin
 from quaffure.body.pose_limits import Rows, check_body_pose, check_body_shape, rows_of
 from quaffure.body.scalp import ScalpChart
 from quaffure.errors import InputError
@@ -37,6 +38,15 @@ FILE_ARRAYS: Spec = {
     "scalp_uv": (("f", 3, 2), REAL),
     "meta": ((), TEXT),
 }
+ORIGIN_ARRAYS: Spec = {
+    "file_from_body_scale": ((), REAL),
+    "file_from_body_rotation": ((3, 3), REAL),
+    "file_from_body_translation": ((3,), REAL),
+    "file_name": ((), TEXT),
+    "file_digest": ((), TEXT),
+    "file_joint_nodes": ((JOINT_COUNT,), TEXT),
+}
+"""Arrays that an imported body has besides (`BodyOrigin`)."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +83,7 @@ class BodyModel:
         ear_vertices: the vertices of both ears.
         scalp: the part of the surface with hair.
         meta: source, licence, seed and units, as JSON.
+        origin: the character file that it was imported from; None for a body that was not.
     """
 
     rest_vertices: Float[Tensor, "v 3"]
@@ -87,6 +98,7 @@ class BodyModel:
     ear_vertices: Int[Tensor, " e"]
     scalp: ScalpChart
     meta: str
+    origin: BodyOrigin | None = None
 
     def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> "BodyModel":
         """The same body on a device, its real numbers in `dtype` (float64 in gradient checks).
@@ -182,15 +194,16 @@ class BodyModel:
         return dense.scatter_add_(1, self.skin_joints, self.skin_weights)
 
 
-def load_body(path: Path | None = None) -> BodyModel:
-    """The body that the package ships, or one baked to `path` in the same layout (`scripts/bake_body.py`).
+def load_body(path: str | Path | None = None) -> BodyModel:
+    """The body that the package ships, or one of a file: imported from a character (`quaffure body import`) or baked
+    (`scripts/bake_body.py`).
 
     The shipped one is the same object every time: what is prepared for a groom on a body is kept by the body.
 
     Raises:
         InputError: the file is missing, is no body file, or its arrays contradict each other.
     """
-    return _shipped_body() if path is None else _read_body(path)
+    return _shipped_body() if path is None else _read_body(Path(path))
 
 
 @cache
@@ -199,7 +212,7 @@ def _shipped_body() -> BodyModel:
 
 
 def _read_body(path: Path) -> BodyModel:
-    arrays, sizes = read_arrays(path, FILE_ARRAYS, "a body file (.npz)")
+    arrays, sizes = read_arrays(path, FILE_ARRAYS, "a body file (.npz)", ORIGIN_ARRAYS)
     _check_indices(arrays, sizes, path)
     with np.errstate(over="ignore", invalid="ignore"):
         directions = arrays["shape_directions"].astype(np.float32) * arrays["shape_direction_scales"][:, None, None]
@@ -220,6 +233,26 @@ def _read_body(path: Path) -> BodyModel:
             torch.from_numpy(arrays["scalp_faces"].astype(np.int64)), torch.from_numpy(arrays["scalp_uv"])
         ),
         meta=str(arrays["meta"]),
+        origin=_origin(arrays, path),
+    )
+
+
+def _origin(arrays: dict[str, np.ndarray], path: Path) -> BodyOrigin | None:
+    missing = [name for name in ORIGIN_ARRAYS if name not in arrays]
+    if missing:
+        if len(missing) < len(ORIGIN_ARRAYS):
+            raise InputError(path, f"all or none of the arrays {', '.join(ORIGIN_ARRAYS)}", f"no {missing[0]}")
+        return None
+    rotation, scale = arrays["file_from_body_rotation"].astype(float), float(arrays["file_from_body_scale"])
+    if not scale > 0 or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
+        raise InputError(path, "a rotation and a positive scale to the file's space", f"{rotation.tolist()}, {scale}")
+    return BodyOrigin(
+        scale=scale,
+        rotation=rotation,
+        translation=arrays["file_from_body_translation"].astype(float),
+        source=str(arrays["file_name"]),
+        digest=str(arrays["file_digest"]),
+        joint_nodes=tuple(arrays["file_joint_nodes"].tolist()),
     )
 
 

@@ -6,6 +6,7 @@ Rotations between frames are interpolated spherically, joint by joint; translati
 import re
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -40,6 +41,7 @@ class Motion:
         translation: [F,3] of the body from its rest position [m, world]; None where it stays in place. The heading is
             part of `body_pose`: the rotation of Hips, joint 0.
         notes: what its reader guessed, in words.
+        start: time of the first frame in its file [s].
 
     Raises:
         InputError: no frames, another width than three numbers a joint, a value or a rate that is not finite, a
@@ -51,6 +53,7 @@ class Motion:
     name: str
     translation: Float[Tensor, "..."] | None = None
     notes: tuple[str, ...] = ()
+    start: float = 0.0
 
     def __post_init__(self) -> None:
         if self.body_pose.ndim != 2 or self.body_pose.shape[0] < 1 or self.body_pose.shape[1] != 81:
@@ -77,6 +80,11 @@ class Motion:
         """Time from the first frame to the last [s]."""
         return (len(self) - 1) / self.fps
 
+    @property
+    def times(self) -> Float[np.ndarray, " f"]:
+        """Times of the frames in the file that they come from [s]."""
+        return self.start + np.arange(len(self)) / self.fps
+
     def in_place(self) -> "Motion":
         """The motion without translation; heading and tilt stay."""
         return replace(self, translation=None)
@@ -84,7 +92,8 @@ class Motion:
     def select(self, frames: slice) -> "Motion":
         """Some of the frames, at the same rate."""
         translation = None if self.translation is None else self.translation[frames]
-        return replace(self, body_pose=self.body_pose[frames], translation=translation)
+        start = self.start + frames.indices(len(self))[0] / self.fps
+        return replace(self, body_pose=self.body_pose[frames], translation=translation, start=start)
 
     def frames(self, spec: str) -> "Motion":
         """The frames `A:B:STEP`: from A up to but without B, every STEP-th, each of which may be left out; or `A`.
@@ -159,7 +168,7 @@ def resample(motion: Motion, fps: float) -> Motion:
     if translation is not None:
         weight = (position - before)[:, None].to(translation)
         translation = torch.lerp(translation[before], translation[before + 1], weight)
-    return Motion(pose_from_matrices(between), fps, motion.name, translation, motion.notes)
+    return Motion(pose_from_matrices(between), fps, motion.name, translation, motion.notes, motion.start)
 
 
 def filter_flips(motion: Motion) -> Motion:

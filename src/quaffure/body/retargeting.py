@@ -34,7 +34,9 @@ UNITS, UNIT_TOLERANCE = (1.0, 0.01, 0.001, 0.0254), 1.3
 REST_POSE_ANGLE = 0.02  # rad; a joint rotated by less than this is in the rest pose
 
 
-def retarget_bvh(clip: BvhClip, body: BodyModel, joint_map: JointMap | None = None) -> Motion:
+def retarget_bvh(
+    clip: BvhClip, body: BodyModel, joint_map: JointMap | None = None, drops_lead_in: bool = True
+) -> Motion:
     """The clip on the body's joints at 30 fps: lead-in from the rest pose dropped, joint flips repaired.
 
     Any skeleton with hips, a spine, a head, arms and legs, of any up axis, facing and unit. The first 0.125 s are
@@ -42,6 +44,7 @@ def retarget_bvh(clip: BvhClip, body: BodyModel, joint_map: JointMap | None = No
 
     Args:
         joint_map: which joints are which; by their names without one (`quaffure.body.joint_names`).
+        drops_lead_in: without it, all frames are kept.
 
     Raises:
         InputError: joints cannot be matched (the map as far as it is known is listed), no standing pose shows which
@@ -51,10 +54,10 @@ def retarget_bvh(clip: BvhClip, body: BodyModel, joint_map: JointMap | None = No
         joint_map = automatic_joint_map(clip)
     else:
         check_joint_map(joint_map, clip)
-    start = _lead_in_frames(clip, joint_map)
+    start = _lead_in_frames(clip, joint_map) if drops_lead_in else 0
     skeleton = source_skeleton(replace(clip, values=clip.values[start:]), joint_map)
     rotations = {
-        joint: source.rotation(skeleton.world) @ _alignment(joint, skeleton, body)
+        joint: source.rotation(skeleton.world) @ rest_alignment(joint, skeleton, body)
         for joint, source in joint_map.items()
         if not joint.endswith("FingerBase")
     }
@@ -89,8 +92,8 @@ def body_bone(body: BodyModel, joint: str, end: str) -> Float[Tensor, "3"]:
     return body.rest_joints[body.joint_names.index(end)] - body.rest_joints[body.joint_names.index(joint)]
 
 
-def _alignment(joint: str, skeleton: SourceSkeleton, body: BodyModel) -> Float[Tensor, "3 3"]:
-    """A of the module's formula."""
+def rest_alignment(joint: str, skeleton: SourceSkeleton, body: BodyModel) -> Float[Tensor, "3 3"]:
+    """A of the module's formula: the rotation of a joint in the source's rest pose from its own."""
     if joint not in skeleton.bones:
         return torch.eye(3, dtype=torch.float64)
     bone = torch.from_numpy(skeleton.bones[joint])

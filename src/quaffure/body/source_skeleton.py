@@ -46,6 +46,7 @@ class SourceSkeleton:
         hips_path: [F,3] position of the hips in the world; None where the file has no path.
         leg: height of the hips above the left foot at rest; None without feet.
         notes: what was guessed and is unusual, in words.
+        body_from_file: rotation from the rest pose's axes to the body's.
     """
 
     rest: dict[str, Vector]
@@ -54,6 +55,7 @@ class SourceSkeleton:
     hips_path: Float[Tensor, "f 3"] | None
     leg: float | None
     notes: tuple[str, ...]
+    body_from_file: Float[np.ndarray, "3 3"]
 
 
 def source_skeleton(clip: BvhClip, joint_map: JointMap) -> SourceSkeleton:
@@ -92,7 +94,7 @@ def source_skeleton(clip: BvhClip, joint_map: JointMap) -> SourceSkeleton:
     }
     hips_path = None if path is None else torch.from_numpy(path @ world_from_file.T)
     bones = _bones(clip.source, rest, {name: body_from_rest @ end for name, end in ends.items()}, joint_map)
-    return SourceSkeleton(rest, bones, world, hips_path, leg, notes)
+    return SourceSkeleton(rest, bones, world, hips_path, leg, notes, body_from_rest)
 
 
 def _check_size(clip: BvhClip) -> None:

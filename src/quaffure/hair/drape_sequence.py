@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32, Int, Int32
 
+LAST_SECOND = 1e6
+"""Latest time at which a motion may start in its file."""
+
 
 @dataclass(frozen=True)
 class DrapeSequence:
@@ -48,6 +51,13 @@ class DrapeSequence:
         """A small picture, for notebooks."""
         # By name: the renderer is above this package, and only a notebook asks for a picture.
         return str(import_module("quaffure.apps.notebook").html_of_drape(self))
+
+    @property
+    def times(self) -> Float[np.ndarray, " f"]:
+        """Times of the frames in the file of the motion [s]; from 0 where `meta` does not say when it starts."""
+        start = self.meta.get("start", 0.0)
+        known = type(start) in (int, float) and abs(start) <= LAST_SECOND
+        return (float(start) if known else 0.0) + np.arange(len(self)) / self.fps
 
     def in_place(self) -> "DrapeSequence":
         """The drape as seen from a camera that moves with the body: without its translation."""

@@ -235,6 +235,29 @@ class ExportClip:
         """The same of the guides."""
         return self._held_parts(self.guide_index)
 
+    def body_vertices(self, frame: int) -> Float[np.ndarray, "v 3"]:
+        """Vertices of the body in a frame [m, world]."""
+        return np.asarray(self.sequence.body_vertices[frame])
+
+    @property
+    def body_faces(self) -> Int32[np.ndarray, "k 3"]:
+        """Triangles of the body."""
+        return self.sequence.body_faces
+
+    @property
+    def body_uv(self) -> Float32[np.ndarray, "k 3 2"] | None:
+        """Texture coordinates of the corners of the body's triangles, where a binding tells them."""
+        return None if self.binding is None else self.binding.body_uv
+
+    @property
+    def up_axis(self) -> str:
+        return "z"
+
+    @property
+    def start(self) -> float:
+        """Time of the first frame [s]."""
+        return 0.0
+
     @property
     def _rest_guides(self) -> Float[np.ndarray, "s n 3"]:
         return np.asarray(self.sequence.posed[0]) if self.binding is None else self.binding.strands

@@ -50,6 +50,7 @@ class Description(TypedDict):
 
     Keys:
         rate: frames per second.
+        start: time of the first frame [s].
         tool: name and version of the program.
         about: of the archive, without ; and =, on which the library ends the process.
         top: name of the topmost node.
@@ -57,6 +58,7 @@ class Description(TypedDict):
     """
 
     rate: float
+    start: float
     tool: str
     about: str
     top: str
@@ -112,7 +114,7 @@ def _write(path: Path, description: Description, arrays: Iterator[np.ndarray]) -
     """
     rate = description["rate"]
     archive = Abc.CreateArchiveWithInfo(str(path), rate, description["tool"], description["about"])
-    sampling = archive.addTimeSampling(AbcCoreAbstract.TimeSampling(1.0 / rate, 0.0))
+    sampling = archive.addTimeSampling(AbcCoreAbstract.TimeSampling(1.0 / rate, description["start"]))
     top = AbcGeom.OXform(archive.getTop(), description["top"])
     properties = top.getSchema().getUserProperties()
     for name, number in description["integers"].items():

@@ -122,6 +122,7 @@ def _description(clip: ExportClip, attributes: dict[str, list[_Attribute]], what
     ]
     return {
         "rate": clip.sequence.fps / clip.settings.every,
+        "start": clip.start,
         "tool": TOOL,
         "about": f"{what}: {CONVENTIONS}",
         "top": TOP,

@@ -67,12 +67,12 @@ def write_glb(path: Path, clip: ExportClip, on_frame: Callable[[], object] = lam
 
 
 def _add_morphed(asset: GlbAsset, clip: ExportClip, on_frame: Callable[[], object]) -> None:
-    body = np.array(clip.sequence.body_vertices[0])
-    asset.add_mesh("Body", body, _normals(body, clip.sequence.body_faces), clip.sequence.body_faces)
+    body = np.array(clip.body_vertices(0))
+    asset.add_mesh("Body", body, _normals(body, clip.body_faces), clip.body_faces)
     hair = _add_hair(asset, clip, clip.points(0))
     on_frame()
     for frame in clip.frames[1:]:
-        asset.add_target(BODY, clip.sequence.body_vertices[frame] - body)
+        asset.add_target(BODY, clip.body_vertices(frame) - body)
         asset.add_target(HAIR, _hair_positions(clip, clip.points(frame)) - hair)
         on_frame()
     for mesh in (BODY, HAIR):

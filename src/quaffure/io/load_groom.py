@@ -12,9 +12,11 @@ from quaffure.errors import InputError
 from quaffure.hair.file_frame import UNKNOWN, FileFrame
 from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
+from quaffure.hair.groom_transfer import transfer_groom
 from quaffure.hair.registration import HeadMesh, register_groom
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.hair.source_strands import PlacedStrands, place_strands
+from quaffure.hair.strands import Strands
 from quaffure.input_file import read_text
 from quaffure.io.groom_file import is_groom_file, read_groom, read_source
 from quaffure.io.ply_strands import read_ply_mesh
@@ -39,19 +41,46 @@ def load_groom(
     """
     body = body or shipped_body()
     if isinstance(groom, str) and groom in STYLES:
-        return make_groom(groom, body)
+        # Styles are sizes and places on the shipped head: on another one they would be other styles.
+        own = body if body.origin is None else shipped_body()
+        return _on_body(make_groom(groom, own), own, body)
     path = Path(groom)
     # Not Path.exists, which raises where the text is longer than a name can be.
     if not os.path.exists(path) and not path.suffix:
         raise InputError(groom, f"a bundled groom ({', '.join(sorted(STYLES))}) or a file", "neither")
     if path.suffix.lower() == ".npz" and is_groom_file(path):
-        loaded = read_groom(path, body)
+        loaded = _read_groom(path, body)
         if loaded.rest_strands.shape[1] != VERTICES_PER_STRAND:
             found = f"{loaded.rest_strands.shape[1]}"
             raise InputError(path, f"{VERTICES_PER_STRAND} vertices a strand", found)
         return _opened(select_guides(loaded))
     mesh = read_head(head) if head is not None else None
-    return _opened(select_guides(register_groom(read_strands(path), body, path.stem, mesh, frame=frame)[0]))
+    return _opened(select_guides(_registered(read_strands(path), body, path.stem, mesh, frame)))
+
+
+def _read_groom(path: Path, body: BodyModel) -> Groom:
+    """A groom file of this body, or for an imported body one of the shipped body."""
+    if body.origin is None:
+        return read_groom(path, body)
+    try:
+        return read_groom(path, body)
+    except InputError:
+        return transfer_groom(read_groom(path, shipped_body()), shipped_body(), body)
+
+
+def _registered(strands: Strands, body: BodyModel, name: str, head: HeadMesh | None, frame: FileFrame) -> Groom:
+    """Strands on a body: on an imported one those that were made on its character stay where they are."""
+    if body.origin is not None and head is None and frame == UNKNOWN:
+        standing = replace(strands, points=body.origin.body_from_file(strands.points).astype(np.float32))
+        try:
+            return register_groom(standing, body, name, frame=FileFrame(registered=True))[0]
+        except InputError:
+            pass
+    return register_groom(strands, body, name, head, frame=frame)[0]
+
+
+def _on_body(groom: Groom, own: BodyModel, body: BodyModel) -> Groom:
+    return groom if own is body else transfer_groom(groom, own, body)
 
 
 def load_source(

@@ -6,6 +6,7 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.clips import CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion, resample
 from quaffure.errors import InputError
+from quaffure.input_file import file_and_clip
 from quaffure.io.read_motion import read_motion
 
 FPS = 30.0
@@ -14,13 +15,13 @@ FPS = 30.0
 def load_motion(
     source: str | Path, body: BodyModel | None = None, in_place: bool = False, joints: Path | None = None
 ) -> Motion:
-    """A bundled clip by name, or the motion in a file (.bvh, .npz), at 30 frames per second.
+    """A bundled clip by name, or the motion in a file (.bvh, .glb, .gltf, .npz), at 30 frames per second.
 
     Args:
-        source: the name or the path.
+        source: the name or the path; `FILE.glb#NAME` is one of several animations of a character.
         body: that it is for; the bundled one by default.
         in_place: without the path of the body through the world.
-        joints: a joint map for a .bvh file.
+        joints: a joint map for a file with a skeleton of its own.
 
     Returns:
         The motion; its `notes` say what the reader of the file guessed, and `Motion.frames` is a part of it.
@@ -31,9 +32,9 @@ def load_motion(
     body, name = body or load_body(), str(source)
     if name in CLIP_NAMES:
         if joints is not None:
-            raise InputError(joints, "a joint map for a .bvh file", f"the bundled motion {name}")
+            raise InputError(joints, "a joint map for a .bvh, .glb or .gltf file", f"the bundled motion {name}")
         return bundled_clip(name, body)
-    if not Path(name).suffix:
+    if not file_and_clip(name)[0].suffix:
         raise InputError(f"motion '{name}'", f"a file or one of {', '.join(CLIP_NAMES)}", "neither")
     motion = resample(read_motion(Path(name), body, joints), FPS)
     return motion.in_place() if in_place else motion

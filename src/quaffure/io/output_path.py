@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from quaffure.errors import InputError, refused
+from quaffure.input_file import file_and_clip
 from quaffure.io.temporary_file import sweep_temporary_files
 
 WRITABLE = "a writable folder"
@@ -82,7 +83,7 @@ def check_not_input(path: Path, inputs: Iterable[str | Path | None]) -> None:
         InputError: it is one of them, by whatever name.
     """
     for source in inputs:
-        if source is not None and _is_same_file(path, Path(source)):
+        if source is not None and _is_same_file(path, file_and_clip(source)[0]):
             raise InputError(path, "an output that is none of the inputs", f"the input {source}")
 
 

@@ -31,7 +31,8 @@ UNSAVED_BYTES = 64e6
 
 
 def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[[], object] = lambda: None) -> None:
-    """Write the drape as a stage: z up, metres, time codes that count the frames of the drape, at its rate.
+    """Write the drape as a stage: z up, metres, time codes that count the frames of the drape, at its rate. In a
+    character's scene it is y up, and the body is the character's skin.
 
     `/Drape/Body` is a mesh, `/Drape/Hair/Strands` and `/Drape/Hair/Guides` are curves through the strands' vertices
     (pinned Catmull-Rom, so that no vertex is added). `primvars:rest` holds the strands at rest, or where the clip has
@@ -70,12 +71,12 @@ def _system_errors() -> Iterator[None]:
 
 
 def _set_stage(stage: Usd.Stage, clip: ExportClip) -> None:
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if clip.up_axis == "z" else UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.meters)
     stage.SetTimeCodesPerSecond(clip.sequence.fps)
     stage.SetFramesPerSecond(clip.sequence.fps)
-    stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(clip.frames[-1])
+    stage.SetStartTimeCode(_time_code(clip, 0))
+    stage.SetEndTimeCode(_time_code(clip, clip.frames[-1]))
     root = UsdGeom.Xform.Define(stage, ROOT).GetPrim()
     Usd.ModelAPI(root).SetKind("component")
     stage.SetDefaultPrim(root)
@@ -83,17 +84,17 @@ def _set_stage(stage: Usd.Stage, clip: ExportClip) -> None:
 
 
 def _add_body(stage: Usd.Stage, clip: ExportClip) -> None:
-    faces = clip.sequence.body_faces
+    faces = clip.body_faces
     mesh = UsdGeom.Mesh.Define(stage, BODY)
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, np.int32)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(faces.reshape(-1))))
     mesh.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant).Set([BODY_COLOUR])
-    if clip.binding is not None:
+    if clip.body_uv is not None:
         texture = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
             "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying
         )
-        texture.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(clip.binding.body_uv.reshape(-1, 2))))
+        texture.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(clip.body_uv.reshape(-1, 2))))
     prim = mesh.GetPrim()
     bind_material(prim, f"{ROOT}/Materials/Body")
     prim.AddAppliedSchema("GroomBindingAPI")
@@ -196,10 +197,11 @@ def _animate(layer: Sdf.Layer, stage: Usd.Stage, clip: ExportClip, on_frame: Cal
     width, unsaved = float(clip.widths.max()), 0.0
     for frame in clip.frames:
         points = clip.points(frame)
-        _set_points(body, np.asarray(clip.sequence.body_vertices[frame]), frame, margin=0.0)
-        _set_points(strands, points, frame, margin=width)
+        time = _time_code(clip, frame)
+        _set_points(body, clip.body_vertices(frame), time, margin=0.0)
+        _set_points(strands, points, time, margin=width)
         if clip.settings.guides:
-            _set_points(UsdGeom.BasisCurves.Get(stage, GUIDES), clip.guides(frame), frame, margin=width)
+            _set_points(UsdGeom.BasisCurves.Get(stage, GUIDES), clip.guides(frame), time, margin=width)
         unsaved += points.nbytes
         if unsaved > UNSAVED_BYTES and layer.GetFileFormat().formatId != "usda":
             _save(layer)
@@ -216,10 +218,15 @@ def _save(layer: Sdf.Layer) -> None:
         raise OSError("USD could not write it")
 
 
-def _set_points(gprim: UsdGeom.PointBased, positions: np.ndarray, frame: int, margin: float) -> None:
+def _time_code(clip: ExportClip, frame: int) -> float:
+    """Where the frame is among those of the file that the motion comes from."""
+    return frame + round(clip.start * clip.sequence.fps, 3)
+
+
+def _set_points(gprim: UsdGeom.PointBased, positions: np.ndarray, time: float, margin: float) -> None:
     flat = positions.reshape(-1, 3)
-    gprim.CreatePointsAttr().Set(_points(flat), frame)
-    gprim.CreateExtentAttr().Set(_points(np.stack([flat.min(axis=0) - margin, flat.max(axis=0) + margin])), frame)
+    gprim.CreatePointsAttr().Set(_points(flat), time)
+    gprim.CreateExtentAttr().Set(_points(np.stack([flat.min(axis=0) - margin, flat.max(axis=0) + margin])), time)
 
 
 def _points(positions: np.ndarray) -> Vt.Vec3fArray:

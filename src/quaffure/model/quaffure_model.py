@@ -48,14 +48,21 @@ class Quaffure:
         """
         return Quaffure(self.body, self.draper.under(loading), self.notes)
 
-    def drape(self, groom: Groom, body_pose: Rows, body_shape: Rows) -> Positions:
+    def on(self, body: BodyModel) -> "Quaffure":
+        """The same network on another body, of a character for instance (`quaffure.load_body`); it shares weights with
+        this one. Grooms must be loaded for that body: `load_groom(name, body)`.
+        """
+        like = self.body.rest_vertices
+        return Quaffure(body.to(like.device, like.dtype), self.draper, self.notes)
+
+    def drape(self, groom: Groom, body_pose: Rows, body_shape: Rows | None = None) -> Positions:
         """Hair at rest under gravity and contact.
 
         Args:
             groom: registered to the body, at most one strand a texel (`quaffure.load_groom`).
             body_pose: [batch, 81], axis-angle of every joint (theta), at most 4 pi long [rad]; a tensor, an array or
                 lists.
-            body_shape: [batch, 10], shape coefficients (beta) within +-10 [standard deviations].
+            body_shape: [batch, 10], shape coefficients (beta) within +-10 [standard deviations]; the mean without.
 
         Returns:
             Draped vertices [m, world].
@@ -64,7 +71,9 @@ class Quaffure:
             InputError: an array of another shape, numbers that are not finite or beyond these limits, or a groom
                 without strands, with NaN, or not laid out for the network.
         """
-        poses, shapes = self._rows(body_pose, body_shape)
+        poses, shapes = self._rows(body_pose, [[0.0] * SHAPE_SIZE] if body_shape is None else body_shape)
+        if body_shape is None:
+            shapes = shapes.expand(len(poses), -1)
         if not 0 < len(shapes) == len(poses):
             raise InputError("body_shape", f"[{max(len(poses), 1)}, {SHAPE_SIZE}]", f"{list(shapes.shape)}")
         return self.draper.drape(Scene(self._checked(groom), BodyBatch(self.body, poses, shapes)))

@@ -30,7 +30,7 @@ class CharactersCommand:
 
     table: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TABLE")]
     """A .csv with the columns groom, motion and out, and if wanted frames, shape (ten numbers separated by spaces),
-    stiffness and seed (of a bundled style)."""
+    stiffness, seed (of a bundled style) and body (a file of `quaffure body import`)."""
     draper: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(DRAPERS)}}}")] = NEURAL
     """The network, or the solver, whose clips do not jump."""
     workers: int = 0

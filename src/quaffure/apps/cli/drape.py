@@ -12,7 +12,7 @@ import tyro
 
 from quaffure.apps.cli.console import console, progress_bar
 from quaffure.apps.cli.drape_report import Stopwatch, frames_text, print_drape_json, report_drape
-from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, motion_of
+from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, character_space_of, motion_of
 from quaffure.apps.cli.kept_frames import kept_frames
 from quaffure.apps.cli.kernel_cache import is_cached
 from quaffure.apps.cli.outputs import PICTURES, check_frames, check_outputs, files_of, is_export, write_output
@@ -36,6 +36,7 @@ from quaffure.geometry.cell_list import sort_into_cells
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_binding import groom_binding
+from quaffure.hair.placed_clip import placed_clip
 from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
 from quaffure.model.initial_shape_kernels import initial_shape_kernel
@@ -69,13 +70,16 @@ class DrapeCommand:
     .hair, .ply, .data and .bin (of one frame), .png, .mp4. An .abc, for Unreal a groom cache, comes with its groom
     asset: walk_groom.abc beside walk.abc."""
     motion: str = "neck_turn"
-    """A bundled clip, or a file: .bvh of any skeleton, .npz of AMASS, SMPL-X or poses of this body."""
+    """A bundled clip, or a file: .bvh of any skeleton, a character (.glb, .gltf; FILE#NAME is one of several
+    animations), .npz of AMASS, SMPL-X or poses of this body."""
     joints: Path | None = None
-    """A joint map (.toml) for a .bvh motion whose joint names are not known; `quaffure inspect` writes one to edit."""
+    """A joint map (.toml) for a motion whose joint names are not known; `quaffure inspect` writes one to edit."""
     frames: str = ":"
     """Frames A:B:STEP of the motion at 30 frames per second."""
     in_place: bool = False
     """Leave out the path of the body through the world; it turns, but does not travel."""
+    body: Path | None = None
+    """A body of your own (.npz, from `quaffure body import`) instead of the shipped one."""
     shape: str = ""
     """Ten body shape coefficients separated by commas, or a file that holds them; without it, the mean body."""
     head: Path | None = None
@@ -123,13 +127,13 @@ class DrapeCommand:
 
     def run(self) -> None:
         console.quiet = self.json
-        check_outputs(
-            self.out, (self.groom, self.motion, self.shape, self.head, self.joints, self.weights, self.reference)
-        )
+        options = self.shape, self.body, self.head, self.joints, self.weights, self.reference
+        check_outputs(self.out, (self.groom, self.motion, *options))
         times = Stopwatch()
-        body = load_body()
+        body = load_body(self.body)
         motion = motion_of(self.motion, body, self.in_place, self.joints).frames(self.frames)
         check_frames(self.out, len(range(0, len(motion), self.export.every)))
+        space = character_space_of(self.motion, body, motion.times, self.export)
         body_shape = body_shape_of(self.shape)
         if float(body_shape.abs().max()) > LARGEST_COEFFICIENT:
             console.print(f"shape: beyond the trained and measured +-{LARGEST_COEFFICIENT:g} standard deviations")
@@ -170,8 +174,10 @@ class DrapeCommand:
                 sequence = drape_motion(draper, groom, body, motion, body_shape, on_batch, store=frames)
             self._describe(sequence.meta)
             times.lap("draping")
-            binding = groom_binding(groom, body, body_shape) if is_export(self.out) else None
-            self._write(ExportClip(sequence, interpolation, binding, self.export), times)
+            is_bound = is_export(self.out) or space is not None
+            binding = groom_binding(groom, body, body_shape) if is_bound else None
+            clip = ExportClip(sequence, interpolation, binding, self.export)
+            self._write(clip if space is None else placed_clip(clip, space), times)
         (print_drape_json if self.json else report_drape)(sequence, checks, measured, times)
         console.print(f"written: {', '.join(map(str, files_of(self.out)))}")
         if self.strict and checks.findings():
@@ -192,6 +198,7 @@ class DrapeCommand:
             "motion": array_digest(motion.body_pose, *path),
             "fps": motion.fps,
             "shape": body_shape.tolist(),
+            "body": None if self.body is None else hashlib.sha256(self.body.read_bytes()).hexdigest(),
             "draper": self._name,
             "model": self.model,
             "weights": None if self.weights is None else hashlib.sha256(self.weights.read_bytes()).hexdigest(),

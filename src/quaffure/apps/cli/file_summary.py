@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import torch
 
+from quaffure.apps.cli.character_summary import character_summary
+from quaffure.apps.cli.motion_summary import REFUSED, Summary, extent, joint_map_summary, usable_motion
 from quaffure.body.body_model import BodyModel
+from quaffure.body.character_clip import character_clip
 from quaffure.body.joint_map import joint_map_text
 from quaffure.body.joint_names import guess_joint_map
-from quaffure.body.motion import Motion
 from quaffure.errors import InputError
 from quaffure.hair.file_frame import UNKNOWN, FileFrame
 from quaffure.hair.registration import register_groom
@@ -20,31 +20,29 @@ from quaffure.hair.strands import held_parts_of
 from quaffure.io.amass import ROTATION_KEYS
 from quaffure.io.bvh import read_bvh
 from quaffure.io.drape_file import read_drape
+from quaffure.io.gltf import read_character
+from quaffure.io.gltf_document import GLTF_SUFFIXES
 from quaffure.io.groom_file import is_groom_file, read_groom
 from quaffure.io.load_groom import read_head
 from quaffure.io.ply_tables import read_ply_tables
-from quaffure.io.read_motion import read_joint_map, read_motion
+from quaffure.io.read_motion import SKELETON_SUFFIXES, read_joint_map
 from quaffure.io.read_strands import STRAND_READERS, read_strands
 from quaffure.model.checkpoint import load_network
 from quaffure.npz import array_names
 
-REFUSED = "refused"
-"""Key of the reason for which a file that can be read cannot be used; without it, it can."""
 DRAPE_ARRAYS = {"strands", "posed", "body_vertices"}
 MOTION_ARRAYS = ({"body_pose", "fps"}, *({*keys} for keys in ROTATION_KEYS))
 MOST_NAMES = 12
 """Longest list of groups in a summary."""
-SUFFIXES = (".bvh", ".obj", ".safetensors", *sorted(STRAND_READERS))
-
-Summary = dict[str, Any]
+SUFFIXES = (".bvh", *GLTF_SUFFIXES, ".obj", ".safetensors", *sorted(STRAND_READERS))
 
 
 def summary_of(path: Path, body: BodyModel, joints: Path | None = None, frame: FileFrame = UNKNOWN) -> Summary:
-    """What a file holds: its `kind` (`strands`, `groom`, `motion`, `drape`, `head` or `weights`), and by name what
-    there is to know of it; `REFUSED` where it cannot be used.
+    """What a file holds: its `kind` (`strands`, `groom`, `motion`, `character`, `drape`, `head` or `weights`), and by
+    name what there is to know of it; `REFUSED` where it cannot be used.
 
     Args:
-        joints: a joint map for a .bvh file.
+        joints: a joint map for a .bvh, .glb or .gltf file.
         frame: what is known of a groom file's axes and unit.
 
     Raises:
@@ -55,6 +53,8 @@ def summary_of(path: Path, body: BodyModel, joints: Path | None = None, frame: F
         raise InputError(path, f"a file that is read ({', '.join(SUFFIXES)})", f"suffix {path.suffix!r}")
     if suffix == ".bvh":
         return _bvh(path, body, joints)
+    if suffix in GLTF_SUFFIXES:
+        return character_summary(path, body, joints)
     if suffix == ".obj" or (suffix == ".ply" and _is_mesh(path)):
         return _head(path)
     if suffix == ".safetensors":
@@ -66,19 +66,22 @@ def summary_of(path: Path, body: BodyModel, joints: Path | None = None, frame: F
         if is_groom_file(path):
             return _groom(path, body)
         if any(names >= keys for keys in MOTION_ARRAYS):
-            return {"kind": "motion", **_usable_motion(path, body)}
+            return {"kind": "motion", **usable_motion(path, body)}
     return _strands(path, body, frame)
 
 
 def joint_map_of(path: Path) -> str:
-    """The joint map of a .bvh file by its names, as the text of a TOML file, complete or not.
+    """The joint map of a .bvh, .glb or .gltf file by its names, as the text of a TOML file, complete or not.
 
     Raises:
-        InputError: not a .bvh file.
+        InputError: another file.
     """
-    if path.suffix.lower() != ".bvh":
-        raise InputError(path, "a .bvh file, whose joints have names", f"suffix {path.suffix!r}")
-    return joint_map_text(guess_joint_map(read_bvh(path))[0])
+    suffix = path.suffix.lower()
+    if suffix not in SKELETON_SUFFIXES:
+        expected = f"a file whose joints have names ({', '.join(SKELETON_SUFFIXES)})"
+        raise InputError(path, expected, f"suffix {path.suffix!r}")
+    clip = read_bvh(path) if suffix == ".bvh" else character_clip(read_character(path), None, 1.0)
+    return joint_map_text(guess_joint_map(clip)[0])
 
 
 def _strands(path: Path, body: BodyModel, frame: FileFrame) -> Summary:
@@ -91,7 +94,7 @@ def _strands(path: Path, body: BodyModel, frame: FileFrame) -> Summary:
         "points": len(strands.points),
         "points_a_strand": [int(strands.counts.min()), int(strands.counts.max())],
         "length_units": _statistics(lengths),
-        "extent_units": _extent(strands.points),
+        "extent_units": extent(strands.points),
         "held_parts": sorted(held_parts_of(strands)),
         "attributes": sorted({*strands.attributes.arrays()} - {"group_names"}),
         "groups": _shortened(strands.attributes.group_names),
@@ -146,35 +149,9 @@ def _bvh(path: Path, body: BodyModel, joints: Path | None) -> Summary:
         "joints": len(clip.joint_names),
         "frames_of_the_file": len(clip.values),
         "fps_of_the_file": round(clip.fps, 3),
-        "joint_map": {joint: list(source.joints) for joint, source in joint_map.items()},
-        "joints_without_use": sorted(
-            {*clip.joint_names} - {name for source in joint_map.values() for name in source.joints}
-        ),
+        **joint_map_summary(clip, joint_map),
     }
-    return file | _usable_motion(path, body, joints)
-
-
-def _usable_motion(path: Path, body: BodyModel, joints: Path | None = None) -> Summary:
-    try:
-        motion = read_motion(path, body, joints)
-    except InputError as error:
-        return {REFUSED: f"expected {error.expected}, found {error.found}"}
-    return {
-        "frames": len(motion),
-        "fps": round(motion.fps, 3),
-        "seconds": round(motion.seconds, 2),
-        "travels_m": None if motion.translation is None else _extent(motion.translation.numpy()),
-        "head_above_hips_m": _head_height(motion, body),
-        "notes": list(motion.notes),
-    }
-
-
-def _head_height(motion: Motion, body: BodyModel) -> float:
-    """Mean height of the head above the hips [m]: about 0.7 of someone upright."""
-    some = motion.select(slice(None, None, max(1, len(motion) // 50))).body_pose
-    _, joints = body.posed_joints(some, torch.zeros(len(some), 10))
-    head, hips = (body.joint_names.index(name) for name in ("Head", "Hips"))
-    return round(float((joints[:, head] - joints[:, hips])[:, 2].mean()), 2)
+    return file | usable_motion(path, body, joints)
 
 
 def _drape(path: Path) -> Summary:
@@ -186,8 +163,8 @@ def _drape(path: Path) -> Summary:
         "strands": drape.strands.shape[1],
         "points_a_strand": drape.strands.shape[2],
         "length_m": _statistics(drape.rest_lengths.sum(1)),
-        "extent_m": _extent(drape.strands.reshape(-1, 3)),
-        "travels_m": None if drape.body_translation is None else _extent(drape.body_translation),
+        "extent_m": extent(drape.strands.reshape(-1, 3)),
+        "travels_m": None if drape.body_translation is None else extent(drape.body_translation),
         "body_shape": [round(float(value), 3) for value in drape.body_shape],
         "held_parts": sorted(held_parts_of(drape)),
         "meta": drape.meta,
@@ -206,7 +183,7 @@ def _head(path: Path) -> Summary:
         "kind": "head",
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.faces),
-        "extent_units": _extent(mesh.vertices),
+        "extent_units": extent(mesh.vertices),
     }
 
 
@@ -217,8 +194,3 @@ def _is_mesh(path: Path) -> bool:
 def _statistics(values: np.ndarray) -> dict[str, float]:
     numbers = {"smallest": values.min(), "mean": values.mean(), "largest": values.max()}
     return {name: float(f"{value:.4g}") for name, value in numbers.items()}
-
-
-def _extent(points: np.ndarray) -> list[list[float]]:
-    """Smallest and largest coordinates."""
-    return [[float(f"{value:.4g}") for value in corner] for corner in (points.min(axis=0), points.max(axis=0))]

@@ -120,6 +120,8 @@ class ImportGroom:
     parts: Literal["keep", "drop"] = "keep"
     """What becomes of a beard, eyebrows and strands too far from the scalp, which are not draped: they move with the
     skin where `quaffure drape --strands original` shows all strands of the files, or are left out."""
+    body: Path | None = None
+    """A body of your own (.npz, from `quaffure body import`) instead of the shipped one."""
     picture: Path | None = None
     """A picture (.png) of before and after: the strands as in the file, and on our body."""
     licence: str = ""
@@ -129,7 +131,7 @@ class ImportGroom:
     always kept."""
 
     def run(self) -> None:
-        inputs = (*self.files, self.head)
+        inputs = (*self.files, self.head, self.body)
         check_output(self.out, ".npz", inputs=inputs)
         if self.picture is not None:
             check_output(self.picture, ".png", inputs=inputs)
@@ -137,7 +139,7 @@ class ImportGroom:
         if not self.files:
             raise InputError("FILE", "at least one file of strands", "none")
         frame = FileFrame(self.up, self.forward, self.units, self.mirror, self.registered)
-        body = load_body()
+        body = load_body(self.body)
         parts = [read_strands(path) for path in self.files]
         strands = concatenate_strands(parts)
         mesh = None if self.head is None else read_head(self.head)

@@ -12,7 +12,10 @@ from quaffure.body.motion import Motion
 from quaffure.body.pose_limits import check_body_shape
 from quaffure.energies.gravity import Acceleration
 from quaffure.errors import InputError
+from quaffure.hair.character_space import CharacterSpace
+from quaffure.hair.export_clip import ExportSettings
 from quaffure.input_file import read_text
+from quaffure.io.character_scene import read_character_space
 from quaffure.io.load_motion import load_motion
 from quaffure.npz import read_numbers
 from quaffure.types import Float, Tensor
@@ -27,6 +30,24 @@ def motion_of(text: str, body: BodyModel, in_place: bool = False, joints: Path |
     for note in motion.notes:
         console.print(f"{text}: {note}", markup=False, highlight=False)
     return motion
+
+
+def character_space_of(
+    text: str, body: BodyModel, times: Float[np.ndarray, " f"], settings: ExportSettings
+) -> CharacterSpace | None:
+    """`read_character_space`, printing where files will be.
+
+    Raises:
+        InputError: a skeleton is asked for, too: that of the body is not the character's.
+    """
+    space = read_character_space(body, text, times)
+    if space is None:
+        return None
+    if settings.skinned:
+        raise InputError("--skinned", "the shipped body, or files without a skeleton", f"that of {space.origin.source}")
+    moved = "its own skin moves the roots" if space.skin is not None else "in a motion that it does not have"
+    console.print(f"hair is written in the scene of {space.origin.source}, {moved}", markup=False, highlight=False)
+    return space
 
 
 def body_shape_of(text: str) -> Float[Tensor, "10"]:

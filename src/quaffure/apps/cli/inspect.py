@@ -8,7 +8,8 @@ from typing import Annotated, Any
 import tyro
 
 from quaffure.apps.cli.console import console, print_json
-from quaffure.apps.cli.file_summary import REFUSED, joint_map_of, summary_of
+from quaffure.apps.cli.file_summary import joint_map_of, summary_of
+from quaffure.apps.cli.motion_summary import REFUSED
 from quaffure.body.body_model import load_body
 from quaffure.hair.file_frame import FileFrame
 from quaffure.io.atomic import replacing
@@ -17,15 +18,17 @@ from quaffure.io.output_path import check_output
 
 @dataclass(frozen=True)
 class InspectCommand:
-    """Say what a groom, motion, drape, head or weights file holds, what is guessed about it, and what would be
-    refused."""
+    """Say what a groom, motion, character, drape, head or weights file holds, what is guessed about it, and what would
+    be refused."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    """Strands, a groom, a motion, a drape, a head mesh (.obj, .ply) or weights (.safetensors)."""
+    """Strands, a groom, a motion, a character (.glb, .gltf), a drape, a head mesh (.obj, .ply) or weights
+    (.safetensors)."""
     joints: Path | None = None
-    """A joint map (.toml) for a .bvh file, instead of the map by names."""
+    """A joint map (.toml) for a .bvh, .glb or .gltf file, instead of the map by names."""
     save_joints: Path | None = None
-    """Write the joint map of a .bvh file by its names to this file (.toml), to edit and to give to --joints."""
+    """Write the joint map of a .bvh, .glb or .gltf file by its names to this file (.toml), to edit and to give to
+    --joints."""
     up: str = ""
     """Axis of a strand file that points up, as in +y or z; guessed without it."""
     forward: str = ""
@@ -52,7 +55,7 @@ class InspectCommand:
         for key, value in summary.items():
             console.print(f"{_title(key)}: {_text(value)}", markup=False, highlight=False, soft_wrap=True)
         if REFUSED not in summary:
-            console.print(f"can be used as {_use(summary['kind'])}")
+            console.print(f"can be used as {_use(summary)}")
         if self.save_joints is not None:
             console.print(f"written: {self.save_joints}")
 
@@ -63,7 +66,7 @@ def _title(key: str) -> str:
 
 
 def _text(value: Any) -> str:
-    if isinstance(value, dict) and all(isinstance(item, float) for item in value.values()):
+    if isinstance(value, dict) and value and all(isinstance(item, float) for item in value.values()):
         return ", ".join(f"{key} {item:g}" for key, item in value.items())
     if isinstance(value, dict):
         return "".join(f"\n  {key}: {_text(item)}" for key, item in value.items()) or "none"
@@ -76,12 +79,14 @@ def _text(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else value if isinstance(value, str) else json.dumps(value)
 
 
-def _use(kind: str) -> str:
+def _use(summary: dict[str, Any]) -> str:
+    clip = " and --motion of quaffure drape (FILE#NAME)" if summary.get("animations") else ""
     return {
         "strands": "GROOM of quaffure drape, and by quaffure groom import",
         "groom": "GROOM of quaffure drape",
         "motion": "--motion of quaffure drape",
+        "character": f"CHARACTER of quaffure body import{clip}",
         "drape": "DRAPE of quaffure render and --reference of quaffure drape",
         "head": "--head of quaffure groom import",
         "weights": "--weights of quaffure drape",
-    }[kind]
+    }[summary["kind"]]

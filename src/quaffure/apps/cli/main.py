@@ -11,6 +11,7 @@ from typing import Annotated, NoReturn
 import tyro
 
 from quaffure.apps.cli.benchmark import BenchmarkCommand
+from quaffure.apps.cli.body import BodyCommand
 from quaffure.apps.cli.characters import CharactersCommand
 from quaffure.apps.cli.console import console
 from quaffure.apps.cli.doctor import DoctorCommand
@@ -44,6 +45,7 @@ Command = (
     | Annotated[BenchmarkCommand, tyro.conf.subcommand("benchmark")]
     | Annotated[GroomsCommand, tyro.conf.subcommand("grooms")]
     | Annotated[GroomCommand, tyro.conf.subcommand("groom")]
+    | Annotated[BodyCommand, tyro.conf.subcommand("body")]
     | Annotated[InspectCommand, tyro.conf.subcommand("inspect")]
     | Annotated[InfoCommand, tyro.conf.subcommand("info")]
     | Annotated[DoctorCommand, tyro.conf.subcommand("doctor")]

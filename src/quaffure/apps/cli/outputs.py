@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from quaffure.apps.cli.console import progress_bar
@@ -12,6 +13,7 @@ from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.export_clip import ExportClip
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import groom_of_drape
+from quaffure.hair.placed_clip import PlacedClip
 from quaffure.io.output_path import check_distinct, check_one_frame, check_output
 
 PICTURES = (".png", ".mp4")
@@ -93,10 +95,12 @@ def write_output(path: Path, clip: ExportClip) -> None:
     """
     check_packages(path)
     suffix = path.suffix.lower()
+    if isinstance(clip, PlacedClip) and suffix not in USD:  # whose stages say which axis is up
+        clip = replace(clip, is_z_up=True)
     if suffix == ".npz":
         from quaffure.io.drape_file import write_drape
 
-        write_drape(path, clip.sequence)
+        write_drape(path, clip.sequence, clip.file_arrays() if isinstance(clip, PlacedClip) else None)
     elif suffix == ".png":
         from quaffure.apps.render.pictures import write_picture
 

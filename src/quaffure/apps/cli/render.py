@@ -8,6 +8,7 @@ import torch
 import tyro
 
 from quaffure.apps.cli.console import console
+from quaffure.apps.cli.inputs import character_space_of
 from quaffure.apps.cli.outputs import check_frames, check_outputs, is_export, known_groom, write_output
 from quaffure.apps.cli.shown_strands import ORIGINAL, source_of_drape, strands_between
 from quaffure.body.body_model import load_body
@@ -15,6 +16,7 @@ from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.guide_interpolation import groom_of_drape
+from quaffure.hair.placed_clip import placed_clip
 from quaffure.io.drape_file import read_drape
 
 
@@ -28,6 +30,10 @@ class RenderCommand:
     """Where to write; may be given several times. The suffix picks the format: .png, .mp4, .usd, .usda, .usdc, .glb,
     .hair, .ply, .data and .bin (of one frame), .abc (with its groom asset beside it: walk_groom.abc beside
     walk.abc)."""
+    body: Path | None = None
+    """A body of your own (.npz, from `quaffure body import`) that the drape is of."""
+    motion: str = ""
+    """The character's file that the drape is of, and its animation (FILE.glb#NAME): its skin then moves the roots."""
     strands: str | None = None
     """A number of strands to interpolate between the draped ones, 10,000 to 100,000 are a full head of hair; or
     `original`, every strand of the groom file that was draped (--groom). Without it, the draped strands are drawn."""
@@ -38,23 +44,26 @@ class RenderCommand:
     export: ExportSettings = field(default_factory=ExportSettings)
 
     def run(self) -> None:
-        check_outputs(self.out, (self.drape, self.groom, self.head))
+        check_outputs(self.out, (self.drape, self.groom, self.head, self.body, self.motion))
         for path in self.out:
             if path.suffix.lower() == ".npz":
                 raise InputError(path, "a picture, a video or a file for another program", "a drape file")
         sequence = read_drape(self.drape)
         check_frames(self.out, len(range(0, len(sequence), self.export.every)))
-        body, groom, interpolation, binding = load_body(), None, None, None
+        body, groom, interpolation, binding = load_body(self.body), None, None, None
         if self.strands is not None:
             groom, source = groom_of_drape(sequence, body), str(self.drape)
             if self.strands == ORIGINAL:
                 groom, source = source_of_drape(groom, self.groom, body, self.head), str(self.groom)
             interpolation = strands_between(self.strands, source, groom, body, self.head)
-        if is_export(self.out):
+        if is_export(self.out) or body.origin is not None:
             groom = known_groom(sequence, body) if groom is None else groom
             if groom is not None:
                 binding = groom_binding(groom, body, torch.from_numpy(sequence.body_shape))
         clip = ExportClip(sequence, interpolation, binding, self.export)
+        space = character_space_of(self.motion, body, sequence.times, self.export)
+        if space is not None:
+            clip = placed_clip(clip, space)
         for path in self.out:
             console.print(f"writing {path}")
             write_output(path, clip)

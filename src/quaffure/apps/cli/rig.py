@@ -26,12 +26,14 @@ class RigCommand:
     out: Path
     """Where to write (.npz), in metres, z up: strands [S,N,3], root_uv, body_vertices, body_faces, body_uv, body_shape,
     joint_names, joint_parents, rest_joints, skin_joints, skin_weights."""
+    body: Path | None = None
+    """A body of your own (.npz, from `quaffure body import`) instead of the shipped one."""
     shape: str = ""
     """Ten body shape coefficients separated by commas, or a file that holds them; without it, the mean body."""
 
     def run(self) -> None:
-        check_output(self.out, ".npz", inputs=(self.groom, self.shape))
-        body, body_shape = load_body(), body_shape_of(self.shape)
+        check_output(self.out, ".npz", inputs=(self.groom, self.shape, self.body))
+        body, body_shape = load_body(self.body), body_shape_of(self.shape)
         groom = load_groom(self.groom, body)
         binding = groom_binding(groom, body, body_shape)
         arrays = {

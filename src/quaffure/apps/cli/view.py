@@ -9,6 +9,7 @@ import tyro
 from quaffure.apps.cli.console import console
 from quaffure.apps.cli.inputs import motion_of
 from quaffure.apps.cli.outputs import write_output
+from quaffure.body.body_model import load_body
 from quaffure.body.clips import CLIP_NAMES
 from quaffure.errors import InputError
 from quaffure.extras import require_extra
@@ -30,13 +31,15 @@ class ViewCommand:
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")] = "long_straight"
     """A bundled groom (see `quaffure grooms`) or a file: .abc, .bin, .data, .hair, .npy, .npz, .ply, .tfx, .usd."""
     motion: str = "nod"
-    """A bundled clip, `rest` for the rest pose, or a .bvh or .npz file."""
+    """A bundled clip, `rest` for the rest pose, or a file: .bvh, .glb, .gltf (FILE#NAME), .npz."""
     joints: Path | None = None
-    """A joint map (.toml) for a .bvh motion whose joint names are not known; `quaffure inspect` writes one to edit."""
+    """A joint map (.toml) for a motion whose joint names are not known; `quaffure inspect` writes one to edit."""
     in_place: bool = False
     """Leave out the path of the body through the world; it turns, but does not travel."""
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones."""
+    body: Path | None = None
+    """A body of your own (.npz, from `quaffure body import`) instead of the shipped one."""
     port: int = 8080
     """The port of the page; 0 for any free one."""
     host: str = "127.0.0.1"
@@ -66,7 +69,7 @@ class ViewCommand:
 
         if not self.folder.is_dir():
             raise InputError("--folder", "an existing folder", f"{self.folder}")
-        model = load_model(self.weights)
+        model = load_model(self.weights).on(load_body(self.body))
         motion = (
             None
             if self.motion in (*CLIP_NAMES, REST)

@@ -1,13 +1,15 @@
 """Close the holes of a triangle mesh without new vertices: each by the triangulation of least area."""
 
 import numpy as np
+from jaxtyping import Float, Int
 
 
-def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
+def boundary_loops(faces: Int[np.ndarray, "k 3"]) -> list[Int[np.ndarray, " n"]]:
     """Vertices of each hole's rim, in the order that a filling face must follow to keep the orientation."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    present = set(map(tuple, edges.tolist()))
-    following = {end: start for start, end in present if (end, start) not in present}
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    count = edges.max(initial=0) + 1
+    open_edges = ~np.isin(edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0])
+    following = {end: start for start, end in edges[open_edges].tolist()}
     loops = []
     while following:
         loop = [min(following)]
@@ -17,7 +19,7 @@ def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
     return loops
 
 
-def fill_loop(loop: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+def fill_loop(loop: Int[np.ndarray, " n"], vertices: Float[np.ndarray, "v 3"]) -> Int[np.ndarray, "t 3"]:
     """Triangles [n - 2, 3] across a rim of n vertices, of least total area (dynamic programming, cubic in n)."""
     points, count = vertices[loop], len(loop)
     area = np.zeros((count, count))
@@ -33,7 +35,7 @@ def fill_loop(loop: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     while pending:
         first, last = pending.pop()
         if last - first >= 2:
-            middle = int(split[first, last])
-            triangles.append((loop[first], loop[middle], loop[last]))
-            pending += [(first, middle), (middle, last)]
+            between = int(split[first, last])
+            triangles.append((loop[first], loop[between], loop[last]))
+            pending += [(first, between), (between, last)]
     return np.array(triangles)

@@ -1,0 +1,163 @@
+"""The meshes of a character, part by part: which are its skin, and what else there is."""
+
+import re
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import Delaunay, QhullError
+
+from quaffure.body.character import Character
+from quaffure.body.joint_map import SIDES
+from quaffure.body.pose_features import HEAD
+from quaffure.character.skeleton import FittedSkeleton
+from quaffure.errors import InputError
+
+HAIR_NAME = re.compile(r"hair|wig|brow|lash|beard|mou?stache|ponytail|bangs|fringe", re.IGNORECASE)
+REGIONS = {
+    "head": (HEAD,),
+    "torso": ("Neck", "Spine1", "Spine", "LowerBack"),
+    "arms": tuple(f"{side}{joint}" for side in SIDES for joint in ("Arm", "ForeArm", "Hand", "FingerBase")),
+    "legs": tuple(f"{side}{joint}" for side in SIDES for joint in ("UpLeg", "Leg", "Foot")),
+}
+"""Regions of the skin, and the joints that move them, in the order in which parts are chosen."""
+LEAST_AREA = 0.02
+"""Least area of skin on a head [m^2]."""
+ENOUGH = 0.5
+"""Share of the area of the part that covers most of a region, from which a part that is skin already is enough."""
+LARGEST_INNER, INNER_SHARE = 0.09, 0.6
+"""Extent of eyes, teeth and tongues [m], and the share of their vertices in the convex hull of the head's skin."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """The faces of a mesh that share a material.
+
+    Attributes:
+        mesh, material: names.
+        vertices: in the body's space, in the file's rest pose [m].
+        faces: triangles.
+        weights: share of each joint of the body.
+    """
+
+    mesh: str
+    material: str
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "k 3"]
+    weights: Float[np.ndarray, "v 27"]
+
+    @property
+    def name(self) -> str:
+        return self.mesh if not self.material else f"{self.mesh} ({self.material})"
+
+    def is_called(self, pattern: str) -> bool:
+        """Whether the mesh or the material has this name; * and ? stand for any letters, and case does not matter."""
+        return any(fnmatchcase(name.lower(), pattern.lower()) for name in (self.mesh, self.material))
+
+    @property
+    def is_hair(self) -> bool:
+        """Whether mesh or material are called as hair is."""
+        return bool(HAIR_NAME.search(self.mesh) or HAIR_NAME.search(self.material))
+
+    def area(self, joints: list[int]) -> float:
+        """Area of the triangles, each times the share of these joints in it [m^2]."""
+        corners = self.vertices[self.faces]
+        area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        return float(area @ self.weights[:, joints].sum(1)[self.faces].mean(1))
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Parts by what they are.
+
+    Attributes:
+        skin: what hair collides with.
+        inner: eyes, teeth and tongue, which fill the cavities of the skin.
+        hair, others: parts that are left out.
+        notes: what was chosen, in words.
+    """
+
+    skin: tuple[Part, ...]
+    inner: tuple[Part, ...]
+    hair: tuple[Part, ...]
+    others: tuple[Part, ...]
+    notes: tuple[str, ...]
+
+
+def parts_of(character: Character, skeleton: FittedSkeleton) -> list[Part]:
+    """All parts of all meshes with faces."""
+    parts = []
+    for mesh in character.meshes:
+        vertices = skeleton.in_body_space(mesh.vertices)
+        weights = skeleton.dense_weights(mesh.joints, mesh.weights)
+        for index, material in enumerate(mesh.materials):
+            used, faces = np.unique(mesh.faces[mesh.face_materials == index], return_inverse=True)
+            if len(used):
+                parts.append(Part(mesh.name, material, vertices[used], faces.reshape(-1, 3), weights[used]))
+    return parts
+
+
+def choose_parts(parts: list[Part], joint_names: tuple[str, ...], source: str, collide: tuple[str, ...] = ()) -> Parts:
+    """Skin by the weights of head, torso, arms and legs; hair by its name; eyes and teeth by where they are.
+
+    Args:
+        source: the file, for errors.
+        collide: names of further meshes or materials that hair collides with.
+
+    Raises:
+        InputError: no mesh that the head moves, or a name to collide with that nothing has.
+    """
+    hair = [part for part in parts if part.is_hair]
+    candidates = [part for part in parts if not part.is_hair]
+    skin: list[Part] = []
+    notes = []
+    for region, names in REGIONS.items():
+        areas = {part: part.area([joint_names.index(name) for name in names]) for part in candidates}
+        largest = max(areas, key=lambda part: areas[part], default=None)
+        if region == "head" and (largest is None or areas[largest] < LEAST_AREA):
+            found = ", ".join(part.name for part in parts) or "no meshes"
+            raise InputError(source, "a skinned mesh that the head moves, other than hair", found)
+        if largest is None or any(areas[part] > ENOUGH * areas[largest] for part in skin) or not areas[largest]:
+            continue
+        skin.append(largest)
+    for pattern in collide:
+        named = [part for part in parts if part.is_called(pattern)]
+        if not named:
+            raise InputError("--collide", f"a mesh or material of {source}: {_names(parts)}", repr(pattern))
+        skin += [part for part in named if part not in skin]
+    head = joint_names.index(HEAD)
+    inner = [part for part in candidates if part not in skin and _is_inner(part, skin, head)]
+    others = [part for part in candidates if part not in skin and part not in inner]
+    notes.append(f"skin: {_names(skin)}")
+    for what, group in (("in the head", inner), ("hair, left out", hair), ("left out (--collide NAME)", others)):
+        left = [part for part in group if part not in skin]
+        if left:
+            notes.append(f"{what}: {_names(left)}")
+    return Parts(tuple(skin), tuple(inner), tuple(hair), tuple(others), tuple(notes))
+
+
+def joined(parts: tuple[Part, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices [v, 3], faces [k, 3] and weights [v, 27] of several parts."""
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    return (
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts)]),
+        np.concatenate([part.weights for part in parts]),
+    )
+
+
+def _is_inner(part: Part, skin: list[Part], head: int) -> bool:
+    """Whether a part is small and inside the head."""
+    if np.ptp(part.vertices, axis=0).max() > LARGEST_INNER:
+        return False
+    points = np.concatenate([each.vertices[each.weights[:, head] > 0.5] for each in skin])
+    try:
+        hull = Delaunay(points)
+    except QhullError:
+        return False
+    return bool((hull.find_simplex(part.vertices) >= 0).mean() > INNER_SHARE)
+
+
+def _names(parts: list[Part]) -> str:
+    return ", ".join(dict.fromkeys(part.name for part in parts))

@@ -1,0 +1,177 @@
+"""The scalp of a character: that of the shipped body transferred, or one that a file shows."""
+
+from typing import NamedTuple
+
+import igl
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from quaffure.body.body_model import BodyModel
+from quaffure.character.collision_surface import Triangles, closest_on, neighbour_mean
+from quaffure.character.head_fit import HeadFit, head_mesh
+from quaffure.character.scalp_chart import check_disc, disc, fitted_to_square, unrolled, without_flips
+from quaffure.errors import InputError
+
+SUBDIVISIONS = 2
+"""How often the shipped scalp's triangles, a centimetre wide, are divided into four."""
+PROJECTIONS, SMOOTHINGS = 4, 6
+NEAR_EAR = 0.012  # m
+NEAR_PATCH = 0.004
+"""Distance of a triangle's middle from the transferred scalp, up to which it is part of it [m]."""
+WIDER = 0.025
+"""How far a hair mesh or a groom can move the hairline outwards from the transferred scalp's [m]."""
+FOOTPRINT, ROOT_DISTANCE = 0.02, 0.012
+"""Distance of the scalp from a hair mesh, and from the nearest root of a groom [m]."""
+LARGEST_ROOT_DISTANCE = 0.02
+"""Median distance of a groom's roots from the head beyond which it was made on another one [m]."""
+
+
+class Scalp(NamedTuple):
+    """A scalp on a closed surface.
+
+    Attributes:
+        faces: of the surface.
+        uv: of their corners, in the unit square.
+    """
+
+    faces: Int[np.ndarray, " f"]
+    uv: Float[np.ndarray, "f 3 2"]
+
+
+class TransferredScalp(NamedTuple):
+    """The shipped body's scalp on another head.
+
+    Attributes:
+        mesh: finer than the shipped scalp, on the surface [m].
+        uv: of its vertices.
+    """
+
+    mesh: Triangles
+    uv: Float[np.ndarray, "p 2"]
+
+    def distance(self, points: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, " q"]:
+        """Distance of points from it [m]."""
+        return np.linalg.norm(closest_on(points, self.mesh)[2] - points, axis=1)
+
+
+def ears_of(surface: Triangles, on_head: Bool[np.ndarray, " v"], template: BodyModel, fit: HeadFit) -> np.ndarray:
+    """Vertices of the ears: those of the head that are nearest to the fitted head's ears."""
+    head = head_mesh(template)
+    candidates = np.flatnonzero(on_head)
+    face, _, closest = closest_on(surface.vertices[candidates], Triangles(fit(head.vertices), head.faces))
+    on_ear = np.isin(head.faces[face], template.ear_vertices.numpy()).all(1)
+    near = np.linalg.norm(closest - surface.vertices[candidates], axis=1) < NEAR_EAR
+    return candidates[on_ear & near]
+
+
+def transferred_scalp(
+    template: BodyModel, surface: Triangles, ears: Int[np.ndarray, " e"], fit: HeadFit
+) -> TransferredScalp:
+    """The shipped scalp placed by the fit of the head and drawn onto the surface, smoothly, but not onto ears."""
+    used, flat = np.unique(template.faces[template.scalp.faces].numpy(), return_inverse=True)
+    patch = flat.reshape(-1, 3)
+    uv = np.empty((len(used), 2))
+    uv[patch] = template.scalp.uv.double().numpy()
+    points = fit(template.rest_vertices[used].double().numpy())
+    fine, faces = igl.upsample(np.hstack([points, uv]), patch, SUBDIVISIONS)
+    faces = faces.astype(np.int64)
+    points, uv = np.ascontiguousarray(fine[:, :3]), np.ascontiguousarray(fine[:, 3:])
+    without_ears = Triangles(surface.vertices, surface.faces[~np.isin(surface.faces, ears).any(1)])
+    mean = neighbour_mean(faces, len(points))
+    for _ in range(PROJECTIONS):
+        offset = closest_on(points, without_ears)[2] - points
+        for _ in range(SMOOTHINGS):
+            offset = 0.5 * (offset + mean @ offset)
+        points = points + offset
+    return TransferredScalp(Triangles(closest_on(points, without_ears)[2], faces), uv)
+
+
+def scalp_of_transferred(
+    transferred: TransferredScalp, surface: Triangles, ears: Int[np.ndarray, " e"], source: str
+) -> Scalp:
+    """The faces under the transferred scalp, with its chart.
+
+    Raises:
+        InputError: they are no disc.
+    """
+    middles = surface.vertices[surface.faces].mean(1)
+    near = np.flatnonzero(transferred.distance(middles) < NEAR_PATCH)
+    face, weights, _ = closest_on(middles[near], transferred.mesh)
+    # The closest point of what is beside the scalp lies on its rim.
+    rim = np.isin(transferred.mesh.faces[face], igl.boundary_loop(transferred.mesh.faces))
+    beside = (np.where(rim, 0.0, weights).sum(1) < 1e-6) & ~rim.all(1)
+    inside = np.zeros(len(surface.faces), dtype=bool)
+    inside[near[~beside]] = True
+    chosen = _patch(surface, inside, ears, source)
+    used, flat = np.unique(surface.faces[chosen], return_inverse=True)
+    patch, points = flat.reshape(-1, 3), surface.vertices[used]
+    uv = without_flips(points, patch, _extended_uv(points, transferred))
+    if uv.min() < 0 or uv.max() > 1:
+        uv = fitted_to_square(uv)
+    return Scalp(np.flatnonzero(chosen), uv[patch])
+
+
+def scalp_of_faces(
+    wanted: Bool[np.ndarray, " k"], surface: Triangles, ears: Int[np.ndarray, " e"], source: str
+) -> Scalp:
+    """A scalp of given faces, unrolled as the shipped body's is.
+
+    Raises:
+        InputError: they are no disc.
+    """
+    chosen = _patch(surface, wanted, ears, source)
+    used, flat = np.unique(surface.faces[chosen], return_inverse=True)
+    patch, points = flat.reshape(-1, 3), surface.vertices[used]
+    return Scalp(np.flatnonzero(chosen), fitted_to_square(unrolled(points, patch))[patch])
+
+
+def under_hair(surface: Triangles, hair: Triangles, transferred: TransferredScalp) -> Bool[np.ndarray, " k"]:
+    """Faces under a mesh of hair, not far outside of the transferred scalp."""
+    middles = surface.vertices[surface.faces].mean(1)
+    near = transferred.distance(middles) < WIDER
+    near[near] = np.linalg.norm(closest_on(middles[near], hair)[2] - middles[near], axis=1) < FOOTPRINT
+    return near
+
+
+def around_roots(
+    surface: Triangles, roots: Float[np.ndarray, "s 3"], transferred: TransferredScalp, source: str
+) -> Bool[np.ndarray, " k"]:
+    """Faces near roots of a groom, not far outside of the transferred scalp.
+
+    Raises:
+        InputError: a groom that was made on another head.
+    """
+    apart = float(np.median(np.linalg.norm(closest_on(roots, surface)[2] - roots, axis=1)))
+    if apart > LARGEST_ROOT_DISTANCE:
+        raise InputError(source, "roots on the head of the character, in the file's space", f"{apart:.3g} m apart")
+    middles = surface.vertices[surface.faces].mean(1)
+    distance, _ = cKDTree(roots).query(middles)
+    return (distance < ROOT_DISTANCE) & (transferred.distance(middles) < WIDER)
+
+
+def _patch(
+    surface: Triangles, wanted: Bool[np.ndarray, " k"], ears: Int[np.ndarray, " e"], source: str
+) -> Bool[np.ndarray, " k"]:
+    chosen = disc(surface.faces, wanted & ~np.isin(surface.faces, ears).any(1))
+    check_disc(surface.faces[chosen], source)
+    return chosen
+
+
+def _extended_uv(points: Float[np.ndarray, "p 3"], transferred: TransferredScalp) -> Float[np.ndarray, "p 2"]:
+    """Chart of the transferred scalp at points near it; linear beyond its rim."""
+    face, _, _ = closest_on(points, transferred.mesh)
+    corners = transferred.mesh.faces[face]
+    first, second, third = (transferred.mesh.vertices[corners[:, k]] for k in range(3))
+    normal = np.cross(second - first, third - first)
+    weights = (
+        np.stack(
+            [
+                (np.cross(b - points, c - points) * normal).sum(1)
+                for b, c in ((second, third), (third, first), (first, second))
+            ],
+            axis=1,
+        )
+        / (normal**2).sum(1)[:, None]
+    )
+    return (weights[..., None] * transferred.uv[corners]).sum(1)

@@ -1,0 +1,198 @@
+"""The skeleton of a character on the joints of the body.
+
+Joints that the file has are where the file has them. Others are placed between the ones above and below them, at the
+share of the way that they have in the shipped body, or else from the one above, in proportion. Arms and legs are then
+turned from the file's rest pose to the body's, by the rotation with which its motion is retargeted
+(`quaffure.body.retargeting`), so that a pose means the same on every body.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.bvh_clip import BvhClip
+from quaffure.body.character import Character, CharacterNodes
+from quaffure.body.joint_map import CHAINS, JointMap
+from quaffure.body.joint_names import automatic_joint_map, check_joint_map
+from quaffure.body.retargeting import rest_alignment
+from quaffure.body.source_skeleton import source_skeleton
+
+HEIGHTS = (0.4, 2.6)
+"""Heights that a character may have; where metres give another one, the unit is another one [m]."""
+UNITS = (1.0, 0.01, 0.0254, 0.001)
+SCENE = ""
+"""Name of the joint that is above all roots of a file."""
+
+
+@dataclass(frozen=True)
+class FittedSkeleton:
+    """The body's joints in a character.
+
+    Attributes:
+        metres: in a file unit.
+        body_from_file: rotation from the file's axes to the body's.
+        origin: the file's point that is the origin of the body's space [file units].
+        file_joints: joints in the file's rest pose, in the body's space [m].
+        rest_joints: the same in the body's own rest pose [m].
+        rest_rotations: rotation of each joint from the first to the second.
+        node_joints: joint of the body that moves what each node of the file moves.
+        joint_nodes: node of each joint of the body, an empty text for one that was placed.
+        joint_map: that it was made by.
+    """
+
+    metres: float
+    body_from_file: Float[np.ndarray, "3 3"]
+    origin: Float[np.ndarray, "3"]
+    file_joints: Float[np.ndarray, "27 3"]
+    rest_joints: Float[np.ndarray, "27 3"]
+    rest_rotations: Float[np.ndarray, "27 3 3"]
+    node_joints: Int[np.ndarray, " j"]
+    joint_nodes: tuple[str, ...]
+    joint_map: JointMap
+
+    def in_body_space(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Points of the file's scene in the body's space, in the file's rest pose [m]."""
+        return self.metres * (points - self.origin) @ self.body_from_file.T
+
+    def dense_weights(self, joints: Int[np.ndarray, "v w"], weights: Float[np.ndarray, "v w"]) -> np.ndarray:
+        """Share of each joint of the body in vertices that nodes of the file move [v, 27]."""
+        dense = np.zeros((len(joints), len(self.rest_joints)))
+        np.add.at(dense, (np.arange(len(joints))[:, None], self.node_joints[joints]), weights)
+        return dense / np.maximum(dense.sum(1, keepdims=True), 1e-12)
+
+    def to_rest_pose(self, points: Float[np.ndarray, "v 3"], weights: Float[np.ndarray, "v 27"]) -> np.ndarray:
+        """Points in the file's rest pose, moved to the body's by linear blend skinning [m]."""
+        moved = np.zeros_like(points)
+        for joint in np.flatnonzero(weights.any(0)):
+            offset = (points - self.file_joints[joint]) @ self.rest_rotations[joint].T + self.rest_joints[joint]
+            moved += weights[:, joint, None] * offset
+        return moved
+
+
+def fit_skeleton(character: Character, template: BodyModel, joint_map: JointMap | None = None) -> FittedSkeleton:
+    """The body's joints in a character.
+
+    Args:
+        template: the shipped body, whose rest pose and proportions count.
+        joint_map: which joints are which; by their names without one.
+
+    Raises:
+        InputError: no head or another required joint, two of one name, or a figure that does not stand.
+    """
+    clip = rest_clip(character)
+    if joint_map is None:
+        joint_map = automatic_joint_map(clip)
+    else:
+        check_joint_map(joint_map, clip)
+    source = source_skeleton(clip, joint_map)
+    turn, names = source.body_from_file, character.nodes.names
+    metres = _metres_per_unit(character, turn, template)
+    positions = metres * character.nodes.world[:, :3, 3] @ turn.T
+    own = {name: joint_map[name].first for name in template.joint_names if name in joint_map}
+    own = {name: first for name, first in own.items() if joint_map[name].second is None}
+    found = {joint: positions[names.index(name)] for joint, name in own.items()}
+    aligned = {joint: rest_alignment(joint, source, template).numpy() for joint in source.bones}
+    rotations = _rest_rotations(joint_map, aligned, template)
+    file_joints, rest_joints = _placed(found, rotations, template)
+    fitted = FittedSkeleton(
+        metres, turn, np.zeros(3), file_joints, rest_joints, rotations, _node_joints(character.nodes, own, template),
+        tuple(own.get(name, "") for name in template.joint_names), joint_map,
+    )  # fmt: skip
+    return _on_ground(fitted, character, template)
+
+
+def rest_clip(character: Character) -> BvhClip:
+    """The joints of a character as the skeleton of a motion file of one frame, in which it is at rest."""
+    nodes, joints = character.nodes, character.joints
+    positions = nodes.world[joints, :3, 3]
+    parents = np.array([joints.index(parent) + 1 if parent in joints else 0 for parent in nodes.parents[joints]])
+    offsets = positions - np.concatenate([np.zeros((1, 3)), positions])[parents]
+    return BvhClip(
+        joint_names=(SCENE, *(nodes.names[joint] for joint in joints)),
+        parents=np.concatenate([[-1], parents]),
+        offsets=np.concatenate([np.zeros((1, 3)), offsets]),
+        channels=((),) * (len(joints) + 1),
+        values=np.zeros((1, 0)),
+        frame_time=1.0,
+        source=character.source,
+    )
+
+
+def _metres_per_unit(character: Character, turn: Float[np.ndarray, "3 3"], template: BodyModel) -> float:
+    """1, as glTF asks, or else the first known unit that gives a human height, or one that gives the template's."""
+    heights = np.concatenate([mesh.vertices @ turn[2] for mesh in character.meshes])
+    height = float(np.ptp(heights))
+    fitting = [unit for unit in UNITS if HEIGHTS[0] < unit * height < HEIGHTS[1]]
+    return fitting[0] if fitting else float(np.ptp(template.rest_vertices[:, 2].numpy())) / height
+
+
+def _rest_rotations(
+    joint_map: JointMap, aligned: dict[str, np.ndarray], template: BodyModel
+) -> Float[np.ndarray, "27 3 3"]:
+    """Rotation of each joint from the file's rest pose to the body's; joints that the file lacks follow their parents,
+    but feet, whose rotation motion leaves alone too."""
+    rotations = np.empty((len(template.joint_names), 3, 3))
+    for joint, (name, parent) in enumerate(zip(template.joint_names, template.joint_parents)):
+        if name in aligned:
+            rotations[joint] = aligned[name].T
+        elif parent < 0 or name.endswith("Foot") or (name in joint_map and not name.endswith("FingerBase")):
+            rotations[joint] = np.eye(3)
+        else:
+            rotations[joint] = rotations[parent]
+    return rotations
+
+
+def _placed(
+    found: dict[str, np.ndarray], rotations: Float[np.ndarray, "27 3 3"], template: BodyModel
+) -> tuple[Float[np.ndarray, "27 3"], Float[np.ndarray, "27 3"]]:
+    """Joints in the file's rest pose and in the body's [m]."""
+    own, names = template.rest_joints.double().numpy(), template.joint_names
+    scale = np.linalg.norm(found["Head"] - found["Hips"]) / np.linalg.norm(own[names.index("Head")] - own[0])
+    in_file, at_rest = np.empty_like(own), np.empty_like(own)
+    in_file[0] = at_rest[0] = found["Hips"]
+    for joint, parent in list(enumerate(template.joint_parents))[1:]:
+        if names[joint] in found:
+            in_file[joint] = found[names[joint]]
+        elif (below := next((end for end in _chain(joint, template) if names[end] in found), None)) is not None:
+            length = [np.linalg.norm(own[joint] - own[end]) for end in (parent, below)]
+            in_file[joint] = in_file[parent] + length[0] / sum(length) * (found[names[below]] - in_file[parent])
+        else:
+            in_file[joint] = in_file[parent] + scale * rotations[parent].T @ (own[joint] - own[parent])
+        at_rest[joint] = at_rest[parent] + rotations[parent] @ (in_file[joint] - in_file[parent])
+    return in_file, at_rest
+
+
+def _chain(joint: int, template: BodyModel) -> list[int]:
+    """The joints of the trunk, or of the limb, that a joint carries."""
+    chain = next((chain for chain in CHAINS if template.joint_names[joint] in chain[1:-1]), ())
+    after = chain.index(template.joint_names[joint]) + 1 if chain else 0
+    return [template.joint_names.index(name) for name in chain[after:]]
+
+
+def _node_joints(nodes: CharacterNodes, own: dict[str, str], template: BodyModel) -> Int[np.ndarray, " j"]:
+    """For every node the joint of its nearest ancestor that is one of the body's; the Hips without any."""
+    joint_of = {node: template.joint_names.index(joint) for joint, node in reversed(own.items())}
+    result = np.zeros(len(nodes.names), dtype=np.int64)
+    for node, parent in enumerate(nodes.parents):
+        inherited = result[parent] if parent >= 0 else 0
+        result[node] = joint_of.get(nodes.names[node], inherited)
+    return result
+
+
+def _on_ground(fitted: FittedSkeleton, character: Character, template: BodyModel) -> FittedSkeleton:
+    """The same with its hips above the origin as in the template, and its soles at z = 0 in the body's rest pose."""
+    lowest = min(
+        fitted.to_rest_pose(
+            fitted.in_body_space(mesh.vertices), fitted.dense_weights(mesh.joints, mesh.weights)
+        )[:, 2].min()
+        for mesh in character.meshes
+    )  # fmt: skip
+    offset = np.array([*(fitted.rest_joints[0] - template.rest_joints[0].numpy())[:2], lowest])
+    return replace(
+        fitted,
+        origin=offset @ fitted.body_from_file / fitted.metres,
+        file_joints=fitted.file_joints - offset,
+        rest_joints=fitted.rest_joints - offset,
+    )

@@ -1,0 +1,35 @@
+"""The scene of a body's character, from the file that its motion comes from."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from quaffure.body.body_model import BodyModel
+from quaffure.body.character_clip import animation_of
+from quaffure.body.own_motion import is_own
+from quaffure.hair.character_space import AnimatedSkin, CharacterSpace, skin_of
+from quaffure.input_file import file_and_clip
+from quaffure.io.gltf import read_character
+from quaffure.io.gltf_document import GLTF_SUFFIXES
+
+
+def read_character_space(body: BodyModel, source: str | Path, times: Float[np.ndarray, " f"]) -> CharacterSpace | None:
+    """Where hair is in the file of a body's character; None of a body that has none.
+
+    Args:
+        source: name or file of the motion. In a file of the character itself, its skin moves the roots.
+        times: of the frames in that file [s].
+
+    Raises:
+        InputError: what `read_character` refuses.
+    """
+    if body.origin is None:
+        return None
+    start = float(times[0])
+    path, clip = file_and_clip(source)
+    if path.suffix.lower() not in GLTF_SUFFIXES or not is_own(body, character := read_character(path)):
+        return CharacterSpace(body.origin, start)
+    scalp = body.rest_vertices[body.faces[body.scalp.faces].unique()].double().numpy()
+    mesh = skin_of(character, body.origin, scalp)
+    return CharacterSpace(body.origin, start, AnimatedSkin(character, animation_of(character, clip), mesh, times))

@@ -1,0 +1,193 @@
+"""A character becomes a body: joints, surface, scalp; grooms and drapes on it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import quaffure as qf
+from quaffure.backend import Backend
+from quaffure.benchmark.metrics import intersection_percent
+from quaffure.body import BodyModel
+from quaffure.body.character import Character
+from quaffure.character.import_body import ImportedBody, ImportSettings, import_body
+from quaffure.character.skeleton import fit_skeleton
+from quaffure.errors import InputError
+from quaffure.geometry.hole_filling import boundary_loops
+from quaffure.hair import rest_surface
+from quaffure.hair.clearance import distances_and_normals
+from quaffure.io.body_file import write_body
+from quaffure.model.neural import NeuralDraper
+from quaffure.scene import BodyBatch, Scene
+from tests.characters import MIXAMO, REFERENCE_GRID, character, mesh_of, with_mesh
+
+pytest.importorskip("igl")
+WIDE_HEAD = (1.3, 1.2, 1.25)
+COARSE = ImportSettings(cell=REFERENCE_GRID)
+
+
+@pytest.fixture(scope="module")
+def twin(body: BodyModel) -> ImportedBody:
+    """The body of the package, exported in a T pose on a Mixamo rig in centimetres, and imported."""
+    return import_body(character(body), "0" * 64, body, COARSE)
+
+
+@pytest.fixture(scope="module")
+def wide(body: BodyModel) -> ImportedBody:
+    """A stylised head on the body, in metres."""
+    return import_body(character(body, head_scale=WIDE_HEAD, centimetres=False), "1" * 64, body, COARSE)
+
+
+def joint_distance_mm(first: BodyModel, second: BodyModel, names: tuple[str, ...]) -> float:
+    rows = [first.joint_names.index(name) for name in names]
+    return float(1e3 * (first.rest_joints[rows] - second.rest_joints[rows]).norm(dim=1).max())
+
+
+def test_joints_of_the_file_come_back_in_our_rest_pose(body: BodyModel) -> None:
+    fitted = fit_skeleton(character(body), body)
+    apart = 1e3 * np.linalg.norm(fitted.rest_joints - body.rest_joints.numpy(), axis=1)
+    assert fitted.metres == 0.01
+    assert apart.max() < 2.0  # the Neck, which the rig lacks, is placed
+    assert [name for name, node in zip(body.joint_names, fitted.joint_nodes) if not node] == [
+        "LHipJoint", "Neck", "RHipJoint",
+    ]  # fmt: skip
+
+
+def test_body_of_our_own_body_is_our_body(body: BodyModel, twin: ImportedBody) -> None:
+    imported = twin.body
+    assert not boundary_loops(imported.faces.numpy())
+    apart = distances_and_normals(body.rest_vertices[body.faces[body.scalp.faces]].mean(1), rest_surface(imported))[0]
+    assert float(apart.abs().max()) < 2e-3
+    assert joint_distance_mm(imported, body, ("Head", "Neck1", "LeftHand", "RightFoot")) < 0.1
+    uv = torch.tensor([[0.5, 0.1], [0.5, 0.5], [0.2, 0.5], [0.8, 0.5], [0.5, 0.9]])
+    places = []
+    for each in (body, imported):
+        faces, weights = each.scalp.locate(uv)
+        assert (faces >= 0).all()
+        places.append((weights[..., None] * each.rest_vertices[each.faces[faces]]).sum(1))
+    assert float((places[0] - places[1]).norm(dim=1).max()) < 4e-3
+
+
+def test_bob_on_it_drapes_as_on_ours(body: BodyModel, twin: ImportedBody) -> None:
+    model = qf.load_model()
+    pose = torch.zeros(1, 27, 3)
+    pose[0, body.joint_names.index("Head")] = torch.tensor([0.3, 0.2, 0.3])
+    hair, texels, inside = [], [], []
+    for each in (body, twin.body):
+        groom = qf.load_groom("bob", each)
+        drape = model.on(each).drape(groom, pose.flatten(1))
+        hair.append(drape[0])
+        texels.append(groom.texels())
+        scene = Scene(groom, BodyBatch(each, pose.flatten(1), torch.zeros(1, 10)))
+        inside.append(float(intersection_percent(drape, scene)[0]))
+    shared = np.intersect1d(*(each.numpy() for each in texels), return_indices=True)
+    apart = (hair[0][shared[1]] - hair[1][shared[2]]).norm(dim=-1)
+    assert len(shared[0]) > 0.95 * len(texels[0])
+    assert float(apart.mean()) < 6e-3
+    assert inside[1] <= 0.1
+
+
+def test_gradient_through_the_pose_of_an_imported_body(twin: ImportedBody) -> None:
+    model, imported = qf.load_model(), twin.body.to("cpu", torch.float64)
+    groom = qf.load_groom("bob", twin.body).thinned(40).to(torch.float64)
+    draper = NeuralDraper(model.draper.network.double(), model.draper.material, backend=Backend.TORCH)
+
+    def tip_height(bend: torch.Tensor) -> torch.Tensor:
+        pose = torch.zeros(1, 81, dtype=torch.float64)
+        pose[0, 3 * imported.joint_names.index("Neck")] = bend
+        bodies = BodyBatch(imported, pose, torch.zeros(1, 10, dtype=torch.float64))
+        return draper.deform(Scene(groom, bodies))[0, :, -1, 2].mean()
+
+    bend = torch.tensor(0.3, dtype=torch.float64, requires_grad=True)
+    (gradient,) = torch.autograd.grad(tip_height(bend), bend)
+    with torch.no_grad():
+        difference = (tip_height(bend + 1e-6) - tip_height(bend - 1e-6)) / 2e-6
+    assert abs(float(difference)) > 1e-3
+    assert float(gradient) == pytest.approx(float(difference), rel=1e-3)
+
+
+def test_stylised_head_wears_bundled_grooms(body: BodyModel, wide: ImportedBody) -> None:
+    own, other = (each.rest_vertices[each.faces[each.scalp.faces]].flatten(0, 1) for each in (body, wide.body))
+    ratio = (other.amax(0) - other.amin(0)) / (own.amax(0) - own.amin(0))
+    np.testing.assert_allclose(ratio.numpy(), WIDE_HEAD, atol=0.06)
+    groom, shipped = qf.load_groom("bob", wide.body), qf.load_groom("bob")
+    distance = distances_and_normals(groom.rest_strands, rest_surface(wide.body))[0]
+    assert float(distance[:, 0].abs().max()) < 1e-4
+    assert float((distance[:, 1:] < 0).float().mean()) < 1e-3
+    assert 1.15 < float(groom.strand_lengths.mean() / shipped.strand_lengths.mean()) < 1.35
+
+
+def test_file_of_a_body(twin: ImportedBody, tmp_path: Path) -> None:
+    path = tmp_path / "body.npz"
+    write_body(path, twin.body)
+    read = qf.load_body(str(path))
+    for name in ("rest_vertices", "rest_joints", "skin_weights", "faces"):
+        torch.testing.assert_close(getattr(read, name), getattr(twin.body, name))
+    assert read.origin is not None
+    assert read.origin.joint_nodes[0] == "mixamorig:Hips"
+    points = np.random.default_rng(0).normal(size=(9, 3))
+    np.testing.assert_allclose(read.origin.body_from_file(read.origin.file_from_body(points)), points, atol=1e-12)
+    assert qf.load_body().origin is None
+    arrays = dict(np.load(path))
+    del arrays["file_digest"]
+    np.savez(path, **arrays)
+    with pytest.raises(InputError, match="all or none of the arrays"):
+        qf.load_body(path)
+
+
+def test_head_lies_where_it_lies_in_the_file(body: BodyModel, twin: ImportedBody) -> None:
+    mesh, origin = character(body).meshes[0], twin.body.origin
+    assert origin is not None
+    head = np.flatnonzero(body.dense_skin_weights[:, body.joint_names.index("Head")].numpy() > 0.99)
+    np.testing.assert_allclose(origin.body_from_file(mesh.vertices)[head], body.rest_vertices[head], atol=1e-4)
+
+
+def test_skin_is_chosen_by_weights(body: BodyModel) -> None:
+    eyed = with_hair_and_eye(character(body), body)
+    imported = import_body(eyed, "", body, replace(COARSE, cell=0.012))
+    notes = "; ".join(imported.notes)
+    for what in ("skin: Body", "in the head: LeftEye", "hair, left out: Hair_Long"):
+        assert what in notes
+
+
+def with_hair_and_eye(of: Character, body: BodyModel) -> Character:
+    """The same with a ball in its head, and the skin of the scalp once more, larger, as hair."""
+    mesh, node = of.meshes[0], of.nodes.names.index("mixamorig:Head")
+    scalp = np.unique(body.faces[body.scalp.faces].numpy())
+    faces = np.searchsorted(scalp, body.faces[body.scalp.faces].numpy())
+    centre = mesh.vertices[scalp].mean(0)
+    for name, size in (("LeftEye", 0.2), ("Hair_Long", 1.5)):
+        vertices = centre + size * (mesh.vertices[scalp] - centre) - [0.0, 4.0 if size < 1 else 0.0, 0.0]
+        joints, weights = np.full((len(scalp), 1), node), torch.ones(len(scalp), 1)
+        of = with_mesh(of, mesh_of(name, vertices, faces, of.nodes, joints, weights))
+    return of
+
+
+def test_scalp_of_a_hair_mesh(body: BodyModel) -> None:
+    haired = with_hair_and_eye(character(body), body)
+    settings = replace(COARSE, hair_mesh="Hair_Long", cell=0.012)
+    with pytest.raises(InputError, match="--hair-mesh Hair_Long: expected a scalp of at least"):
+        import_body(haired, "", body, settings)  # 4 cm above the skin
+    mesh = haired.meshes[2]
+    near = mesh.vertices.mean(0) + 0.68 * (mesh.vertices - mesh.vertices.mean(0))
+    fitting = mesh_of("Wig", near, mesh.faces, haired.nodes, mesh.joints, torch.from_numpy(mesh.weights))
+    imported = import_body(with_mesh(character(body), fitting), "", body, replace(settings, hair_mesh="wig"))
+    assert len(imported.body.scalp.faces) > 200
+
+
+def test_errors_say_what_was_expected(body: BodyModel) -> None:
+    of = character(body)
+    headless = character(body, {name: joint for name, joint in MIXAMO.items() if name != "Head"})
+    with pytest.raises(InputError, match=r"none for .*Head"):
+        import_body(headless, "", body, COARSE)
+    second = {**MIXAMO, "head": "LeftHand"}
+    with pytest.raises(InputError, match="mixamorig:Head and mixamorig:head for Head"):
+        import_body(character(body, second), "", body, COARSE)
+    mesh = of.meshes[0]
+    bald = replace(of, meshes=(replace(mesh, name="Hair"),))
+    with pytest.raises(InputError, match="expected a skinned mesh that the head moves, other than hair"):
+        import_body(bald, "", body, COARSE)
+    with pytest.raises(InputError, match="--collide: expected a mesh or material"):
+        import_body(of, "", body, replace(COARSE, collide=("Dress",)))

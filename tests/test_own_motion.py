@@ -1,0 +1,172 @@
+"""A body that was imported from a character, in that character's own animation."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from quaffure.body import BodyModel, Motion
+from quaffure.body.body_origin import BodyOrigin
+from quaffure.body.character import AnimationChannel, Character, CharacterAnimation
+from quaffure.body.character_animation import frame_times, poses_at
+from quaffure.body.own_motion import is_own, own_motion
+from quaffure.character.skeleton import fit_skeleton
+from quaffure.hair import DrapeSequence
+from quaffure.hair.character_space import AnimatedSkin, CharacterSpace
+from quaffure.hair.export_clip import ExportClip
+from quaffure.hair.groom_binding import GroomBinding, Skeleton
+from quaffure.hair.placed_clip import placed_clip
+from tests.characters import character
+
+FPS = 30.0
+
+
+def moving(rest: Character, frames: int = 9) -> Character:
+    """The character in an animation that turns every joint, moves the hips and begins after half a second."""
+    nodes, random = rest.nodes, np.random.default_rng(2)
+    times = 0.5 + np.arange(frames) / FPS
+    share = np.sin(np.linspace(0, 2, frames))[:, None]
+    channels = [
+        AnimationChannel(node, "rotation", "LINEAR", times, (
+            Rotation.from_quat(nodes.rotation[node]) * Rotation.from_rotvec(share * random.normal(0, 0.3, 3))
+        ).as_quat()[:, None])
+        for node in range(len(nodes))
+    ]  # fmt: skip
+    path = nodes.translation[0] + share * [40.0, -10.0, 25.0]
+    channels.append(AnimationChannel(0, "translation", "LINEAR", times, path[:, None]))
+    return replace(rest, animations=(CharacterAnimation("moves", tuple(channels)),))
+
+
+def own_body(rest: Character, template: BodyModel) -> BodyModel:
+    """The body of a character that has the template's surface."""
+    skeleton, (mesh,) = fit_skeleton(rest, template), rest.meshes
+    weights = skeleton.dense_weights(mesh.joints, mesh.weights)
+    joints = np.argsort(-weights, axis=1)[:, :8]
+    shares = np.take_along_axis(weights, joints, axis=1)
+    vertices = skeleton.to_rest_pose(skeleton.in_body_space(mesh.vertices), weights)
+    origin = BodyOrigin(
+        1 / skeleton.metres, skeleton.body_from_file.T, skeleton.origin, rest.source, "", skeleton.joint_nodes
+    )
+    return replace(
+        template,
+        rest_vertices=torch.from_numpy(vertices).float(),
+        rest_joints=torch.from_numpy(skeleton.rest_joints).float(),
+        skin_joints=torch.from_numpy(joints),
+        skin_weights=torch.from_numpy(shares / shares.sum(1, keepdims=True)).float(),
+        origin=origin,
+    )
+
+
+@pytest.fixture(scope="module")
+def imported(body: BodyModel) -> tuple[BodyModel, Character]:
+    rest = character(body)
+    return own_body(rest, body), moving(rest)
+
+
+def scalp_vertices(own: BodyModel) -> np.ndarray:
+    return np.unique(own.faces[own.scalp.faces].numpy())
+
+
+def in_file(own: BodyModel, character: Character, world: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Points of the body's scalp, moved by the file's own skin at the places where they are at rest [file units]."""
+    assert own.origin is not None
+    (mesh,) = character.meshes
+    rest = own.origin.file_from_body(own.rest_vertices[chosen].double().numpy())
+    nearest = np.linalg.norm(mesh.vertices[None] - rest[:, None], axis=2).argmin(1)
+    matrices = world[mesh.skin.nodes] @ mesh.skin.inverse_bind
+    blended = np.einsum("vw,vwij->vij", mesh.weights[nearest], matrices[mesh.skin_joints[nearest]])
+    return np.einsum("vij,vj->vi", blended[:, :3, :3], rest) + blended[:, :3, 3]
+
+
+def test_the_scalp_is_where_the_file_has_it(imported: tuple[BodyModel, Character]) -> None:
+    own, moved = imported
+    assert is_own(own, moved)
+    motion = own_motion(moved, moved.animations[0], own, FPS)
+    assert (len(motion), motion.start) == (9, 0.5)
+    posed = own.pose(motion.body_pose, torch.zeros(9, 10)).vertices + motion.translation[:, None]
+    chosen = scalp_vertices(own)[::40]
+    found = own.origin.file_from_body(posed[:, chosen].double().numpy())
+    (poses,) = poses_at(moved, moved.animations[0], frame_times(moved.animations[0], FPS, 100))
+    expected = np.stack([in_file(own, moved, world, chosen) for world in poses.world])
+    millimetres = np.linalg.norm(found - expected, axis=2) * 1000 / own.origin.scale
+    assert np.ptp(expected, axis=0).max() > 20  # centimetres
+    assert millimetres.max() < 0.1
+
+
+def drape_of(own: BodyModel, motion: Motion, roots: np.ndarray) -> DrapeSequence:
+    """Straight strands on vertices of the body, moved with them."""
+    posed = own.pose(motion.body_pose, torch.zeros(len(motion), 10)).vertices + motion.translation[:, None]
+    steps = torch.tensor([0.0, 0.05, 0.1])[:, None] * torch.tensor([0.0, 0.0, 1.0])
+    strands = (posed[:, roots, None] + steps).numpy()
+    return DrapeSequence(
+        strands=strands, posed=strands, rest_lengths=np.full((len(roots), 2), 0.05), body_vertices=posed.numpy(),
+        body_faces=own.faces.numpy().astype(np.int32), body_pose=motion.body_pose.numpy(), body_shape=np.zeros(10),
+        fps=motion.fps, body_translation=motion.translation.numpy(),
+    )  # fmt: skip
+
+
+def binding_of(own: BodyModel, roots: np.ndarray) -> GroomBinding:
+    rest = own.rest_vertices.numpy()
+    strands = rest[roots, None] + np.float32([[0, 0, 0], [0, 0, 0.05], [0, 0, 0.1]])
+    skeleton = Skeleton(own.joint_names, own.joint_parents, own.rest_joints.double().numpy(), own.skin_joints.numpy(),
+                        own.skin_weights.numpy())  # fmt: skip
+    return GroomBinding(strands, rest, np.zeros((len(roots), 2)), np.zeros((len(own.faces), 3, 2)), skeleton)
+
+
+def stretched(moved: Character) -> Character:
+    """Bones of the spine and the neck that also stretch, and a morph target that widens the head."""
+    nodes, (clip,), (mesh,) = moved.nodes, moved.animations, moved.meshes
+    times = clip.channels[0].times
+    channels = list(clip.channels)
+    for name in ("mixamorig:Neck", "mixamorig:Head", "mixamorig:Spine1"):
+        node = nodes.names.index(name)
+        path = nodes.translation[node] * np.linspace(1.0, 1.3, len(times))[:, None]
+        channels.append(AnimationChannel(node, "translation", "LINEAR", times, path[:, None]))
+    weights = np.linspace(0, 1, len(times))[:, None, None]
+    channels.append(AnimationChannel(mesh.node, "weights", "LINEAR", times, weights))
+    widened = 0.1 * mesh.bind_vertices * [1.0, 0.0, 0.0]
+    mesh = replace(mesh, morph_targets={"wide": widened}, morph_weights=(0.0,))
+    return replace(moved, meshes=(mesh,), animations=(CharacterAnimation("stretches", tuple(channels)),))
+
+
+@pytest.mark.parametrize("change", [lambda moved: moved, stretched], ids=["turns", "stretches and morphs"])
+def test_one_root_is_where_the_file_has_its_vertex(
+    change: Callable[[Character], Character], imported: tuple[BodyModel, Character], tmp_path: Path
+) -> None:
+    """Through the whole way, to the points that are written: within 0.1 mm in every frame."""
+    own, moved = imported[0], change(imported[1])
+    (animation,), (mesh,) = moved.animations, moved.meshes
+    motion = own_motion(moved, animation, own, FPS)
+    chosen = scalp_vertices(own)[::60]
+    times = motion.start + np.arange(len(motion)) / FPS
+    skin = AnimatedSkin(moved, animation, mesh, times)
+    clip = placed_clip(
+        ExportClip(drape_of(own, motion, chosen), binding=binding_of(own, chosen)),
+        CharacterSpace(own.origin, 0.5, skin),
+    )
+    (poses,) = poses_at(moved, animation, times)
+    for frame in range(len(motion)):
+        weights = poses.morph_weights[mesh.node][frame] if mesh.morph_targets else None
+        expected = mesh.posed(poses.world[frame], weights)[chosen]
+        found = clip.points(frame).reshape(-1, 3, 3)
+        millimetres = np.linalg.norm(found[:, 0] - expected, axis=1) * 1000 / own.origin.scale
+        assert millimetres.max() < 0.1
+        np.testing.assert_allclose(clip.strands(frame)[:, 0], expected, atol=0.01)
+        np.testing.assert_allclose(clip.body_vertices(frame), mesh.posed(poses.world[frame], weights), atol=0.01)
+        # Up in the body's space is y in the file, and 5 cm are 5 of its units.
+        np.testing.assert_allclose(found[:, 1] - found[:, 0], [[0, 5, 0]] * len(chosen), atol=1e-2)
+    arrays = clip.file_arrays()
+    moved_back = (
+        arrays["file_scale"] * clip.sequence.strands[4] @ arrays["file_rotation"].T + arrays["file_translation"]
+    )
+    moved_back = moved_back + arrays["root_offset"][4][:, None]
+    np.testing.assert_allclose(moved_back.reshape(-1, 3), clip.points(4), atol=1e-3)
+    assert (clip.up_axis, clip.start) == ("y", 0.5)
+    turned = replace(clip, is_z_up=True).points(3)
+    np.testing.assert_allclose(turned, clip.points(3)[:, [0, 2, 1]] * [1, -1, 1])
+    np.testing.assert_allclose(clip.widths, 100 * clip.inner.widths, rtol=1e-5)
+    np.testing.assert_array_equal(clip.body_faces, mesh.faces)

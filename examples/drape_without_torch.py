@@ -39,8 +39,7 @@ def main(network: Path, pose: np.ndarray, shape: np.ndarray) -> np.ndarray:
     strands, bent = _part(StrandBlocks, c), ShapeArrays(*space, features.view(np.uint32))
     initial_shape_kernel(strands, _part(RodBlocks, c), c["rows"], body, int(c["passes"]), get_num_threads(), bent)
     around = [c[f"Surroundings.{name}"] for name in ("rest_length", "mass", "rest_density", "margin")]
-    units = GridUnits(*(c[f"GridUnits.{name}"][()] for name in GridUnits._fields))
-    write_surroundings(*around, bent.roots, bent.edges, units, bent.features[..., c["own_feature_columns"] :])
+    write_surroundings(*around, *bent[:2], _part(GridUnits, c), bent.features[..., c["own_feature_columns"] :])
     # The network rotates joints; edges one after another; strands projected out of the skin.
     size = np.log(np.linalg.norm(PULL))
     code = np.concatenate([code, pull, [size, np.log(STIFFNESS) - size]]).astype(np.float32)[None]
@@ -53,7 +52,7 @@ def main(network: Path, pose: np.ndarray, shape: np.ndarray) -> np.ndarray:
 
 
 def _part(kind: Any, constants: Any) -> Any:
-    return kind(*(constants[f"{kind.__name__}.{name}"] for name in kind._fields))
+    return kind(*(constants[f"{kind.__name__}.{name}"][()] for name in kind._fields))
 
 
 if __name__ == "__main__":

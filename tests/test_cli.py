@@ -197,7 +197,7 @@ def test_the_rod_keeps_the_design_or_gravity_bends_it(tmp_path: Path, groom: Gro
 
 def test_a_rest_shape_needs_the_rod_and_the_rod_a_solver(refusal: Refusal, inputs: Path) -> None:
     tiny = inputs / "tiny.npz"
-    line = refusal("drape", tiny, "--draper", "lbfgs", "--rest", "design")
+    line = refusal("drape", tiny, "--draper", "xpbd_paper", "--rest", "design")
     assert "--rest: expected --elastic rod" in line
     other = ("--draper", "neural", "--elastic", "modified_cosserat")
     assert "--elastic: expected rod with neural" in refusal("drape", tiny, *other)

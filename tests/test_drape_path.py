@@ -38,7 +38,7 @@ from tests.training_runs import perturbed, tiny_groom
 CONFIG = NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=8, strand_width=16)
 MATERIAL = HairMaterial()
 PACKAGE = str(Path(quaffure.__file__).parent)
-MOST_FUNCTIONS = 50
+MOST_FUNCTIONS = 55  # some twelve of them compiled
 FRAMES_AT_ONCE = 8
 
 

@@ -34,7 +34,7 @@ def test_the_compiled_view_is_the_one_of_the_posed_body(body: BodyModel) -> None
     compiled = compiled_body(body, *bodies())
     expected = head_frame_body_reference(body, *bodies(), body.pose(*bodies()), CONFIG)
     torch.testing.assert_close(compiled.world_skin, expected.world_skin, atol=3e-6, rtol=0)
-    for field in ("world_from_head", "head", "pose_code", "scalp"):
+    for field in ("world_from_head", "head_position", "pose_code", "scalp"):
         torch.testing.assert_close(getattr(compiled, field), getattr(expected, field), atol=2e-6, rtol=0)
     torch.testing.assert_close(compiled.surface.points, expected.surface.points, atol=2e-6, rtol=0)
     torch.testing.assert_close(compiled.surface.normals, expected.surface.normals, atol=2e-6, rtol=0)

@@ -35,8 +35,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_pictures: None
     def fewer(groom, body, count, *rest, **more):
         return interpolation_of(groom, body, min(count, STRANDS_BETWEEN), *rest, **more)
 
-    for module in ("shown_strands", "render"):
-        monkeypatch.setattr(f"quaffure.apps.cli.{module}.interpolation_of", fewer)
+    monkeypatch.setattr("quaffure.apps.cli.shown_strands.interpolation_of", fewer)
     monkeypatch.setattr("quaffure.apps.render.contact_sheet.DRAWN_STRANDS", STRANDS_BETWEEN)
     monkeypatch.setattr("quaffure.apps.render.contact_sheet.SUPERSAMPLING", 1)
     monkeypatch.chdir(tmp_path)

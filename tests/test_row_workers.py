@@ -97,7 +97,7 @@ def test_a_process_that_ends_takes_no_other_row_with_it(tmp_path: Path) -> None:
         "import os\n"
         "from quaffure.apps import character_table\n"
         "load = character_table.load_groom\n"
-        "character_table.load_groom = lambda name: os.abort() if 'fatal' in str(name) else load(name)\n"
+        "character_table.load_groom = lambda name, body: os.abort() if 'fatal' in str(name) else load(name, body)\n"
     )
     (tmp_path / "sitecustomize.py").write_text(patch)
     program = (

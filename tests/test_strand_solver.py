@@ -225,8 +225,8 @@ def test_a_solver_without_terms_keeps_the_design(body: BodyModel, surface: Surfa
     """As `strand_newton` does: the paper's energy lets upright hair sag."""
     scene = upright_scene(few_strands(body, surface, "bob", count=60), body)
     own, paper = (solver(name, terms=terms).drape(scene) for terms in (None, hair_terms()))
-    assert float((own - scene.posed).norm(dim=-1).mean()) < 2e-4
-    assert float((paper - scene.posed).norm(dim=-1).mean()) > 1e-3
+    assert float((own - scene.posed).norm(dim=-1).mean()) < 1e-3
+    assert float((paper - scene.posed).norm(dim=-1).mean()) > 3e-3
 
 
 def test_a_design_solver_reads_loading_and_start(body: BodyModel, surface: Surface) -> None:

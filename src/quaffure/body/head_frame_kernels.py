@@ -1,6 +1,7 @@
 """Compiled parts of `quaffure.body.head_frame`: bodies posed in the head's frame."""
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -54,9 +55,9 @@ def pose_bodies(
     joints: WorldJoints, skin: Skin
 ) -> tuple[HeadFrame, Float[np.ndarray, "b v 3"], Float[np.ndarray, "b p 3"]]:
     """Frames, vertices in the head's frame [m], and the normals of those that have one."""
-    batch = len(joints.body_pose)
-    frames = HeadFrame(*(np.empty((batch, *shape), np.float32) for shape in ((3, 3), (3,), (POSE_CODE_SIZE,))))
-    positions, normals = (np.empty((batch, len(rows), 3), np.float32) for rows in (skin.rest, skin.normals))
+    batch, empty = len(joints.body_pose), partial(np.empty, dtype=np.float32)
+    frames = HeadFrame(empty((batch, 3, 3)), empty((batch, 3)), empty((batch, POSE_CODE_SIZE)))
+    positions, normals = empty((batch, len(skin.rest), 3)), empty((batch, len(skin.normals), 3))
     _fill_bodies(joints, skin, frames, positions, normals)
     return frames, positions, normals
 

@@ -94,7 +94,7 @@ def fill_surroundings(
         roots, edges: of each row in the head's frame [m]; unit edges.
         features: [batch, row, column] to write, bits of float32 or bfloat16 (`quaffure.model.initial_shape.bits`).
     """
-    length, mass, density, margin = (values.numpy() for values in strands)
+    length, mass, density, margin = map(Tensor.numpy, strands)
     write_surroundings(length, mass, density, margin, roots.numpy(), edges.numpy(), grid_units(config), features)
 
 

@@ -256,12 +256,6 @@ def _origin(arrays: dict[str, np.ndarray], path: Path) -> BodyOrigin | None:
     )
 
 
-@cache
-def shipped_body() -> BodyModel:
-    """The body that the package ships, loaded once."""
-    return load_body()
-
-
 def _check_indices(arrays: dict[str, np.ndarray], sizes: dict[str, int], path: Path) -> None:
     vertices, faces = sizes["v"], sizes["k"]
     for name, bound in {"faces": vertices, "ear_vertices": vertices, "scalp_faces": faces, "skin_joints": 27}.items():

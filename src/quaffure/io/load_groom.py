@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from quaffure.body.body_model import BodyModel, shipped_body
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
 from quaffure.hair.file_frame import UNKNOWN, FileFrame
@@ -39,10 +39,10 @@ def load_groom(
     Raises:
         InputError: no such name or file, a broken file, or strands that cannot be registered.
     """
-    body = body or shipped_body()
+    body = body or load_body()
     if isinstance(groom, str) and groom in STYLES:
         # Styles are sizes and places on the shipped head: on another one they would be other styles.
-        own = body if body.origin is None else shipped_body()
+        own = body if body.origin is None else load_body()
         return _on_body(make_groom(groom, own), own, body)
     path = Path(groom)
     # Not Path.exists, which raises where the text is longer than a name can be.
@@ -65,7 +65,7 @@ def _read_groom(path: Path, body: BodyModel) -> Groom:
     try:
         return read_groom(path, body)
     except InputError:
-        return transfer_groom(read_groom(path, shipped_body()), shipped_body(), body)
+        return transfer_groom(read_groom(path, load_body()), load_body(), body)
 
 
 def _registered(strands: Strands, body: BodyModel, name: str, head: HeadMesh | None, frame: FileFrame) -> Groom:

@@ -8,7 +8,7 @@ from typing import TypeVar
 import torch
 from torch import nn
 
-from quaffure.body.body_model import BodyModel, shipped_body
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.errors import InputError, refused
 from quaffure.hair.groom import Groom
 from quaffure.model.groom_autoencoder import GroomAutoencoder, Widths
@@ -34,7 +34,7 @@ def groom_code(groom: Groom, body: BodyModel | None = None, encoder: GroomEncode
     Raises:
         InputError: not 24 vertices a strand, two strands in one texel, or a root that is not on the scalp.
     """
-    texture = groom_texture(groom, body or shipped_body())
+    texture = groom_texture(groom, body or load_body())
     return (encoder or _shipped_encoder())(texture)[0]
 
 

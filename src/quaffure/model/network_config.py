@@ -10,12 +10,13 @@ from typing import Annotated, Any, Literal
 import torch
 import tyro
 
+from quaffure.body.body_model import JOINT_COUNT, SHAPE_COUNT
 from quaffure.body.mls_body import MlsBodyConfig
 from quaffure.file_values import known_fields
 from quaffure.model.weights_file import MAX_WIDTH
 from quaffure.types import Float, Tensor
 
-POSE_SIZE, SHAPE_SIZE, MAX_LAYERS = 81, 10, 64
+POSE_SIZE, SHAPE_SIZE, MAX_LAYERS = 3 * JOINT_COUNT, SHAPE_COUNT, 64
 FILE_KEYS = {"views": "skin_features", "slides": "contact"}
 _KEYS_OF_FIELDS = {name: key for key, name in FILE_KEYS.items()}
 

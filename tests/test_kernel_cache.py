@@ -24,3 +24,10 @@ def test_kernels_are_dropped_when_a_type_is_renamed_and_kept_otherwise(tmp_path:
     assert after(SOURCE + "    width: float\n")
     assert not after(SOURCE.replace("Strands", "Hairs"))
     assert after(SOURCE.replace("Strands", "Hairs"))
+
+
+def test_other_files_in_the_package_are_no_obstacle(tmp_path: Path) -> None:
+    (tmp_path / ".#lock.py").symlink_to(tmp_path / "nowhere")
+    drop_kernels_of_other_types(tmp_path)
+    (tmp_path / "bytes.py").write_bytes(b"\xff")
+    drop_kernels_of_other_types(tmp_path)

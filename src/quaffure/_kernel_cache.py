@@ -19,10 +19,10 @@ def drop_kernels_of_other_types(package: Path) -> None:
     Costs a look at the dates of all files, and reads them where one is new. Where the folder cannot be written, nothing
     happens: numba's cache is elsewhere then, and may have to be removed by hand.
     """
-    sources = sorted(package.rglob("*.py"))
-    newest = max(source.stat().st_mtime_ns for source in sources)
     stamp = package / "__pycache__" / STAMP
-    with suppress(OSError):
+    with suppress(OSError, UnicodeDecodeError):  # files may come and go, and an editor's are of any kind
+        sources = sorted(path for path in package.rglob("*.py") if not path.name.startswith("."))
+        newest = max((source.stat().st_mtime_ns for source in sources), default=0)
         kept = stamp.read_text().split() if stamp.is_file() else []
         dates = f"{len(sources)}:{newest}"
         if kept[:1] == [dates]:

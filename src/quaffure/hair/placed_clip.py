@@ -127,9 +127,9 @@ def placed_clip(clip: ExportClip, space: CharacterSpace) -> PlacedClip:
     """A clip of the drape's world in the scene of a character.
 
     Raises:
-        InputError: roots follow the character's skin, but where they are on it at rest is not known.
+        InputError: the drape is of another body, or of a groom that is not known: where roots are at rest is open.
     """
-    if clip.binding is None and space.skin is not None:
+    if clip.binding is None:
         raise InputError("the drape", "one of the body that was imported from the character", "another body")
     own = {each.name: getattr(clip, each.name) for each in fields(ExportClip)}
     return PlacedClip(**own, inner=clip, space=space)

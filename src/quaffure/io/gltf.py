@@ -2,7 +2,7 @@
 
 Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html. Read with KHR_mesh_quantization and
 EXT_meshopt_compression; materials but for their names, normals, cameras and lights are left out. The documents of
-pygltflib and trimesh were no gain: neither decodes meshopt, sparse morph targets or animations, and both trust sizes.
+pygltflib and trimesh are not used: neither decodes meshopt, sparse morph targets or animations, and both trust sizes.
 """
 
 from pathlib import Path

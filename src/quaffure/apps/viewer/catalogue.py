@@ -8,11 +8,12 @@ from quaffure.baselines.posed import PosedDraper
 from quaffure.body.clips import CLIP_FPS, CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion
 from quaffure.draper import Draper
+from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of
+from quaffure.io.load_groom import load_groom
 from quaffure.model.network_config import POSE_SIZE
 from quaffure.model.quaffure_model import Quaffure
-from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import STYLES
 from quaffure.solvers.by_name import SOLVERS, solver
 from quaffure.solvers.coherent_clip import CoherentDraper
@@ -48,8 +49,10 @@ class Catalogue:
         """Raises:
         InputError: no groom of that name.
         """
+        if name not in self.groom_names:
+            raise InputError("groom", f"one of {', '.join(self.groom_names)}", f"'{name:.60}'")
         if name not in self._grooms:
-            self._grooms[name] = make_groom(name, self.body)
+            self._grooms[name] = load_groom(name, self.body)
         return self._grooms[name]
 
     def motion(self, name: str) -> Motion:

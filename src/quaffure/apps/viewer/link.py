@@ -1,12 +1,14 @@
 """Links to a view: settings of the page, and a camera, as the query of its address."""
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 from urllib.parse import parse_qsl, urlencode
 
 from quaffure.apps.viewer.settings import GUIDES, JOINT_RANGES, STRAND_COUNTS, Settings
 from quaffure.body.body_model import SHAPE_COUNT
+from quaffure.body.motion import MAX_FRAMES
 from quaffure.errors import InputError, refused
 
 Triple = tuple[float, float, float]
@@ -84,7 +86,7 @@ def settings_of(fields: Mapping[str, str], groom: str, motion: str) -> Settings:
     if "stiffness" in values:
         (values["stiffness"],) = values["stiffness"]
     if "frame" in fields:
-        values["frame"] = _integer("frame", fields["frame"])
+        values["frame"] = _frame(fields["frame"])
     if "strands" in fields:
         values["strands"] = _strands(fields["strands"])
     if "shape" in fields:
@@ -106,20 +108,19 @@ def _numbers(name: str, text: str, count: int) -> tuple[float, ...]:
     except ValueError:
         values = ()
     if len(values) != count or not all(map(math.isfinite, values)):
-        raise InputError(f"link: {name}", f"{count} numbers, separated by commas", f"'{text}'")
+        raise InputError(f"link: {name}", f"{count} numbers, separated by commas", f"'{text:.40}'")
     return values
 
 
-def _integer(name: str, text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise InputError(f"link: {name}", "an integer", f"'{text}'") from None
+def _frame(text: str) -> int:
+    if not (re.fullmatch(r"\d{1,6}", text) and int(text) < MAX_FRAMES):
+        raise InputError("link: frame", f"a number of a frame below {MAX_FRAMES}", f"'{text:.40}'")
+    return int(text)
 
 
 def _strands(text: str) -> str:
     """Name of a number of strands in the picker."""
     known = {f"{count or GUIDES}": name for name, count in STRAND_COUNTS.items() if count is not None}
     if text not in known:
-        raise InputError("link: strands", f"one of {', '.join(known)}", f"'{text}'")
+        raise InputError("link: strands", f"one of {', '.join(known)}", f"'{text:.40}'")
     return known[text]

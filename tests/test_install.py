@@ -13,7 +13,7 @@ from quaffure.extras import EXTRAS, is_installed, require_extra
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-MODULES_OF = {"alembic3d": {"alembic3d", "imath"}, "pillow": {"PIL"}, "usd-core": {"pxr"}}
+MODULES_OF = {"alembic3d": {"alembic3d", "imath"}, "libigl": {"igl"}, "pillow": {"PIL"}, "usd-core": {"pxr"}}
 """Modules of packages with other names, or with more than one."""
 OPTIONAL = {module: extra for extra, modules in EXTRAS.items() for module in modules}
 BODY_TOOLS = {"anny", "igl", "trimesh"}

@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from torch import nn
@@ -162,7 +163,7 @@ def print_rows(rows: Sequence[Mapping[str, object]], title: str) -> None:
     for column in rows[0]:
         table.add_column(column, overflow="fold", no_wrap=column == next(iter(rows[0])))
     for row in rows:
-        table.add_row(*map(cell_text, row.values()))
+        table.add_row(*(escape(cell_text(value)) for value in row.values()))  # [all] would be taken for a style
     console.print(table)
 
 

@@ -30,6 +30,7 @@ FEATURES = {
     "usd": "USD in and out (.usd, .usda, .usdc, .usdz)",
     "docs": "plots of benchmarks",
     "onnx": "ONNX export (quaffure export-onnx)",
+    "character": "bodies of characters (quaffure body import)",
     "ray": "tables of characters on a Ray cluster (quaffure crowd --ray)",
 }
 """What each extra of the package is for."""

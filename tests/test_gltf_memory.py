@@ -1,15 +1,18 @@
 """What small glTF files may take of the memory: it is checked before it is taken."""
 
+import json
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from quaffure.body.character import Character
 from quaffure.errors import InputError
 from quaffure.io.gltf import read_character
+from quaffure.io.gltf_document import MOST_COMPRESSION, open_gltf
 from tests.gltf_files import GltfFile
 
 
@@ -93,3 +96,17 @@ def test_memory_of_what_has_no_bytes_in_the_file(
 def test_sets_of_weights_are_limited(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="at most 8 sets of weights, found 9"):
         read(many_weights(9), tmp_path)
+
+
+def test_a_file_that_several_buffers_name_is_read_once(tmp_path: Path) -> None:
+    """It adds to the memory that arrays may take once, under whichever names."""
+    (tmp_path / "a.bin").write_bytes(bytes(1000))
+    (tmp_path / "b.bin").write_bytes(bytes(10))
+    (tmp_path / "other.bin").hardlink_to(tmp_path / "a.bin")
+    buffers = [{"byteLength": 9, "uri": uri} for uri in ("a.bin", "./a.bin", "a%2Ebin", "other.bin", "b.bin")]
+    (tmp_path / "file.gltf").write_text(json.dumps({"asset": {"version": "2.0"}, "buffers": buffers}))
+    document = open_gltf(tmp_path / "file.gltf")
+    before = document.free_bytes
+    contents = [document.buffer(index) for index in range(len(buffers))]
+    assert document.free_bytes - before == MOST_COMPRESSION * 1010
+    assert all(np.shares_memory(contents[0], content) for content in contents[:4])

@@ -162,6 +162,25 @@ def test_meshes_under_moved_nodes_in_the_scene(tmp_path: Path) -> None:
         found.mesh("x")
 
 
+@pytest.mark.parametrize("is_skinned", [False, True])
+@pytest.mark.parametrize("scale", [[1, 1, 1], [-2, 2, 2], [-1, -1, 1], [-1, -1, -1]])
+def test_faces_of_mirrored_nodes_stay_counterclockwise(scale: list[int], is_skinned: bool, tmp_path: Path) -> None:
+    """A tetrahedron's volume stays above 0; the node of a skinned mesh changes nothing."""
+    file = GltfFile()
+    attributes = {
+        "POSITION": file.accessor(TRIANGLE), "JOINTS_0": file.accessor(np.zeros((4, 4), np.uint8)),
+        "WEIGHTS_0": file.accessor(np.float32([[1, 0, 0, 0]] * 4)),
+    }  # fmt: skip
+    with_indices(file, [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3], attributes=attributes)
+    file.document["nodes"] += [{"children": [0], "scale": scale}, {"name": "Joint"}]
+    if is_skinned:
+        file.document["skins"] = [{"joints": [2]}]
+        file.document["nodes"][0]["skin"] = 0
+    mesh = read(file, tmp_path).meshes[0]
+    volume = np.linalg.det(mesh.vertices[mesh.faces]).sum() / 6
+    np.testing.assert_allclose(volume, 1 / 6 if is_skinned else abs(np.prod(scale)) / 6, atol=1e-6)
+
+
 def test_weights_morph_targets_and_more_than_four_joints(tmp_path: Path) -> None:
     file = mesh_file(indices=None)
     del file.document["meshes"][0]["primitives"][0]["indices"]

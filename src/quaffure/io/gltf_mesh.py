@@ -94,6 +94,10 @@ def _mesh(
     bound = np.concatenate([part.positions for part in surface.vertices])
     skin_joints, weights = _blended(surface.vertices, surface.width)
     uv = [part.uv for part in surface.vertices if part.uv is not None]
+    faces = np.concatenate(surface.faces)
+    # Section 3.7.4 of the specification: a mirrored node turns the winding round; that of a skinned mesh has no effect.
+    if skin is None and np.linalg.slogdet(scene.nodes.world[node, :3, :3]).sign < 0:
+        faces = np.ascontiguousarray(faces[:, ::-1])
     mesh = SkinnedMesh(
         name=scene.nodes.names[node],
         node=node,
@@ -101,7 +105,7 @@ def _mesh(
         face_materials=face_materials,
         bind_vertices=bound,
         vertices=bound,
-        faces=np.concatenate(surface.faces),
+        faces=faces,
         skin=Skin(np.array([node]), np.eye(4)[None]) if skin is None else skin,
         is_rigid=skin is None,
         skin_joints=skin_joints,

@@ -17,7 +17,7 @@ BYTES_A_FACE = 112  # three corners, shifted and joined, with the material
 BYTES_A_SHARE = 32  # joint and weight, padded and joined
 BYTES_A_MISSING_TARGET = 24  # zeros for each vertex, joined
 MOST_SETS = 8
-"""Of four joints and weights a vertex."""
+"""A vertex has four joints and weights in each set."""
 
 
 class _Vertices(NamedTuple):

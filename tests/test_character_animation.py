@@ -1,14 +1,17 @@
 """Channels between their keys, and the poses of all nodes."""
 
+import time
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from quaffure.body.character import AnimationChannel, Character
+from quaffure.body.character import AnimationChannel, Character, CharacterNodes
 from quaffure.body.character_animation import frame_times, poses_at, sampled
-from quaffure.body.character_clip import animation_of, bind_pose
+from quaffure.body.character_clip import animation_of, bind_pose, character_clip
+from quaffure.character.skeleton import rest_clip
 from quaffure.errors import InputError
 from quaffure.input_file import file_and_clip
 from quaffure.io.gltf import read_character
@@ -159,3 +162,34 @@ def test_the_pose_in_which_a_mesh_was_bound(tmp_path: Path) -> None:
     found = read(file, tmp_path)
     assert np.abs(found.nodes.world - bound).max() > 0.1
     np.testing.assert_allclose(bind_pose(found), bound, atol=1e-5)
+
+
+def test_a_clip_keeps_no_matrices_of_all_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = 1500
+    angles = np.linspace(0, 1, frames * len(NAMES))[:, None] * np.array([0.5, 0.3, 0.1])
+    turned = Rotation.from_rotvec(angles).as_matrix().reshape(frames, len(NAMES), 3, 3)
+    found = read(figure(turned), tmp_path)
+    expected = character_clip(found, found.animations[0], 30.0)
+    monkeypatch.setattr("quaffure.body.character_animation.NODES_AT_ONCE", 1000)
+    tracemalloc.start()
+    clip = character_clip(found, found.animations[0], 30.0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_allclose(clip.values, expected.values, atol=1e-9)
+    assert peak < 200 * frames * len(found.nodes)
+
+
+def test_the_time_of_a_rest_pose_is_linear_in_its_joints() -> None:
+    count = 30_000
+    above = np.arange(count) - 1
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    nodes = CharacterNodes(
+        tuple(map(str, range(count))), above, np.tile([0.0, 1.0, 0.0], (count, 1)), still, np.ones((count, 3))
+    )
+    character = Character(nodes, (), (), "file")
+    np.testing.assert_array_equal(nodes.world[:, 1, 3], np.arange(count) + 1)
+    start = time.process_time()
+    clip = rest_clip(character)
+    assert time.process_time() - start < 2
+    np.testing.assert_array_equal(clip.parents, np.arange(count + 1) - 1)
+    np.testing.assert_array_equal(clip.offsets[1:], np.tile([0, 1, 0], (count, 1)))

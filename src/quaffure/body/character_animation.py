@@ -20,7 +20,7 @@ from quaffure.errors import InputError
 
 NODES_AT_ONCE = 2**16
 """Nodes of all frames that are computed together."""
-MOST_NODES = 2**25  # in all frames
+MOST_NODES = 2**24  # in all frames; a clip takes about 150 bytes of each
 SMALLEST_SINE = 1e-6
 """Sine of the angle between two quaternions; below it, the arc is a line."""
 

@@ -63,9 +63,7 @@ def character_clip(
     rest = bind_pose(character) if rest is None else rest
     joints = character.joints
     times = np.zeros(1) if animation is None else frame_times(animation, fps, MAX_FRAMES)
-    poses = [pose.world[:, joints] for pose in poses_at(character, animation, times)]
-    rotations = np.concatenate([_turned(world[:, :, :3, :3], rest[joints, :3, :3]) for world in poses])
-    positions = np.concatenate([world[:, :, :3, 3] for world in poses])
+    rotations, positions = _turned_and_placed(character, animation, times, rest)
     place = {joint: index for index, joint in enumerate(joints)}
     parents = np.array([place.get(int(character.nodes.parents[joint]), -1) for joint in joints])
     offsets = rest[joints, :3, 3] - np.where(parents[:, None] < 0, 0, rest[joints, :3, 3][parents])
@@ -134,6 +132,24 @@ def _euler_angles(rotations: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         return Rotation.from_matrix(rotations).as_euler("ZXY", degrees=True)
+
+
+def _turned_and_placed(
+    character: Character,
+    animation: CharacterAnimation | None,
+    times: Float[np.ndarray, " f"],
+    rest: Float[np.ndarray, "n 4 4"],
+) -> tuple[Float[np.ndarray, "f j 3 3"], Float[np.ndarray, "f j 3"]]:
+    """Rotations of the joints from rest, and their places; the matrices of all nodes are kept for some frames alone."""
+    joints, first = character.joints, 0
+    rotations, positions = np.empty((len(times), len(joints), 3, 3)), np.empty((len(times), len(joints), 3))
+    for pose in poses_at(character, animation, times):
+        world = pose.world[:, joints]
+        last = first + len(world)
+        rotations[first:last] = _turned(world[..., :3, :3], rest[joints, :3, :3])
+        positions[first:last] = world[..., :3, 3]
+        first = last
+    return rotations, positions
 
 
 def _turned(world: Float[np.ndarray, "f j 3 3"], rest: Float[np.ndarray, "j 3 3"]) -> Float[np.ndarray, "f j 3 3"]:

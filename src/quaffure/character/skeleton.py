@@ -107,7 +107,8 @@ def rest_clip(character: Character) -> BvhClip:
     """The joints of a character as the skeleton of a motion file of one frame, in which it is at rest."""
     nodes, joints = character.nodes, character.joints
     positions = nodes.world[joints, :3, 3]
-    parents = np.array([joints.index(parent) + 1 if parent in joints else 0 for parent in nodes.parents[joints]])
+    place = {joint: index for index, joint in enumerate(joints)}
+    parents = np.array([place.get(int(parent), -1) + 1 for parent in nodes.parents[joints]])
     offsets = positions - np.concatenate([np.zeros((1, 3)), positions])[parents]
     return BvhClip(
         joint_names=(SCENE, *(nodes.names[joint] for joint in joints)),

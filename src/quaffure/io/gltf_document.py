@@ -44,6 +44,7 @@ class GltfDocument:
     binary: Bytes | None
     free_bytes: int
     _buffers: dict[int, Bytes] = field(default_factory=dict)
+    _files: dict[tuple[int, int], Bytes] = field(default_factory=dict)
 
     @property
     def path(self) -> Path:
@@ -93,8 +94,13 @@ class GltfDocument:
         if ":" in name or relative.is_absolute() or ".." in relative.parts or not name:
             entry.fail("a file in the folder of the .gltf", f"{one_line(name)!r}")
         beside = self.path.parent / relative
-        self.free_bytes += MOST_COMPRESSION * _size(beside)
-        return np.frombuffer(BinaryCursor(beside).content, np.uint8)
+        check_input_file(beside, "a buffer of a .gltf")
+        status = beside.stat()
+        file = status.st_dev, status.st_ino  # whatever its name, once: else each entry would add to what is free
+        if file not in self._files:
+            self._files[file] = np.frombuffer(BinaryCursor(beside).content, np.uint8)
+            self.free_bytes += MOST_COMPRESSION * len(self._files[file])
+        return self._files[file]
 
 
 def open_gltf(path: Path) -> GltfDocument:
@@ -161,8 +167,3 @@ def _check_extensions(root: Entry) -> None:
 
 def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name}, which JSON does not have")
-
-
-def _size(path: Path) -> int:
-    check_input_file(path, "a buffer of a .gltf")
-    return path.stat().st_size

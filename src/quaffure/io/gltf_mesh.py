@@ -13,6 +13,11 @@ from quaffure.io.gltf_nodes import GltfScene
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 BYTES_A_VERTEX = 300  # while a vertex is skinned
+BYTES_A_FACE = 112  # three corners, shifted and joined, with the material
+BYTES_A_SHARE = 32  # joint and weight, padded and joined
+BYTES_A_MISSING_TARGET = 24  # zeros for each vertex, joined
+MOST_SETS = 8
+"""A vertex has four joints and weights in each set."""
 
 
 class _Vertices(NamedTuple):
@@ -49,6 +54,11 @@ class _Surface:
     def vertices(self) -> list[_Vertices]:
         return [vertices for _, vertices in self.parts.values()]
 
+    @property
+    def width(self) -> int:
+        """Joints a vertex, as many as that with most has."""
+        return max(part.weights.shape[1] for part in self.vertices)
+
 
 def read_meshes(root: Entry, arrays: GltfArrays, scene: GltfScene, skins: list[Skin]) -> tuple[SkinnedMesh, ...]:
     """The meshes of the scene that have triangles.
@@ -69,6 +79,7 @@ def read_meshes(root: Entry, arrays: GltfArrays, scene: GltfScene, skins: list[S
                 material = primitive.index("material", len(materials) - 1) + 1 if "material" in primitive else 0
                 surface.add(primitive, arrays, skin, material)
         if surface.faces:
+            arrays.document.take(BYTES_A_SHARE * surface.vertex_count * surface.width, entry)
             meshes.append(_mesh(surface, (entry, holder), node, scene, skin, materials))
     return tuple(meshes)
 
@@ -81,8 +92,12 @@ def _mesh(
     used, face_materials = np.unique(np.concatenate(surface.materials), return_inverse=True)
     targets = _morph_targets(entry, surface.vertices)
     bound = np.concatenate([part.positions for part in surface.vertices])
-    skin_joints, weights = _blended(surface.vertices)
+    skin_joints, weights = _blended(surface.vertices, surface.width)
     uv = [part.uv for part in surface.vertices if part.uv is not None]
+    faces = np.concatenate(surface.faces)
+    # Section 3.7.4 of the specification: a mirrored node turns the winding round; that of a skinned mesh has no effect.
+    if skin is None and np.linalg.slogdet(scene.nodes.world[node, :3, :3]).sign < 0:
+        faces = np.ascontiguousarray(faces[:, ::-1])
     mesh = SkinnedMesh(
         name=scene.nodes.names[node],
         node=node,
@@ -90,7 +105,7 @@ def _mesh(
         face_materials=face_materials,
         bind_vertices=bound,
         vertices=bound,
-        faces=np.concatenate(surface.faces),
+        faces=faces,
         skin=Skin(np.array([node]), np.eye(4)[None]) if skin is None else skin,
         is_rigid=skin is None,
         skin_joints=skin_joints,
@@ -122,6 +137,9 @@ def _vertices(primitive: Entry, arrays: GltfArrays, skin: Skin | None) -> _Verti
         if "JOINTS_0" not in attributes or "WEIGHTS_0" not in attributes:
             attributes.fail("JOINTS_0 and WEIGHTS_0 on a mesh with a skin", ", ".join(map(repr, attributes.fields)))
         sets = [index for index in range(len(attributes.fields)) if f"WEIGHTS_{index}" in attributes]
+        if len(sets) > MOST_SETS:
+            attributes.fail(f"at most {MOST_SETS} sets of weights", f"{len(sets)}")
+        arrays.document.take(4 * BYTES_A_SHARE * rows * len(sets), primitive)
         joints = [
             arrays.integers(attributes.index(f"JOINTS_{index}", accessors), ("VEC4",), len(skin.nodes))
             for index in sets
@@ -131,10 +149,10 @@ def _vertices(primitive: Entry, arrays: GltfArrays, skin: Skin | None) -> _Verti
         weights = np.concatenate([read(attributes, f"WEIGHTS_{index}", "VEC4", rows) for index in sets], axis=1)
         skin_joints, weights = _normalized(np.concatenate(joints, axis=1), weights.astype(np.float64), attributes)
     uv = read(attributes, "TEXCOORD_0", "VEC2", rows) if "TEXCOORD_0" in attributes else None
-    targets = [
-        read(target, "POSITION", "VEC3", rows) if "POSITION" in target else None
-        for target in primitive.entries("targets")
-    ]
+    entries = primitive.entries("targets")
+    missing = sum("POSITION" not in target for target in entries)
+    arrays.document.take(BYTES_A_MISSING_TARGET * rows * missing, primitive)
+    targets = [read(target, "POSITION", "VEC3", rows) if "POSITION" in target else None for target in entries]
     return _Vertices(positions, skin_joints, weights, uv, targets)
 
 
@@ -151,17 +169,19 @@ def _normalized(
 
 def _faces(primitive: Entry, arrays: GltfArrays, vertices: int) -> Int[np.ndarray, "k 3"]:
     """Triangles of a primitive, of whichever of three modes."""
+    indices = None
     if "indices" in primitive:
         accessor = primitive.index("indices", len(arrays.accessors))
-        corners = arrays.integers(accessor, ("SCALAR",), vertices)[:, 0]
-    else:
-        corners = np.arange(vertices)
+        indices = arrays.integers(accessor, ("SCALAR",), vertices)[:, 0]
     mode = primitive.integer("mode", TRIANGLES)
+    count = vertices if indices is None else len(indices)
+    # Without indices, a primitive has no bytes in the file.
+    arrays.document.take(BYTES_A_FACE * (count // 3 if mode == TRIANGLES else count), primitive)
+    corners = np.arange(vertices) if indices is None else indices
     if mode == TRIANGLES:
         if len(corners) % 3:
             primitive.fail("three corners a triangle", f"{len(corners)} corners")
         return corners.reshape(-1, 3)
-    arrays.document.take(48 * len(corners), primitive)
     if mode == FAN:
         return np.stack([np.broadcast_to(corners[:1], max(len(corners) - 2, 0)), corners[1:-1], corners[2:]], axis=1)
     strip = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
@@ -169,9 +189,8 @@ def _faces(primitive: Entry, arrays: GltfArrays, vertices: int) -> Int[np.ndarra
     return strip
 
 
-def _blended(parts: list[_Vertices]) -> tuple[Int[np.ndarray, "v w"], Float[np.ndarray, "v w"]]:
-    """Joints and weights of all vertices, as many as that with most has."""
-    width = max(part.weights.shape[1] for part in parts)
+def _blended(parts: list[_Vertices], width: int) -> tuple[Int[np.ndarray, "v w"], Float[np.ndarray, "v w"]]:
+    """Joints and weights of all vertices, `width` of each."""
 
     def widened(values: np.ndarray) -> np.ndarray:
         return np.pad(values, ((0, 0), (0, width - values.shape[1])))

@@ -55,6 +55,26 @@ def test_joints_of_the_file_come_back_in_our_rest_pose(body: BodyModel) -> None:
     ]  # fmt: skip
 
 
+def test_unit_and_ground_are_those_of_the_figure(body: BodyModel) -> None:
+    """A pole that a hand holds does not count, and a figure of 70 inches is not one of 70 cm."""
+    of = character(body)
+    node = of.nodes.names.index("mixamorig:RightHand")
+    pole = np.array([[40.0, -100.0, 0.0], [41.0, -100.0, 0.0], [40.0, 200.0, 0.0]])
+    joints, weights = np.full((3, 1), node), torch.ones(3, 1)
+    prop = replace(mesh_of("Pole", pole, np.array([[0, 1, 2]]), of.nodes, joints, weights), is_rigid=True)
+    alone, held = fit_skeleton(of, body), fit_skeleton(with_mesh(of, prop), body)
+    assert held.metres == alone.metres
+    np.testing.assert_array_equal(held.rest_joints, alone.rest_joints)
+    assert fit_skeleton(scaled(of, 1 / 2.54), body).metres == 0.0254
+    assert fit_skeleton(scaled(of, 0.005), body).metres == 1.0  # half as tall, in metres
+
+
+def scaled(of: Character, factor: float) -> Character:
+    """The same in another unit."""
+    nodes = replace(of.nodes, translation=factor * of.nodes.translation)
+    return replace(of, nodes=nodes, meshes=tuple(replace(mesh, vertices=factor * mesh.vertices) for mesh in of.meshes))
+
+
 def test_body_of_our_own_body_is_our_body(body: BodyModel, twin: ImportedBody) -> None:
     imported = twin.body
     assert not boundary_loops(imported.faces.numpy())

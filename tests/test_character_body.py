@@ -12,7 +12,9 @@ from quaffure.backend import Backend
 from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body import BodyModel
 from quaffure.body.character import Character
+from quaffure.body.hair_names import is_hair_name
 from quaffure.character.import_body import ImportedBody, ImportSettings, import_body
+from quaffure.character.parts import parts_of
 from quaffure.character.skeleton import fit_skeleton
 from quaffure.errors import InputError
 from quaffure.geometry.hole_filling import boundary_loops
@@ -170,6 +172,29 @@ def test_skin_is_chosen_by_weights(body: BodyModel) -> None:
     notes = "; ".join(imported.notes)
     for what in ("skin: Body", "in the head: LeftEye", "hair, left out: Hair_Long"):
         assert what in notes
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["Skin_Brown", "eyes_brown", "Ludwig_Body", "Slash", "Chair", "Hairless", "armchair01", "Body", "", "Wigwam"],
+)
+def test_names_of_other_things(name: str) -> None:
+    assert not is_hair_name(name)
+
+
+@pytest.mark.parametrize(
+    "name", ["Hair", "HAIR", "Hair_Long", "LongHair2", "longhair01", "F00_HairBack", "eyelashes01", "Ch09_Eyebrow",
+             "wig", "Moustache.001", "ponytail01", "MIX-hair"]
+)  # fmt: skip
+def test_names_of_hair(name: str) -> None:
+    assert is_hair_name(name)
+
+
+def test_a_brown_skin_is_skin(body: BodyModel) -> None:
+    of = character(body)
+    brown = replace(of, meshes=(replace(of.meshes[0], name="Ludwig_Body", materials=("Skin_Brown",)),))
+    (part,) = parts_of(brown, fit_skeleton(brown, body))
+    assert not part.is_hair
 
 
 def with_hair_and_eye(of: Character, body: BodyModel) -> Character:

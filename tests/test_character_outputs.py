@@ -163,11 +163,15 @@ def test_the_skin_is_found_by_place_and_hair_is_left_out(body: BodyModel) -> Non
     own = own_body(rest, body)
     (skin,) = rest.meshes
     cap = replace(skin, name="Hair_cap")
+    fair = replace(skin, name="Hairless_Body")
     far = replace(skin, name="Shirt", vertices=skin.vertices * 1.2)
     many = replace(rest, meshes=(far, cap, skin))
     scalp = own.rest_vertices[scalp_vertices(own)].double().numpy()
     assert own.origin is not None
     assert skin_of(many, own.origin, scalp) is skin
+    assert skin_of(replace(rest, meshes=(far, cap, fair)), own.origin, scalp) is fair
+    lashes = replace(skin, name="Part", materials=("Eyelashes",))
+    assert skin_of(replace(rest, meshes=(lashes, skin)), own.origin, scalp) is skin
     assert skin_of(replace(rest, meshes=(cap,)), own.origin, scalp) is cap
     with pytest.raises(InputError, match="a mesh within 5 mm of the scalp of its body, found Shirt"):
         skin_of(replace(rest, meshes=(far,)), own.origin, scalp)

@@ -13,9 +13,11 @@ from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body import BodyModel
 from quaffure.body.character import Character
 from quaffure.body.hair_names import is_hair_name
+from quaffure.body.joint_map import JointSource
+from quaffure.body.joint_names import automatic_joint_map
 from quaffure.character.import_body import ImportedBody, ImportSettings, import_body
 from quaffure.character.parts import parts_of
-from quaffure.character.skeleton import fit_skeleton
+from quaffure.character.skeleton import fit_skeleton, rest_clip
 from quaffure.errors import InputError
 from quaffure.geometry.hole_filling import boundary_loops
 from quaffure.hair import rest_surface
@@ -75,6 +77,19 @@ def scaled(of: Character, factor: float) -> Character:
     """The same in another unit."""
     nodes = replace(of.nodes, translation=factor * of.nodes.translation)
     return replace(of, nodes=nodes, meshes=tuple(replace(mesh, vertices=factor * mesh.vertices) for mesh in of.meshes))
+
+
+def test_characters_without_a_figure_are_refused(body: BodyModel) -> None:
+    of = character(body)
+    with pytest.raises(InputError, match="a character with meshes of triangles, found none"):
+        fit_skeleton(replace(of, meshes=()), body)
+    flat = replace(of.meshes[0], vertices=of.meshes[0].vertices * [1.0, 0.0, 1.0])
+    with pytest.raises(InputError, match="found a height of 0"):
+        fit_skeleton(replace(of, meshes=(flat,)), body)
+    joint_map = automatic_joint_map(rest_clip(of))
+    joint_map["Head"] = JointSource("mixamorig:Neck", "mixamorig:Head", 0.9)
+    with pytest.raises(InputError, match="one joint each for Hips and Head, found Head = "):
+        fit_skeleton(of, body, joint_map)
 
 
 def test_body_of_our_own_body_is_our_body(body: BodyModel, twin: ImportedBody) -> None:

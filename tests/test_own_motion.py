@@ -16,7 +16,7 @@ from quaffure.body.character_animation import frame_times, poses_at
 from quaffure.body.own_motion import is_own, own_motion
 from quaffure.character.skeleton import fit_skeleton
 from quaffure.hair import DrapeSequence
-from quaffure.hair.character_space import AnimatedSkin, CharacterSpace
+from quaffure.hair.character_space import AnimatedSkin, CharacterSpace, bind_points
 from quaffure.hair.export_clip import ExportClip
 from quaffure.hair.groom_binding import GroomBinding, Skeleton
 from quaffure.hair.placed_clip import placed_clip
@@ -131,6 +131,19 @@ def stretched(moved: Character) -> Character:
     widened = 0.1 * mesh.bind_vertices * [1.0, 0.0, 0.0]
     mesh = replace(mesh, morph_targets={"wide": widened}, morph_weights=(0.0,))
     return replace(moved, meshes=(mesh,), animations=(CharacterAnimation("stretches", tuple(channels)),))
+
+
+def test_points_are_bound_to_a_joint_of_scale_0(imported: tuple[BodyModel, Character]) -> None:
+    """A head that its animation shows and that is hidden at rest."""
+    rest = imported[1]
+    nodes, (mesh,) = rest.nodes, rest.meshes
+    scale = np.array(nodes.scale)
+    scale[nodes.names.index("mixamorig:Head")] = 0.0
+    hidden = replace(nodes, scale=scale)
+    points = mesh.posed(hidden.world)[scalp_vertices(imported[0])[::60]]
+    bound = bind_points(replace(mesh, vertices=mesh.posed(hidden.world)), hidden.world, points)
+    assert np.isfinite(bound.bound).all()
+    np.testing.assert_allclose(bound.positions(hidden.world, None), points, atol=1e-6)
 
 
 @pytest.mark.parametrize("change", [lambda moved: moved, stretched], ids=["turns", "stretches and morphs"])

@@ -23,6 +23,8 @@ from quaffure.errors import InputError
 HEIGHTS = (0.4, 2.6)
 """Heights that a character may have; where metres give another one, the unit is another one [m]."""
 UNITS = (1.0, 0.01, 0.0254, 0.001)
+ENDS = ("Hips", "Head")
+"""Joints of the body that a character's place and size follow, and so must be joints of its own."""
 SCENE = ""
 """Name of the joint that is above all roots of a file."""
 
@@ -80,13 +82,17 @@ def fit_skeleton(character: Character, template: BodyModel, joint_map: JointMap 
         joint_map: which joints are which; by their names without one.
 
     Raises:
-        InputError: no head or another required joint, two of one name, a figure that does not stand, or no meshes.
+        InputError: no head or another required joint, two of one name, a map with a share of two for one of `ENDS`,
+            a figure that does not stand, or no meshes.
     """
     clip = rest_clip(character)
     if joint_map is None:
         joint_map = automatic_joint_map(clip)
     else:
         check_joint_map(joint_map, clip)
+    between = [f"{joint} = {joint_map[joint]}" for joint in ENDS if joint_map[joint].second is not None]
+    if between:
+        raise InputError(character.source, f"one joint each for {' and '.join(ENDS)}", ", ".join(between))
     source = source_skeleton(clip, joint_map)
     turn, names = source.body_from_file, character.nodes.names
     metres = _metres_per_unit(character, turn, template)

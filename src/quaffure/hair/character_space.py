@@ -78,9 +78,9 @@ def bind_points(mesh: SkinnedMesh, world: Float[np.ndarray, "n 4 4"], points: Fl
     shares = csr_matrix((values, (rows, columns)), shape=(len(points), len(mesh.skin.nodes)))
     matrices = _blended(mesh, shares, world)
     offset = points - matrices[:, :3, 3]
-    return BoundPoints(
-        mesh, faces, barycentric, shares, np.linalg.solve(matrices[:, :3, :3], offset[..., None])[..., 0]
-    )
+    # A joint of scale 0 has no inverse: its points are then as near as the skin can have them.
+    bound = np.einsum("mij,mj->mi", np.linalg.pinv(matrices[:, :3, :3]), offset)
+    return BoundPoints(mesh, faces, barycentric, shares, bound)
 
 
 @dataclass(frozen=True, eq=False)

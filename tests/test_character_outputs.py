@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quaffure.apps.cli.inputs import character_space_of
 from quaffure.apps.cli.outputs import asset_path, write_output
 from quaffure.body import BodyModel
 from quaffure.body.character import Character
@@ -16,7 +17,7 @@ from quaffure.extras import is_installed
 from quaffure.hair.character_space import AnimatedSkin, CharacterSpace, skin_of
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.placed_clip import PlacedClip, placed_clip
-from quaffure.io import read_drape, write_drape
+from quaffure.io import character_scene, read_drape, write_drape
 from quaffure.io.gltf import read_character
 from quaffure.io.read_strands import read_strands
 from tests.characters import character
@@ -178,10 +179,23 @@ def test_the_skin_is_found_by_place_and_hair_is_left_out(body: BodyModel) -> Non
 
 
 def test_a_skeleton_of_the_body_is_refused(written: tuple[PlacedClip, Character, np.ndarray], body: BodyModel) -> None:
-    from quaffure.apps.cli.inputs import character_space_of
-
     own = own_body(character(body), body)
     motion = own_motion(written[1], written[1].animations[0], own, FPS)
     with pytest.raises(InputError, match="--skinned"):
         character_space_of("walk", own, motion.times, ExportSettings(skinned=True))
     assert character_space_of("walk", body, motion.times, ExportSettings(skinned=True)) is None
+
+
+def test_a_retargeted_motion_is_not_the_file_s_own(
+    written: tuple[PlacedClip, Character, np.ndarray], body: BodyModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A joint map gives another motion than the skin of the file has."""
+    own = own_body(character(body), body)
+    monkeypatch.setattr(character_scene, "read_character", lambda path: written[1])
+    times = frame_times(written[1].animations[0], FPS, 100)
+    retargeted = character_space_of("character.glb", own, times, ExportSettings(), Path("map.toml"))
+    animated = character_space_of("character.glb", own, times, ExportSettings())
+    assert retargeted is not None
+    assert animated is not None
+    assert (retargeted.skin, retargeted.start) == (None, times[0])
+    assert animated.skin is not None

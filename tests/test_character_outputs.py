@@ -199,3 +199,15 @@ def test_a_retargeted_motion_is_not_the_file_s_own(
     assert animated is not None
     assert (retargeted.skin, retargeted.start) == (None, times[0])
     assert animated.skin is not None
+
+
+def test_a_file_of_animations_has_no_skin(
+    written: tuple[PlacedClip, Character, np.ndarray], body: BodyModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = own_body(character(body), body)
+    times = frame_times(written[1].animations[0], FPS, 100)
+    without = replace(written[1], meshes=())
+    monkeypatch.setattr(character_scene, "read_character", lambda path: without)
+    space = character_scene.read_character_space(own, "animation.glb", times)
+    assert space is not None
+    assert (space.skin, space.start) == (None, times[0])

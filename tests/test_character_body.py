@@ -12,8 +12,12 @@ from quaffure.backend import Backend
 from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body import BodyModel
 from quaffure.body.character import Character
+from quaffure.body.hair_names import is_hair_name
+from quaffure.body.joint_map import JointSource
+from quaffure.body.joint_names import automatic_joint_map
 from quaffure.character.import_body import ImportedBody, ImportSettings, import_body
-from quaffure.character.skeleton import fit_skeleton
+from quaffure.character.parts import parts_of
+from quaffure.character.skeleton import fit_skeleton, rest_clip
 from quaffure.errors import InputError
 from quaffure.geometry.hole_filling import boundary_loops
 from quaffure.hair import rest_surface
@@ -53,6 +57,39 @@ def test_joints_of_the_file_come_back_in_our_rest_pose(body: BodyModel) -> None:
     assert [name for name, node in zip(body.joint_names, fitted.joint_nodes) if not node] == [
         "LHipJoint", "Neck", "RHipJoint",
     ]  # fmt: skip
+
+
+def test_unit_and_ground_are_those_of_the_figure(body: BodyModel) -> None:
+    """A pole that a hand holds does not count, and a figure of 70 inches is not one of 70 cm."""
+    of = character(body)
+    node = of.nodes.names.index("mixamorig:RightHand")
+    pole = np.array([[40.0, -100.0, 0.0], [41.0, -100.0, 0.0], [40.0, 200.0, 0.0]])
+    joints, weights = np.full((3, 1), node), torch.ones(3, 1)
+    prop = replace(mesh_of("Pole", pole, np.array([[0, 1, 2]]), of.nodes, joints, weights), is_rigid=True)
+    alone, held = fit_skeleton(of, body), fit_skeleton(with_mesh(of, prop), body)
+    assert held.metres == alone.metres
+    np.testing.assert_array_equal(held.rest_joints, alone.rest_joints)
+    assert fit_skeleton(scaled(of, 1 / 2.54), body).metres == 0.0254
+    assert fit_skeleton(scaled(of, 0.005), body).metres == 1.0  # half as tall, in metres
+
+
+def scaled(of: Character, factor: float) -> Character:
+    """The same in another unit."""
+    nodes = replace(of.nodes, translation=factor * of.nodes.translation)
+    return replace(of, nodes=nodes, meshes=tuple(replace(mesh, vertices=factor * mesh.vertices) for mesh in of.meshes))
+
+
+def test_characters_without_a_figure_are_refused(body: BodyModel) -> None:
+    of = character(body)
+    with pytest.raises(InputError, match="a character with meshes of triangles, found none"):
+        fit_skeleton(replace(of, meshes=()), body)
+    flat = replace(of.meshes[0], vertices=of.meshes[0].vertices * [1.0, 0.0, 1.0])
+    with pytest.raises(InputError, match="found a height of 0"):
+        fit_skeleton(replace(of, meshes=(flat,)), body)
+    joint_map = automatic_joint_map(rest_clip(of))
+    joint_map["Head"] = JointSource("mixamorig:Neck", "mixamorig:Head", 0.9)
+    with pytest.raises(InputError, match="one joint each for Hips and Head, found Head = "):
+        fit_skeleton(of, body, joint_map)
 
 
 def test_body_of_our_own_body_is_our_body(body: BodyModel, twin: ImportedBody) -> None:
@@ -150,6 +187,29 @@ def test_skin_is_chosen_by_weights(body: BodyModel) -> None:
     notes = "; ".join(imported.notes)
     for what in ("skin: Body", "in the head: LeftEye", "hair, left out: Hair_Long"):
         assert what in notes
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["Skin_Brown", "eyes_brown", "Ludwig_Body", "Slash", "Chair", "Hairless", "armchair01", "Body", "", "Wigwam"],
+)
+def test_names_of_other_things(name: str) -> None:
+    assert not is_hair_name(name)
+
+
+@pytest.mark.parametrize(
+    "name", ["Hair", "HAIR", "Hair_Long", "LongHair2", "longhair01", "F00_HairBack", "eyelashes01", "Ch09_Eyebrow",
+             "wig", "Moustache.001", "ponytail01", "MIX-hair"]
+)  # fmt: skip
+def test_names_of_hair(name: str) -> None:
+    assert is_hair_name(name)
+
+
+def test_a_brown_skin_is_skin(body: BodyModel) -> None:
+    of = character(body)
+    brown = replace(of, meshes=(replace(of.meshes[0], name="Ludwig_Body", materials=("Skin_Brown",)),))
+    (part,) = parts_of(brown, fit_skeleton(brown, body))
+    assert not part.is_hair
 
 
 def with_hair_and_eye(of: Character, body: BodyModel) -> Character:

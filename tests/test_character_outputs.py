@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quaffure.apps.cli.inputs import character_space_of
 from quaffure.apps.cli.outputs import asset_path, write_output
 from quaffure.body import BodyModel
 from quaffure.body.character import Character
@@ -16,7 +17,7 @@ from quaffure.extras import is_installed
 from quaffure.hair.character_space import AnimatedSkin, CharacterSpace, skin_of
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.placed_clip import PlacedClip, placed_clip
-from quaffure.io import read_drape, write_drape
+from quaffure.io import character_scene, read_drape, write_drape
 from quaffure.io.gltf import read_character
 from quaffure.io.read_strands import read_strands
 from tests.characters import character
@@ -163,21 +164,50 @@ def test_the_skin_is_found_by_place_and_hair_is_left_out(body: BodyModel) -> Non
     own = own_body(rest, body)
     (skin,) = rest.meshes
     cap = replace(skin, name="Hair_cap")
+    fair = replace(skin, name="Hairless_Body")
     far = replace(skin, name="Shirt", vertices=skin.vertices * 1.2)
     many = replace(rest, meshes=(far, cap, skin))
     scalp = own.rest_vertices[scalp_vertices(own)].double().numpy()
     assert own.origin is not None
     assert skin_of(many, own.origin, scalp) is skin
+    assert skin_of(replace(rest, meshes=(far, cap, fair)), own.origin, scalp) is fair
+    lashes = replace(skin, name="Part", materials=("Eyelashes",))
+    assert skin_of(replace(rest, meshes=(lashes, skin)), own.origin, scalp) is skin
     assert skin_of(replace(rest, meshes=(cap,)), own.origin, scalp) is cap
     with pytest.raises(InputError, match="a mesh within 5 mm of the scalp of its body, found Shirt"):
         skin_of(replace(rest, meshes=(far,)), own.origin, scalp)
 
 
 def test_a_skeleton_of_the_body_is_refused(written: tuple[PlacedClip, Character, np.ndarray], body: BodyModel) -> None:
-    from quaffure.apps.cli.inputs import character_space_of
-
     own = own_body(character(body), body)
     motion = own_motion(written[1], written[1].animations[0], own, FPS)
     with pytest.raises(InputError, match="--skinned"):
         character_space_of("walk", own, motion.times, ExportSettings(skinned=True))
     assert character_space_of("walk", body, motion.times, ExportSettings(skinned=True)) is None
+
+
+def test_a_retargeted_motion_is_not_the_file_s_own(
+    written: tuple[PlacedClip, Character, np.ndarray], body: BodyModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A joint map gives another motion than the skin of the file has."""
+    own = own_body(character(body), body)
+    monkeypatch.setattr(character_scene, "read_character", lambda path: written[1])
+    times = frame_times(written[1].animations[0], FPS, 100)
+    retargeted = character_space_of("character.glb", own, times, ExportSettings(), Path("map.toml"))
+    animated = character_space_of("character.glb", own, times, ExportSettings())
+    assert retargeted is not None
+    assert animated is not None
+    assert (retargeted.skin, retargeted.start) == (None, times[0])
+    assert animated.skin is not None
+
+
+def test_a_file_of_animations_has_no_skin(
+    written: tuple[PlacedClip, Character, np.ndarray], body: BodyModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = own_body(character(body), body)
+    times = frame_times(written[1].animations[0], FPS, 100)
+    without = replace(written[1], meshes=())
+    monkeypatch.setattr(character_scene, "read_character", lambda path: without)
+    space = character_scene.read_character_space(own, "animation.glb", times)
+    assert space is not None
+    assert (space.skin, space.start) == (None, times[0])

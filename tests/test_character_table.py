@@ -4,10 +4,13 @@ from pathlib import Path
 
 import pytest
 
+from quaffure.apps import character_table
 from quaffure.apps.character_table import CharacterRow, drape_row, read_table
 from quaffure.apps.cli.main import main
+from quaffure.body import BodyModel
 from quaffure.errors import InputError
 from quaffure.io import read_drape
+from quaffure.io.load_motion import load_motion
 
 HEADER = "groom,motion,frames,out,stiffness,seed,shape\n"
 
@@ -82,3 +85,17 @@ def test_rows_that_cannot_be_draped_are_refused(tmp_path: Path, values: dict[str
     with pytest.raises(InputError, match=found):
         drape_row(CharacterRow(**fields), "neural")
     assert not (tmp_path / "a.npz").exists()
+
+
+@pytest.mark.parametrize(("motion", "expected"), [("nod", ""), ("character.glb#Run", "character.glb#Run")])
+def test_rows_are_written_in_their_own_animation(
+    motion: str, expected: str, body: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that the file's skin moves the roots."""
+    written: list[str] = []
+    for name in ("_groom", "_draper", "drape_clip"):
+        monkeypatch.setattr(character_table, name, lambda *args: None)
+    monkeypatch.setattr(character_table, "_motion", lambda *args: load_motion("nod", body))
+    monkeypatch.setattr(character_table, "save_drape", lambda drape, path, *, body, motion: written.append(motion))
+    drape_row(CharacterRow("bob", motion, str(tmp_path / "a.usd")), "neural")
+    assert written == [expected]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from quaffure.body import BodyModel, Motion
@@ -15,11 +16,17 @@ from quaffure.body.character import AnimationChannel, Character, CharacterAnimat
 from quaffure.body.character_animation import frame_times, poses_at
 from quaffure.body.own_motion import is_own, own_motion
 from quaffure.character.skeleton import fit_skeleton
+from quaffure.errors import InputError
 from quaffure.hair import DrapeSequence
-from quaffure.hair.character_space import AnimatedSkin, CharacterSpace
+from quaffure.hair.character_space import AnimatedSkin, CharacterSpace, bind_points
 from quaffure.hair.export_clip import ExportClip
 from quaffure.hair.groom_binding import GroomBinding, Skeleton
 from quaffure.hair.placed_clip import placed_clip
+from quaffure.hair.source_strands import PlacedStrands
+from quaffure.hair.strand_attributes import StrandAttributes
+from quaffure.hair.strands import Strands
+from quaffure.io import load_source, write_groom
+from quaffure.io.load_groom import load_groom
 from tests.characters import character
 
 FPS = 30.0
@@ -133,6 +140,19 @@ def stretched(moved: Character) -> Character:
     return replace(moved, meshes=(mesh,), animations=(CharacterAnimation("stretches", tuple(channels)),))
 
 
+def test_points_are_bound_to_a_joint_of_scale_0(imported: tuple[BodyModel, Character]) -> None:
+    """A head that its animation shows and that is hidden at rest."""
+    rest = imported[1]
+    nodes, (mesh,) = rest.nodes, rest.meshes
+    scale = np.array(nodes.scale)
+    scale[nodes.names.index("mixamorig:Head")] = 0.0
+    hidden = replace(nodes, scale=scale)
+    points = mesh.posed(hidden.world)[scalp_vertices(imported[0])[::60]]
+    bound = bind_points(replace(mesh, vertices=mesh.posed(hidden.world)), hidden.world, points)
+    assert np.isfinite(bound.bound).all()
+    np.testing.assert_allclose(bound.positions(hidden.world, None), points, atol=1e-6)
+
+
 @pytest.mark.parametrize("change", [lambda moved: moved, stretched], ids=["turns", "stretches and morphs"])
 def test_one_root_is_where_the_file_has_its_vertex(
     change: Callable[[Character], Character], imported: tuple[BodyModel, Character], tmp_path: Path
@@ -170,3 +190,39 @@ def test_one_root_is_where_the_file_has_its_vertex(
     np.testing.assert_allclose(turned, clip.points(3)[:, [0, 2, 1]] * [1, -1, 1])
     np.testing.assert_allclose(clip.widths, 100 * clip.inner.widths, rtol=1e-5)
     np.testing.assert_array_equal(clip.body_faces, mesh.faces)
+
+
+def test_every_strand_of_a_source_is_where_its_groom_is(
+    imported: tuple[BodyModel, Character], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Strands that were made on the character, in centimetres, stay where they are, and so does their source."""
+    own = imported[0]
+    assert own.origin is not None
+    roots = own.rest_vertices[scalp_vertices(own)[::2]].double().numpy()
+    centre = roots.mean(0) - [0.0, 0.0, 0.1]
+    outwards = (roots - centre) / np.linalg.norm(roots - centre, axis=1, keepdims=True)
+    expected = (roots[:, None] + np.linspace(0, 0.05, 24)[:, None] * outwards[:, None]).reshape(-1, 3)
+    points = own.origin.file_from_body(expected).astype(np.float32)
+    width = np.full(len(points), 0.01, dtype=np.float32)
+    made = Strands(points, np.full(len(roots), 24), "made.hair", attributes=StrandAttributes(width=width))
+    monkeypatch.setattr("quaffure.io.load_groom.read_strands", lambda path: made)
+    read, source = load_groom("made.hair", own), load_source("made.hair", own)
+    distance, _ = cKDTree(source.points[source.starts]).query(read.rest_strands[:, 0].numpy())
+    assert distance.max() < 1e-4
+    np.testing.assert_allclose(source.points, expected, atol=1e-5)
+    assert source.attributes.width is not None
+    np.testing.assert_allclose(source.attributes.width, 1e-4, rtol=1e-5)
+
+
+def test_the_source_of_a_carried_groom_is_refused(
+    imported: tuple[BodyModel, Character], body: BodyModel, tmp_path: Path
+) -> None:
+    """The groom of another body is carried to this one, but its source would stay on the other head."""
+    groom, path = load_groom("bob", body).thinned(50), tmp_path / "shipped.npz"
+    points = groom.rest_strands.flatten(0, 1).numpy()
+    whole = np.zeros(50, bool)
+    write_groom(path, groom, PlacedStrands(points, np.full(50, 24), whole, ~whole, StrandAttributes()))
+    assert len(load_source(path, body)) == 50
+    apart = replace(imported[0], rest_vertices=imported[0].rest_vertices * 1.1)
+    with pytest.raises(InputError, match="a groom file of another body, whose source stays on it"):
+        load_source(path, apart)

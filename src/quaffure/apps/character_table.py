@@ -123,7 +123,8 @@ def drape_row(row: CharacterRow, draper: str) -> None:
         _draper(draper, _number(row, "stiffness", row.stiffness)),
     )
     body = _body(row.body)
-    save_drape(drape_clip(groom, motion, shape, own_draper, body), row.out, body=body)
+    drape = drape_clip(groom, motion, shape, own_draper, body)
+    save_drape(drape, row.out, body=body, motion="" if row.motion in CLIP_NAMES else row.motion)
 
 
 @lru_cache(KEPT)

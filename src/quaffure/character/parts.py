@@ -1,6 +1,5 @@
 """The meshes of a character, part by part: which are its skin, and what else there is."""
 
-import re
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
@@ -9,12 +8,12 @@ from jaxtyping import Float, Int
 from scipy.spatial import Delaunay, QhullError
 
 from quaffure.body.character import Character
+from quaffure.body.hair_names import is_hair_name
 from quaffure.body.joint_map import SIDES
 from quaffure.body.pose_features import HEAD
 from quaffure.character.skeleton import FittedSkeleton
 from quaffure.errors import InputError
 
-HAIR_NAME = re.compile(r"hair|wig|brow|lash|beard|mou?stache|ponytail|bangs|fringe", re.IGNORECASE)
 REGIONS = {
     "head": (HEAD,),
     "torso": ("Neck", "Spine1", "Spine", "LowerBack"),
@@ -58,7 +57,7 @@ class Part:
     @property
     def is_hair(self) -> bool:
         """Whether mesh or material are called as hair is."""
-        return bool(HAIR_NAME.search(self.mesh) or HAIR_NAME.search(self.material))
+        return is_hair_name(self.mesh) or is_hair_name(self.material)
 
     def area(self, joints: list[int]) -> float:
         """Area of the triangles, each times the share of these joints in it [m^2]."""

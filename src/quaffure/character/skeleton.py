@@ -13,15 +13,18 @@ from jaxtyping import Float, Int
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.bvh_clip import BvhClip
-from quaffure.body.character import Character, CharacterNodes
+from quaffure.body.character import Character, CharacterNodes, SkinnedMesh
 from quaffure.body.joint_map import CHAINS, JointMap
 from quaffure.body.joint_names import automatic_joint_map, check_joint_map
 from quaffure.body.retargeting import rest_alignment
 from quaffure.body.source_skeleton import source_skeleton
+from quaffure.errors import InputError
 
 HEIGHTS = (0.4, 2.6)
 """Heights that a character may have; where metres give another one, the unit is another one [m]."""
 UNITS = (1.0, 0.01, 0.0254, 0.001)
+ENDS = ("Hips", "Head")
+"""Joints of the body that a character's place and size follow, and so must be joints of its own."""
 SCENE = ""
 """Name of the joint that is above all roots of a file."""
 
@@ -79,13 +82,17 @@ def fit_skeleton(character: Character, template: BodyModel, joint_map: JointMap 
         joint_map: which joints are which; by their names without one.
 
     Raises:
-        InputError: no head or another required joint, two of one name, or a figure that does not stand.
+        InputError: no head or another required joint, two of one name, a map with a share of two for one of `ENDS`,
+            a figure that does not stand, or no meshes.
     """
     clip = rest_clip(character)
     if joint_map is None:
         joint_map = automatic_joint_map(clip)
     else:
         check_joint_map(joint_map, clip)
+    between = [f"{joint} = {joint_map[joint]}" for joint in ENDS if joint_map[joint].second is not None]
+    if between:
+        raise InputError(character.source, f"one joint each for {' and '.join(ENDS)}", ", ".join(between))
     source = source_skeleton(clip, joint_map)
     turn, names = source.body_from_file, character.nodes.names
     metres = _metres_per_unit(character, turn, template)
@@ -122,11 +129,24 @@ def rest_clip(character: Character) -> BvhClip:
 
 
 def _metres_per_unit(character: Character, turn: Float[np.ndarray, "3 3"], template: BodyModel) -> float:
-    """1, as glTF asks, or else the first known unit that gives a human height, or one that gives the template's."""
-    heights = np.concatenate([mesh.vertices @ turn[2] for mesh in character.meshes])
-    height = float(np.ptp(heights))
+    """1, as glTF asks, where it gives a human height; or else the known unit whose height is nearest to the template's
+    in proportion, or one that gives the template's."""
+    height = float(np.ptp(np.concatenate([mesh.vertices @ turn[2] for mesh in _figure(character)])))
+    if not height > 0:
+        raise InputError(character.source, "meshes of a standing figure", "a height of 0")
+    usual = float(np.ptp(template.rest_vertices[:, 2].numpy()))
     fitting = [unit for unit in UNITS if HEIGHTS[0] < unit * height < HEIGHTS[1]]
-    return fitting[0] if fitting else float(np.ptp(template.rest_vertices[:, 2].numpy())) / height
+    if UNITS[0] in fitting:
+        return UNITS[0]
+    return min(fitting, key=lambda unit: abs(np.log(unit * height / usual)), default=usual / height)
+
+
+def _figure(character: Character) -> list[SkinnedMesh]:
+    """The meshes that show how tall a character is: those with a skin, as others may be props; all without any."""
+    meshes = [mesh for mesh in character.meshes if len(mesh.vertices)]
+    if not meshes:
+        raise InputError(character.source, "a character with meshes of triangles", "none")
+    return [mesh for mesh in meshes if not mesh.is_rigid] or meshes
 
 
 def _rest_rotations(
@@ -188,7 +208,7 @@ def _on_ground(fitted: FittedSkeleton, character: Character, template: BodyModel
         fitted.to_rest_pose(
             fitted.in_body_space(mesh.vertices), fitted.dense_weights(mesh.joints, mesh.weights)
         )[:, 2].min()
-        for mesh in character.meshes
+        for mesh in _figure(character)
     )  # fmt: skip
     offset = np.array([*(fitted.rest_joints[0] - template.rest_joints[0].numpy())[:2], lowest])
     return replace(

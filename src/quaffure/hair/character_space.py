@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from quaffure.body.body_origin import BodyOrigin
 from quaffure.body.character import Character, CharacterAnimation, SkinnedMesh
 from quaffure.body.character_animation import CharacterPoses, poses_at
+from quaffure.body.hair_names import is_hair_name
 from quaffure.errors import InputError
 from quaffure.geometry.signed_distance import closest_barycentric
 
@@ -77,9 +78,9 @@ def bind_points(mesh: SkinnedMesh, world: Float[np.ndarray, "n 4 4"], points: Fl
     shares = csr_matrix((values, (rows, columns)), shape=(len(points), len(mesh.skin.nodes)))
     matrices = _blended(mesh, shares, world)
     offset = points - matrices[:, :3, 3]
-    return BoundPoints(
-        mesh, faces, barycentric, shares, np.linalg.solve(matrices[:, :3, :3], offset[..., None])[..., 0]
-    )
+    # A joint of scale 0 has no inverse: its points are then as near as the skin can have them.
+    bound = np.einsum("mij,mj->mi", np.linalg.pinv(matrices[:, :3, :3]), offset)
+    return BoundPoints(mesh, faces, barycentric, shares, bound)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,12 +166,17 @@ def skin_of(character: Character, origin: BodyOrigin, scalp: Float[np.ndarray, "
     distances = {
         mesh: float(np.median(_closest(mesh, points)[2])) / origin.scale for mesh in character.meshes if len(mesh.faces)
     }
-    bald = {mesh: distance for mesh, distance in distances.items() if "hair" not in mesh.name.lower()}
+    bald = [mesh for mesh in distances if not _is_hair(mesh)]
     nearest = min(bald or distances, key=lambda mesh: distances[mesh], default=None)
     if nearest is None or distances[nearest] > SKIN_DISTANCE:
         found = "no mesh" if nearest is None else f"{nearest.name}, {1e3 * distances[nearest]:.0f} mm away"
         raise InputError(character.source, f"a mesh within {1e3 * SKIN_DISTANCE:g} mm of the scalp of its body", found)
     return nearest
+
+
+def _is_hair(mesh: SkinnedMesh) -> bool:
+    """Whether the mesh or all of its materials are called as hair is."""
+    return is_hair_name(mesh.name) or (bool(mesh.materials) and all(map(is_hair_name, mesh.materials)))
 
 
 def _closest(

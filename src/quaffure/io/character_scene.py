@@ -18,7 +18,8 @@ def read_character_space(body: BodyModel, source: str | Path, times: Float[np.nd
     """Where hair is in the file of a body's character; None of a body that has none.
 
     Args:
-        source: name or file of the motion. In a file of the character itself, its skin moves the roots.
+        source: name or file of the motion. In a file of the character itself, its skin moves the roots,
+            unless the file holds animations without meshes.
         times: of the frames in that file [s].
 
     Raises:
@@ -29,6 +30,8 @@ def read_character_space(body: BodyModel, source: str | Path, times: Float[np.nd
     start = float(times[0])
     path, clip = file_and_clip(source)
     if path.suffix.lower() not in GLTF_SUFFIXES or not is_own(body, character := read_character(path)):
+        return CharacterSpace(body.origin, start)
+    if not any(len(mesh.faces) for mesh in character.meshes):  # a file of animations alone
         return CharacterSpace(body.origin, start)
     scalp = body.rest_vertices[body.faces[body.scalp.faces].unique()].double().numpy()
     mesh = skin_of(character, body.origin, scalp)

@@ -14,6 +14,7 @@ from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_transfer import transfer_groom
 from quaffure.hair.registration import HeadMesh, register_groom
+from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.hair.source_strands import PlacedStrands, place_strands
 from quaffure.hair.strands import Strands
@@ -55,28 +56,41 @@ def load_groom(
             raise InputError(path, f"{VERTICES_PER_STRAND} vertices a strand", found)
         return _opened(select_guides(loaded))
     mesh = read_head(head) if head is not None else None
-    return _opened(select_guides(_registered(read_strands(path), body, path.stem, mesh, frame)))
+    return _opened(select_guides(_registered(read_strands(path), body, path.stem, mesh, frame)[0]))
 
 
 def _read_groom(path: Path, body: BodyModel) -> Groom:
     """A groom file of this body, or for an imported body one of the shipped body."""
     if body.origin is None:
         return read_groom(path, body)
-    try:
+    if _stands_on(path, body):
         return read_groom(path, body)
+    return transfer_groom(read_groom(path, load_body()), load_body(), body)
+
+
+def _stands_on(path: Path, body: BodyModel) -> bool:
+    try:
+        read_groom(path, body)
     except InputError:
-        return transfer_groom(read_groom(path, load_body()), load_body(), body)
+        return False
+    return True
 
 
-def _registered(strands: Strands, body: BodyModel, name: str, head: HeadMesh | None, frame: FileFrame) -> Groom:
-    """Strands on a body: on an imported one those that were made on its character stay where they are."""
+def _registered(
+    strands: Strands, body: BodyModel, name: str, head: HeadMesh | None, frame: FileFrame
+) -> tuple[Groom, Strands, RegistrationReport]:
+    """Strands on a body, as they were registered, and the report of it: on an imported body those that were made on its
+    character stay where they are."""
     if body.origin is not None and head is None and frame == UNKNOWN:
-        standing = replace(strands, points=body.origin.body_from_file(strands.points).astype(np.float32))
+        points = body.origin.body_from_file(strands.points).astype(np.float32)
+        standing = replace(strands, points=points, attributes=strands.attributes.scaled(1 / body.origin.scale))
         try:
-            return register_groom(standing, body, name, frame=FileFrame(registered=True))[0]
+            groom, report = register_groom(standing, body, name, frame=FileFrame(registered=True))
+            return groom, standing, report
         except InputError:
             pass
-    return register_groom(strands, body, name, head, frame=frame)[0]
+    groom, report = register_groom(strands, body, name, head, frame=frame)
+    return groom, strands, report
 
 
 def _on_body(groom: Groom, own: BodyModel, body: BodyModel) -> Groom:
@@ -92,7 +106,7 @@ def load_source(
         groom, head, frame: as for `load_groom`.
 
     Raises:
-        InputError: a bundled name or a groom file without its source; otherwise as `load_groom`.
+        InputError: a bundled name, or a groom file without its source or of another body; otherwise as `load_groom`.
     """
     path, expected = Path(groom), "a strand file, or a groom file that quaffure groom import wrote"
     if isinstance(groom, str) and groom in STYLES:
@@ -101,9 +115,12 @@ def load_source(
         source = read_source(path)
         if source is None:
             raise InputError(path, expected, "a groom file without its source")
+        if body.origin is not None and not _stands_on(path, body):
+            raise InputError(path, "the strand file itself", "a groom file of another body, whose source stays on it")
         return source
-    strands, mesh = read_strands(path), read_head(head) if head is not None else None
-    return place_strands(strands, register_groom(strands, body, path.stem, mesh, frame=frame)[1], body)
+    mesh = read_head(head) if head is not None else None
+    _, strands, report = _registered(read_strands(path), body, path.stem, mesh, frame)
+    return place_strands(strands, report, body)
 
 
 def _opened(groom: Groom) -> Groom:

@@ -133,7 +133,7 @@ class DrapeCommand:
         body = load_body(self.body)
         motion = motion_of(self.motion, body, self.in_place, self.joints).frames(self.frames)
         check_frames(self.out, len(range(0, len(motion), self.export.every)))
-        space = character_space_of(self.motion, body, motion.times, self.export)
+        space = character_space_of(self.motion, body, motion.times, self.export, self.joints)
         body_shape = body_shape_of(self.shape)
         if float(body_shape.abs().max()) > LARGEST_COEFFICIENT:
             console.print(f"shape: beyond the trained and measured +-{LARGEST_COEFFICIENT:g} standard deviations")

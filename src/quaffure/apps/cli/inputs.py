@@ -33,14 +33,17 @@ def motion_of(text: str, body: BodyModel, in_place: bool = False, joints: Path |
 
 
 def character_space_of(
-    text: str, body: BodyModel, times: Float[np.ndarray, " f"], settings: ExportSettings
+    text: str, body: BodyModel, times: Float[np.ndarray, " f"], settings: ExportSettings, joints: Path | None = None
 ) -> CharacterSpace | None:
     """`read_character_space`, printing where files will be.
+
+    Args:
+        joints: a joint map by which the motion was retargeted: it is another one then than the file's own.
 
     Raises:
         InputError: a skeleton is asked for, too: that of the body is not the character's.
     """
-    space = read_character_space(body, text, times)
+    space = read_character_space(body, text if joints is None else "", times)
     if space is None:
         return None
     if settings.skinned:

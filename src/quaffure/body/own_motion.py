@@ -6,9 +6,9 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.body.character import Character, CharacterAnimation
 from quaffure.body.character_clip import character_clip
-from quaffure.body.joint_map import SIDES, JointSource
+from quaffure.body.joint_map import JointSource
 from quaffure.body.motion import Motion
-from quaffure.body.retargeting import local_pose, rest_alignment
+from quaffure.body.retargeting import aligned_pose
 from quaffure.body.source_skeleton import source_skeleton
 
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
@@ -55,15 +55,7 @@ def own_motion(character: Character, animation: CharacterAnimation, body: BodyMo
         joint: torch.from_numpy(origin.rotation.T @ world[:, clip.joint_names.index(source.first)] @ origin.rotation)
         for joint, source in joint_map.items()
     }
-    rotations = {
-        joint: turned[joint] @ rest_alignment(joint, at_rest, body)
-        for joint in joint_map
-        if not joint.endswith("FingerBase")
-    }
-    for side in SIDES:  # as in `retarget_bvh`
-        rotations.setdefault(f"{side}Foot", turned[f"{side}Leg"])
     hips = clip.world_positions(clip.joint_names.index(joint_map["Hips"].first), world)
     path = origin.body_from_file(hips) - body.rest_joints[0].double().numpy()
-    return Motion(
-        local_pose(rotations, body), fps, clip.source, torch.from_numpy(path).float(), start=animation.span[0]
-    )
+    pose = aligned_pose(turned, at_rest, body)
+    return Motion(pose, fps, clip.source, torch.from_numpy(path).float(), start=animation.span[0])

@@ -56,17 +56,24 @@ def retarget_bvh(
         check_joint_map(joint_map, clip)
     start = _lead_in_frames(clip, joint_map) if drops_lead_in else 0
     skeleton = source_skeleton(replace(clip, values=clip.values[start:]), joint_map)
+    rotations = {joint: source.rotation(skeleton.world) for joint, source in joint_map.items()}
+    pose, path = aligned_pose(rotations, skeleton, body), _root_translation(skeleton, joint_map, body)
+    motion = Motion(pose, clip.fps, clip.source, path, skeleton.notes)
+    return resample(filter_flips(motion), RETARGET_FPS)
+
+
+def aligned_pose(
+    source_rotations: dict[str, Float[Tensor, "f 3 3"]], skeleton: SourceSkeleton, body: BodyModel
+) -> Float[Tensor, "f 81"]:
+    """Body poses of a source's world rotations, by joint of the body: limbs point where the source's do."""
     rotations = {
-        joint: source.rotation(skeleton.world) @ rest_alignment(joint, skeleton, body)
-        for joint, source in joint_map.items()
+        joint: rotation @ rest_alignment(joint, skeleton, body)
+        for joint, rotation in source_rotations.items()
         if not joint.endswith("FingerBase")
     }
     for side in SIDES:  # a missing foot is fixed to the source's shin, whose bone may point elsewhere than the body's
-        rotations.setdefault(f"{side}Foot", joint_map[f"{side}Leg"].rotation(skeleton.world))
-    motion = Motion(
-        local_pose(rotations, body), clip.fps, clip.source, _root_translation(skeleton, joint_map, body), skeleton.notes
-    )
-    return resample(filter_flips(motion), RETARGET_FPS)
+        rotations.setdefault(f"{side}Foot", source_rotations[f"{side}Leg"])
+    return local_pose(rotations, body)
 
 
 def local_pose(world_rotations: dict[str, Float[Tensor, "f 3 3"]], body: BodyModel) -> Float[Tensor, "f 81"]:

@@ -18,7 +18,7 @@ from quaffure.io.gltf_entry import Entry, one_line
 
 GLTF_SUFFIXES = (".glb", ".gltf")
 EXPECTED = "a glTF 2.0 file (.glb, .gltf)"
-GLB_MAGIC, GLB_JSON, GLB_BINARY = 0x46546C67, 0x4E4F534A, 0x004E4942
+GLB_JSON, GLB_BINARY = 0x4E4F534A, 0x004E4942
 KNOWN_EXTENSIONS = ("KHR_mesh_quantization", "EXT_meshopt_compression")
 # What these change is seen in pictures alone.
 IGNORED_EXTENSIONS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "KHR_xmp")

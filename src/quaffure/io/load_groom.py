@@ -61,10 +61,11 @@ def load_groom(
 
 def _read_groom(path: Path, body: BodyModel) -> Groom:
     """A groom file of this body, or for an imported body one of the shipped body."""
-    if body.origin is None:
+    try:
         return read_groom(path, body)
-    if _stands_on(path, body):
-        return read_groom(path, body)
+    except InputError:
+        if body.origin is None:
+            raise
     return transfer_groom(read_groom(path, load_body()), load_body(), body)
 
 

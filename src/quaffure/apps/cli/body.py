@@ -1,6 +1,5 @@
 """`quaffure body`: a body of a character of another program."""
 
-import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +10,7 @@ from quaffure.apps.cli.console import console
 from quaffure.apps.cli.outputs import check_packages
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.joint_map import joint_map_text
+from quaffure.digest import file_digest
 from quaffure.errors import InputError
 from quaffure.extras import require_extra
 from quaffure.io.body_file import write_body
@@ -57,7 +57,7 @@ class ImportBody:
             raise InputError(given[1], f"one source of the scalp, {given[0]} or it", "both")
         console.print(f"reading {self.file}")
         character = read_character(self.file)
-        digest = hashlib.sha256(self.file.read_bytes()).hexdigest()
+        digest = file_digest(self.file)
         settings = ImportSettings(
             None if self.joints is None else read_joint_map(self.joints),
             self.scalp,

@@ -23,7 +23,7 @@ from quaffure.benchmark.metrics import DrapeMetrics
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.config import HairMaterial
-from quaffure.digest import array_digest
+from quaffure.digest import array_digest, file_digest
 from quaffure.drape_motion import drape_motion
 from quaffure.draper import Draper
 from quaffure.energies.by_name import ELASTIC_MODELS, MODIFIED_COSSERAT, ROD, hair_terms
@@ -198,7 +198,7 @@ class DrapeCommand:
             "motion": array_digest(motion.body_pose, *path),
             "fps": motion.fps,
             "shape": body_shape.tolist(),
-            "body": None if self.body is None else hashlib.sha256(self.body.read_bytes()).hexdigest(),
+            "body": None if self.body is None else file_digest(self.body),
             "draper": self._name,
             "model": self.model,
             "weights": None if self.weights is None else hashlib.sha256(self.weights.read_bytes()).hexdigest(),

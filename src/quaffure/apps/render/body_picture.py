@@ -16,7 +16,7 @@ from quaffure.io.output_path import check_output
 
 TILE = 400
 SCALP_VIEWS, BODY_VIEWS = ("front", "side", "back"), ("front", "side")
-HEAD_EXTENT, HEAD_MARGIN = 0.34, 1.25
+HEAD_EXTENT = 0.34
 BELOW_TOP = 0.13
 """Middle of a view of the head, below its top, for a view of `HEAD_EXTENT` [m]."""
 MARK = 0.0015

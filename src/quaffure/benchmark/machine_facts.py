@@ -28,6 +28,11 @@ def machine() -> str:
     return f"{processor()}, {os.cpu_count()} processors, {threads}"
 
 
+def is_one_threaded() -> bool:
+    """Whether torch and numba compute on one thread each."""
+    return torch.get_num_threads() == get_num_threads() == 1
+
+
 def processor() -> str:
     """Name of the processor."""
     # Python names it on few systems; Linux has it here.

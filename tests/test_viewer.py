@@ -52,8 +52,8 @@ FLAGS = [
     *("--disable-component-update", "--disable-sync", "--use-angle=gl-egl", "--ignore-gpu-blocklist"),
 ]
 WIDTH, HEIGHT, PANEL_WIDTH = 640, 360, 330
-INTERACTIONS, MOST_GROWTH = 400, 20e6
-"""Of the memory of a tab over the later half of the interactions [bytes]."""
+MOST_GROWTH = 1e5
+"""Of the memory of a tab by an interaction, in the mean of the later half of them [bytes]."""
 
 
 @pytest.fixture(scope="module")
@@ -798,14 +798,15 @@ def test_a_picture_of_what_the_camera_shows_is_downloaded(browser: Browser, page
 
 
 @pytest.mark.slow
-def test_memory_of_chromium_stays_flat_over_many_interactions(browser: Browser, page: Page) -> None:
+@pytest.mark.parametrize("interactions", [100, pytest.param(400, marks=pytest.mark.long)])
+def test_memory_of_chromium_stays_flat_over_many_interactions(browser: Browser, page: Page, interactions: int) -> None:
     """Frames, clips, views and what is drawn by keys, sliders by arrows; each drape is drawn before the next one."""
     page.session.ask_settings(Settings("thinned", "nod", strands=GUIDES))
     settled(page)
     keyboard, slider = browser.tab.keyboard, browser.tab.get_by_role("slider").first
     devtools = browser.tab.context.new_cdp_session(browser.tab)
     used = []
-    for step in range(INTERACTIONS):
+    for step in range(interactions):
         key = ("n", "ArrowRight", "n", f"{1 + step % 4}", "b", "ArrowLeft", "h" if step % 40 < 16 else "n", "m")[
             step % 8
         ]
@@ -814,13 +815,13 @@ def test_memory_of_chromium_stays_flat_over_many_interactions(browser: Browser, 
         keyboard.press(key)
         settled(page)
         browser.tab.evaluate("() => new Promise(drawn => requestAnimationFrame(drawn))")
-        if step % 50 == 49:
+        if step % 25 == 24:
             devtools.send("HeapProfiler.collectGarbage")
             sizes = devtools.send("Runtime.getHeapUsage")
             used.append(sum(sizes[name] for name in ("usedSize", "embedderHeapUsedSize", "backingStorageSize")))
-    print("memory of the tab after every 50 interactions [MB]:", *(round(size / 1e6) for size in used))
-    # Half of the updates would be over 40 MB.
-    assert used[-1] - used[len(used) // 2 - 1] < MOST_GROWTH
+    print("memory of the tab after every 25 interactions [MB]:", *(round(size / 1e6) for size in used))
+    # An update that is kept is over 200 kB.
+    assert used[-1] - used[len(used) // 2 - 1] < MOST_GROWTH * interactions / 2
 
 
 def test_on_a_narrow_screen_the_panel_leaves_the_head_in_view(browser: Browser, page: Page) -> None:

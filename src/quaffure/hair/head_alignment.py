@@ -213,10 +213,11 @@ def _fit(
         width = widths[0] * (widths[1] / widths[0]) ** (index / max(rounds - 1, 1))
         moved = transform(roots)
         residual, direction = _offsets(moved, target)
-        gap, nearest = cKDTree(moved).query(target.scalp_points)
+        tree = cKDTree(moved)
+        gap, nearest = tree.query(target.scalp_points)
         back = moved[nearest] - target.scalp_points
         back_direction = back / np.maximum(gap, 1e-9)[:, None]
-        midpoint, mismatch = _mirrored(moved)
+        midpoint, mismatch = _mirrored(moved, tree)
         anchors = np.concatenate([moved, moved[nearest], midpoint])
         residuals = np.concatenate([residual, gap, midpoint[:, 0]])
         directions = np.concatenate([direction, back_direction, np.tile([1.0, 0.0, 0.0], (len(midpoint), 1))])
@@ -247,9 +248,11 @@ def _tilt(up: Float[np.ndarray, "3"]) -> tuple[Float[np.ndarray, "2 7"], Float[n
     return jacobian, HEAD_RADIUS * up[:2]
 
 
-def _mirrored(moved: Float[np.ndarray, "p 3"]) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, " p"]]:
+def _mirrored(
+    moved: Float[np.ndarray, "p 3"], tree: cKDTree
+) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, " p"]]:
     """Midpoint of each root and the root nearest to its mirror image, and the distance of that root from the image."""
-    mismatch, twin = cKDTree(moved).query(moved * [-1.0, 1.0, 1.0])
+    mismatch, twin = tree.query(moved * [-1.0, 1.0, 1.0])
     return 0.5 * (moved + moved[twin]), mismatch
 
 

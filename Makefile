@@ -26,7 +26,6 @@ test: $(SETUP)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/sphinx-build -q -W -b html docs out/docs
 	$(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile
 
 docs: $(SETUP)

@@ -26,13 +26,13 @@ from tests.test_retarget import CHANNELS, SKELETON
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"(?:^    .*\n)+", re.MULTILINE)
-DIRECTIVE = re.compile(r"<!-- test: (slow|slow, with (?:--[a-z-]+ \w+ ?)+|skip, [^>]+?) ?-->\s*$")
+DIRECTIVE = re.compile(r"<!-- test: (slow|slow, with (?:--[a-z-]+ [\w:]+ ?)+|skip, [^>]+?) ?-->\s*$")
 SHELLS = ("bash", "console", "sh")
 SERVES = "view"
 """The command that runs until Ctrl-C."""
 PROGRAMS = ("quaffure", "python", "python3", "torchrun", "pip", "make", "mkdir", "source", "apt-get")
 PARTS = ("back", "front_top", "side", "tail")
-FRAMES_OF_MOTION = {"dance.bvh": 121, "walk.bvh": 331}
+FRAMES_OF_MOTION = {"dance.bvh": 121, "walk.bvh": 41}
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Command:
     def arguments(self) -> list[str]:
         """Of `quaffure`, with the values that the page's comment gives to options of this command."""
         arguments = self.words[1:]
-        for option, value in re.findall(r"(--[a-z-]+) (\w+)", self.kind.partition("slow, with ")[2]):
+        for option, value in re.findall(r"(--[a-z-]+) ([\w:]+)", self.kind.partition("slow, with ")[2]):
             if option in arguments:
                 arguments[arguments.index(option) + 1] = value
         return arguments

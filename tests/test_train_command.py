@@ -6,6 +6,7 @@ from dataclasses import replace
 from importlib.resources import files
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from quaffure.benchmark import load_evaluation_set
 from quaffure.benchmark.evaluation_set import SETS, refuse_evaluation_data
 from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
+from quaffure.geometry import Surface
 from quaffure.hair import Groom, root_positions
 from quaffure.io import write_groom
 from quaffure.io.body_file import write_body
@@ -26,6 +28,7 @@ from quaffure.io.load_groom import load_groom
 from quaffure.model import load_model, load_network
 from quaffure.procedural import HELD_OUT, STYLES
 from quaffure.training import DecoderRecipe, loop, train
+from quaffure.training.groom_samples import ProceduralGroom
 from tests.characters import character
 from tests.test_own_motion import own_body
 from tests.training_runs import (
@@ -175,33 +178,38 @@ def test_a_network_is_specialised_on_a_character(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Grooms move to it, its shape is its own, and what it starts from is measured first, and best until beaten."""
-    own = replace(
-        own_body(character(body), body), shape_directions=torch.zeros_like(body.shape_directions),
-        joint_shape_directions=torch.zeros_like(body.joint_shape_directions),
-    )  # fmt: skip
+    unshaped = {name: torch.zeros_like(getattr(body, name)) for name in ("shape_directions", "joint_shape_directions")}
+    own = replace(own_body(character(body), body), **unshaped)
     path, folder = tmp_path / "character.npz", tmp_path / "run"
     write_body(path, own)
-    runs: list[DecoderRecipe] = []
-    run = train_cli.run_training
-    monkeypatch.setattr(
-        train_cli, "run_training", lambda training, *texts, **options: (runs.append(training.recipe), run(training, *texts, **options))
-    )  # fmt: skip
-    command = train_command(folder, tiny_groom_file, 2)
-    main([*command, "--weights", "shipped", "--body", str(path), "--family", "1", "--learning-rate", "1e-9"])
-    (recipe,) = runs
-    assert recipe.body.origin is not None
-    assert [groom.name for groom in recipe.grooms] == ["bob", "family_0"]
-    roots = root_positions(recipe.grooms[1], own.rest_vertices[None], own)[0]
-    torch.testing.assert_close(recipe.grooms[1].rest_strands[:, 0], roots, atol=1e-5, rtol=0)
+    made: list[DecoderRecipe] = []
+
+    def recipe_of(*settings: Any) -> DecoderRecipe:
+        made.append(DecoderRecipe(*settings))
+        return made[0]
+
+    class Few(ProceduralGroom):
+        def groom(self, body: BodyModel, surface: Surface) -> Groom:
+            return replace(super().groom(body, surface).thinned(40), name=self.name)
+
+    few = Few("few", STYLES["bob"], 1)
+    monkeypatch.setattr(train_cli, "family_grooms", lambda indices: [few])
+    monkeypatch.setattr(train_cli, "DecoderRecipe", recipe_of)
+    options = ["--steps", "2", "--runs", "1", "--frames", "1", "--grooms-per-step", "1", "--validate-every", "2"]
+    command = ["train", "--out", str(folder), "--groom", str(tiny_groom_file), "--family", "1", "--body", str(path)]
+    main([*command, "--weights", "shipped", *options])
+    (recipe,) = made
+    assert [groom.name for groom in recipe.grooms] == ["bob", "few"]
+    for groom in recipe.grooms:
+        roots = root_positions(groom, own.rest_vertices[None], own)[0]
+        torch.testing.assert_close(groom.rest_strands[:, 0], roots, atol=1e-5, rtol=0)
     _, shapes = recipe.sampler.sample(3, 1, torch.Generator().manual_seed(1))
     assert not shapes.any()
     assert not recipe.validation.body_shape.any()
     printed = capsys.readouterr().out
     assert "before training: energy" in printed
-    assert "1 of 2" in printed
-    assert " left: loss" in printed
-    rows = rows_of(folder / "validation.csv")
-    assert [row["step"] for row in rows] == ["0", "2"]
+    assert re.search(r"1 of 2, \d+:\d\d:\d\d left: loss", printed)
+    assert [row["step"] for row in rows_of(folder / "validation.csv")] == ["0", "2"]
     specialised = load_model(folder / "best.safetensors").on(load_body(path))
     hair = specialised.drape(load_groom(tiny_groom_file, own), torch.zeros(1, 81))
     assert torch.isfinite(hair).all()

@@ -98,6 +98,7 @@ def import_body(
     skeleton = fit_skeleton(character, template, settings.joint_map)
     all_parts = parts_of(character, skeleton)
     parts = choose_parts(all_parts, template.joint_names, character.source, settings.collide)
+    _check_names(all_parts, settings, character.source)
     height = float(np.ptp(skeleton.file_joints, axis=0).max())
     for part in (*parts.skin, *parts.inner):
         check_extent(part.name, part.vertices, height, character.source)
@@ -146,7 +147,7 @@ def _scalp(
 ) -> tuple[Scalp, str]:
     """The scalp, and where it comes from."""
     if settings.scalp:
-        wanted = _named_faces(in_file, parts, settings.scalp, source)
+        wanted = _named_faces(in_file, parts, settings.scalp)
         scalp = scalp_of_faces(
             wanted & (transferred.distance(at_rest.vertices[at_rest.faces].mean(1)) < 0.1),
             at_rest,
@@ -155,7 +156,7 @@ def _scalp(
         )
         return scalp, f"scalp: {settings.scalp}"
     if settings.hair_mesh:
-        hair = _mesh(_named(parts, settings.hair_mesh, "--hair-mesh", source))
+        hair = _mesh([part for part in parts if part.is_called(settings.hair_mesh)])
         wanted = under_hair(in_file, hair, transferred)
         return scalp_of_faces(wanted, at_rest, ears, f"--hair-mesh {settings.hair_mesh}"), (
             f"scalp: the footprint of {settings.hair_mesh}"
@@ -167,30 +168,33 @@ def _scalp(
     return scalp_of_transferred(transferred, at_rest, ears, source), "scalp: that of the shipped body, transferred"
 
 
-def _named_faces(surface: Triangles, parts: list[Part], name: str, source: str) -> Bool[np.ndarray, " k"]:
+def _named_faces(surface: Triangles, parts: list[Part], name: str) -> Bool[np.ndarray, " k"]:
     """Faces of a surface where a mesh or material of a name is nearest, or an attribute of that name is large."""
     middles = surface.vertices[surface.faces].mean(1)
     named = [part for part in parts if part.is_called(name)]
     if named:
         others = [part for part in parts if part not in named]
         return distance_to(middles, _mesh(named)) <= (distance_to(middles, _mesh(others)) if others else np.inf)
-    if all(part.attribute(name) is None for part in parts):
-        meshes = ", ".join(dict.fromkeys(part.name for part in parts))
-        known = ", ".join(dict.fromkeys(attribute for part in parts for attribute in part.attributes)) or "none"
-        expected = f"a mesh or material of {source} ({meshes}) or an attribute of its vertices ({known})"
-        raise InputError("--scalp", expected, repr(name))
     # Hair that is on the scalp would be nearer than it.
     bald = [part for part in parts if part.attribute(name) is not None or not part.is_hair]
     values = [np.zeros(len(part.vertices)) if (own := part.attribute(name)) is None else own for part in bald]
     return where_large(middles, _mesh(bald), np.concatenate(values))
 
 
-def _named(parts: list[Part], pattern: str, option: str, source: str) -> list[Part]:
-    named = [part for part in parts if part.is_called(pattern)]
-    if not named:
-        known = ", ".join(dict.fromkeys(part.name for part in parts))
-        raise InputError(option, f"a mesh or material of {source}: {known}", repr(pattern))
-    return named
+def _check_names(parts: list[Part], settings: ImportSettings, source: str) -> None:
+    """Refuse names that nothing has, before the work.
+
+    Raises:
+        InputError: lists those that there are.
+    """
+    meshes = ", ".join(dict.fromkeys(part.name for part in parts))
+    if settings.hair_mesh and not any(part.is_called(settings.hair_mesh) for part in parts):
+        raise InputError("--hair-mesh", f"a mesh or material of {source}: {meshes}", repr(settings.hair_mesh))
+    name = settings.scalp
+    if name and not any(part.is_called(name) or part.attribute(name) is not None for part in parts):
+        known = ", ".join(dict.fromkeys(attribute for part in parts for attribute in part.attributes)) or "none"
+        expected = f"a mesh or material of {source} ({meshes}) or an attribute of its vertices ({known})"
+        raise InputError("--scalp", expected, repr(name))
 
 
 def _mesh(parts: list[Part]) -> Triangles:

@@ -4,6 +4,8 @@ Every vertex of that surface is moved as the nearest point of the character's me
 neck and trunk, which have the same pose at rest in the file and in the body; arms and legs stay as they are.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 import torch
 from jaxtyping import Float, Int
@@ -42,17 +44,14 @@ def surface_morphs(
     if not moving or body.origin is None:
         return None
     weights = _weights(character, animation, moving, times)
-    chosen = _near(character, body)
+    near = _near(character, body)
     directions, used = [], []
-    for mesh in moving:
-        if mesh in chosen:
-            found = _directions(mesh, weights[mesh], chosen[mesh], character, body)
-            directions += [direction for _, direction in found]
-            used += [weights[mesh][:, target] for target, _ in found]
-    if len(directions) > MOST_TARGETS:
-        raise InputError(
-            character.source, f"at most {MOST_TARGETS} morph targets that move the head", f"{len(directions)}"
-        )
+    for mesh in (mesh for mesh in moving if mesh in near):
+        for target, direction in _directions(mesh, weights[mesh], near[mesh], character, body):
+            if len(directions) == MOST_TARGETS:
+                raise InputError(character.source, f"at most {MOST_TARGETS} morph targets that move the head", "more")
+            directions.append(direction)
+            used.append(weights[mesh][:, target])
     if not directions:
         return None
     morphs = SurfaceMorphs(
@@ -89,13 +88,13 @@ def _directions(
     vertices: Int[np.ndarray, " m"],
     character: Character,
     body: BodyModel,
-) -> list[tuple[int, Float[np.ndarray, "v 3"]]]:
+) -> Iterator[tuple[int, Float[np.ndarray, "v 3"]]]:
     """The targets of a mesh that move any of these vertices, and how they do [m]."""
     origin = body.origin
     assert origin is not None
     world = character.nodes.world
     bound = bind_points(mesh, world, origin.file_from_body(body.rest_vertices[vertices].double().numpy()))
-    share, found = _trunk_share(body)[vertices], []
+    share = _trunk_share(body)[vertices]
     for target, name in enumerate(mesh.morph_targets):
         most = float(np.abs(weights[:, target]).max())
         if most == 0:
@@ -104,8 +103,7 @@ def _directions(
         if len(moved) and most * np.linalg.norm(moved, axis=1).max() > LEAST_CHANGE:
             direction = np.zeros((len(body.rest_vertices), 3))
             direction[vertices] = moved
-            found.append((target, direction))
-    return found
+            yield target, direction
 
 
 def _trunk_share(body: BodyModel) -> Float[np.ndarray, " v"]:

@@ -37,7 +37,9 @@ SHIPPED = "shipped"
 class TrainCommand:
     """Train a network on grooms over sampled poses and shapes; continues where an earlier run in the folder stopped.
 
-    With --body and --weights it specialises a network on a character, whose shape stays its own. Poses come from the shipped prior, and from motion files if some are given. The folder then holds
+    With --body and --weights it specialises a network on a character, whose shape stays its own.
+
+    Poses come from the shipped prior, and from motion files if some are given. The folder then holds
     `best.safetensors`, the weights to drape with (`quaffure drape --weights`), `last.safetensors`, the newest ones,
     `config.json`, the tables `training.csv` and `validation.csv`, and the checkpoint to continue from. Ctrl-C and
     SIGTERM end the step and leave all of them. Several processes share a run when a

@@ -9,7 +9,7 @@ from quaffure.errors import InputError
 from quaffure.types import Float, Tensor
 
 LARGEST_CHANGE = 1.0
-"""Of a vertex in any frame [m]."""
+"""Largest change of the place of a vertex at rest, in any frame [m]."""
 
 
 @dataclass(frozen=True, eq=False)

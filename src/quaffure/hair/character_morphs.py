@@ -45,7 +45,8 @@ def surface_morphs(
         return None
     weights = _weights(character, animation, moving, times)
     near = _near(character, body)
-    directions, used = [], []
+    directions: list[Float[np.ndarray, "v 3"]] = []
+    used: list[Float[np.ndarray, " f"]] = []
     for mesh in (mesh for mesh in moving if mesh in near):
         for target, direction in _directions(mesh, weights[mesh], near[mesh], character, body):
             if len(directions) == MOST_TARGETS:

@@ -38,9 +38,7 @@ def surface_morphs(
         InputError: targets that move skin beyond `quaffure.body.surface_morphs.LARGEST_CHANGE`, or too many of them.
     """
     driven = {channel.node for channel in animation.channels if channel.path == "weights"}
-    moving = [
-        mesh for mesh in character.meshes if mesh.node in driven and mesh.morph_targets and not is_hair_mesh(mesh)
-    ]
+    moving = [mesh for mesh in _bald(character) if mesh.node in driven and mesh.morph_targets]
     if not moving or body.origin is None:
         return None
     weights = _weights(character, animation, moving, times)
@@ -77,7 +75,7 @@ def _near(character: Character, body: BodyModel) -> dict[SkinnedMesh, Int[np.nda
     assert body.origin is not None
     vertices = np.flatnonzero(_trunk_share(body) > 0)
     points = body.origin.file_from_body(body.rest_vertices[vertices].double().numpy())
-    meshes = [mesh for mesh in character.meshes if len(mesh.faces) and not is_hair_mesh(mesh)]
+    meshes = _bald(character)
     distances = np.stack([closest_on_mesh(mesh, points)[2] for mesh in meshes]) / body.origin.scale
     nearest, is_near = distances.argmin(0), distances.min(0) < REACH
     return {mesh: vertices[(nearest == index) & is_near] for index, mesh in enumerate(meshes)}
@@ -105,6 +103,11 @@ def _directions(
             direction = np.zeros((len(body.rest_vertices), 3))
             direction[vertices] = moved
             yield target, direction
+
+
+def _bald(character: Character) -> list[SkinnedMesh]:
+    """Meshes with faces, hair left out by its name."""
+    return [mesh for mesh in character.meshes if len(mesh.faces) and not is_hair_mesh(mesh)]
 
 
 def _trunk_share(body: BodyModel) -> Float[np.ndarray, " v"]:

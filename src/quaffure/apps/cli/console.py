@@ -138,6 +138,7 @@ def _run_training(
     elif start is not None:
         training.start_from(start)
         if is_first and training.recipe.validate_every is not None:
+            to.print("measuring the weights to start from")
             text = validation_text(training.validate())
             to.print(f"before training: {text}")
     left = TimeLeft(total, training.step)

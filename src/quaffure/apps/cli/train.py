@@ -5,7 +5,7 @@ from pathlib import Path
 
 import tyro
 
-from quaffure.apps.cli.console import run_training
+from quaffure.apps.cli.console import console, run_training
 from quaffure.apps.cli.inputs import motion_of
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.body.body_model import BodyModel, load_body
@@ -72,6 +72,8 @@ class TrainCommand:
             body = self._body()
             sampler = self._sampler(body)
             validation = prior_validation(sampler.draws_shapes)
+            if worker.is_first:
+                console.print("reading the grooms")
             recipe = DecoderRecipe(config, body, self._grooms(body), sampler, validation, worker)
             run_training(Training(recipe, self.out), _bar_text, _validation_text, start=started)
 
@@ -92,9 +94,12 @@ class TrainCommand:
             raise InputError(f"{self.body}", f"the joints {list(shipped.joint_names)}", f"{list(body.joint_names)}")
         return body
 
+    @property
+    def _groom_names(self) -> tuple[str, ...]:
+        return self.groom or (() if self.family else tuple(name for name in STYLES if name not in HELD_OUT))
+
     def _grooms(self, body: BodyModel) -> tuple[Groom, ...]:
-        names = self.groom or (() if self.family else tuple(name for name in STYLES if name not in HELD_OUT))
-        own = [load_groom(name, body) for name in names]
+        own = [load_groom(name, body) for name in self._groom_names]
         # The name of a groom is in its file, whatever the name of the file.
         refuse_evaluation_data(groom.name for groom in own)
         # Like a bundled groom, one of the family is made on our head and moved to that of a character.

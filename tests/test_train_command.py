@@ -27,7 +27,7 @@ from quaffure.io.body_file import write_body
 from quaffure.io.load_groom import load_groom
 from quaffure.model import load_model, load_network
 from quaffure.procedural import HELD_OUT, STYLES
-from quaffure.training import DecoderRecipe, loop, train
+from quaffure.training import DecoderRecipe, loop, train, validation
 from quaffure.training.groom_samples import ProceduralGroom
 from tests.characters import character
 from tests.test_own_motion import own_body
@@ -132,8 +132,9 @@ def test_weights_come_within_the_first_minute(
 
 
 def test_a_run_from_the_shipped_weights_takes_their_network(
-    tiny_groom_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tiny_groom_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(validation, "_POSES", 2)
     shipped = load_model().draper.network
     command = ["train", "--out", str(tmp_path / "run"), "--groom", str(tiny_groom_file), "--weights", "shipped"]
     small = ["--steps", "1", "--runs", "1", "--validate-every", "1", "--learning-rate", "1e-9"]
@@ -194,6 +195,7 @@ def test_a_network_is_specialised_on_a_character(
 
     few = Few("few", STYLES["bob"], 1)
     monkeypatch.setattr(train_cli, "family_grooms", lambda indices: [few])
+    monkeypatch.setattr(validation, "_POSES", 2)
     monkeypatch.setattr(train_cli, "DecoderRecipe", recipe_of)
     options = ["--steps", "2", "--runs", "1", "--frames", "1", "--grooms-per-step", "1", "--validate-every", "2"]
     command = ["train", "--out", str(folder), "--groom", str(tiny_groom_file), "--family", "1", "--body", str(path)]

@@ -237,6 +237,53 @@ def test_scalp_of_a_hair_mesh(body: BodyModel) -> None:
     assert len(imported.body.scalp.faces) > 200
 
 
+def test_scalp_of_an_attribute(body: BodyModel) -> None:
+    """Vertices above 0.5 are scalp, under hair that is nearer to the surface than they are; a name has an underscore in
+    the file alone."""
+    of = character(body)
+    values = np.zeros(len(body.rest_vertices), np.float32)
+    values[np.unique(body.faces[body.scalp.faces].numpy())] = 0.51
+    (mesh,) = of.meshes
+    painted = replace(of, meshes=(replace(mesh, attributes={"_SCALP": values, "_MASK": 0 * values + 0.5}),))
+    covered = with_mesh(painted, replace(mesh, name="Hair", materials=("Hair",)))
+    settings = replace(COARSE, cell=0.012)
+    scalp = import_body(covered, "", body, replace(settings, scalp="Scalp")).body
+    own, other = (each.rest_vertices[each.faces[each.scalp.faces]].mean(1) for each in (body, scalp))
+    for there, back in ((own, other), (other, own)):
+        assert float(torch.cdist(there, back).amin(1).max()) < 0.02
+    assert patch_area(scalp) == pytest.approx(patch_area(body), rel=0.1)
+    (part,) = parts_of(painted, fit_skeleton(painted, body))
+    for name in ("_scalp", "SCALP", "sc*"):
+        np.testing.assert_array_equal(part.attribute(name), values)
+    assert part.attribute("body") is None
+    with pytest.raises(InputError, match=r"--scalp _mask: expected a scalp"):
+        import_body(covered, "", body, replace(settings, scalp="_mask"))
+    expected = r"expected a mesh or material of character.glb \(Body \(BodyMaterial\), .*its vertices \(_SCALP, _MASK\)"
+    with pytest.raises(InputError, match=expected):
+        import_body(covered, "", body, replace(settings, scalp="crown"))
+
+
+def patch_area(of: BodyModel) -> float:
+    """Area of the scalp [m^2]."""
+    a, b, c = of.rest_vertices[of.faces[of.scalp.faces]].unbind(1)
+    return float(0.5 * torch.linalg.cross(b - a, c - a).norm(dim=1).sum())
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_stray_vertex_is_refused_before_there_is_a_grid_around_it(axis: int, body: BodyModel) -> None:
+    """100 km aside; in a jacket, too, which nothing asks for unless it is named."""
+    of = character(body)
+    (mesh,) = of.meshes
+    vertices = mesh.vertices.copy()
+    vertices[77, axis] = 1e7
+    stray = replace(of, meshes=(replace(mesh, vertices=vertices),))
+    with pytest.raises(InputError, match=r"character.glb, mesh Body: expected a mesh within 4 heights of the figure"):
+        import_body(stray, "", body, COARSE)
+    prop = with_mesh(of, replace(mesh, name="Sky", vertices=vertices, is_rigid=True))
+    with pytest.raises(InputError, match=r"character.glb, mesh Sky \(BodyMaterial\): expected a mesh within"):
+        import_body(prop, "", body, replace(COARSE, collide=("sky",)))
+
+
 def test_errors_say_what_was_expected(body: BodyModel) -> None:
     of = character(body)
     headless = character(body, {name: joint for name, joint in MIXAMO.items() if name != "Head"})

@@ -388,3 +388,24 @@ def test_buffers_elsewhere(uri: str, message: str, tmp_path: Path) -> None:
 def test_json_is_read_with_a_byte_order_mark(tmp_path: Path) -> None:
     assert json.loads(figure().gltf())["asset"]
     assert read(b"\xef\xbb\xbf" + figure().gltf(), tmp_path, ".gltf").meshes
+
+
+def test_attributes_of_users_are_read(tmp_path: Path) -> None:
+    """Scalars whose names begin with an underscore; what else there is, and what is damaged, is left out."""
+    file = GltfFile()
+    attributes = {
+        "POSITION": file.accessor(TRIANGLE),
+        "_SCALP": file.accessor(np.uint8([0, 255, 255, 0]), normalized=True),
+        "_WEIGHT": file.accessor(np.float32([0, 0.25, 0.5, 7])),
+        "_TINT": file.accessor(TRIANGLE),
+        "_SHORT": file.accessor(np.float32([1, 1])),
+        "_ID": file.accessor(np.float32([np.nan, 0, 0, 0])),
+    }
+    file.add("meshes", primitives=[{"attributes": attributes}, {"attributes": {"POSITION": attributes["POSITION"]}}])
+    file.document["meshes"][0]["primitives"][0]["indices"] = file.accessor(np.uint8([0, 1, 2]))
+    file.document["meshes"][0]["primitives"][1]["indices"] = file.accessor(np.uint8([1, 2, 3]))
+    file.add("nodes", name="Thing", mesh=0)
+    (mesh,) = read(file, tmp_path).meshes
+    assert list(mesh.attributes) == ["_SCALP", "_WEIGHT"]
+    np.testing.assert_allclose(mesh.attributes["_SCALP"], [0, 1, 1, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(mesh.attributes["_WEIGHT"], [0, 0.25, 0.5, 7, 0, 0, 0, 0])

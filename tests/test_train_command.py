@@ -6,6 +6,7 @@ from dataclasses import replace
 from importlib.resources import files
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,13 +18,19 @@ from quaffure.apps.cli.console import progress_bar
 from quaffure.apps.cli.main import main
 from quaffure.benchmark import load_evaluation_set
 from quaffure.benchmark.evaluation_set import SETS, refuse_evaluation_data
-from quaffure.body import BodyModel
+from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
-from quaffure.hair import Groom
+from quaffure.geometry import Surface
+from quaffure.hair import Groom, root_positions
 from quaffure.io import write_groom
+from quaffure.io.body_file import write_body
+from quaffure.io.load_groom import load_groom
 from quaffure.model import load_model, load_network
-from quaffure.procedural import HELD_OUT
-from quaffure.training import DecoderRecipe, loop, train
+from quaffure.procedural import HELD_OUT, STYLES
+from quaffure.training import DecoderRecipe, loop, train, validation
+from quaffure.training.groom_samples import ProceduralGroom
+from tests.characters import character
+from tests.test_own_motion import own_body
 from tests.training_runs import (
     LONGEST_WAIT,
     QUAFFURE,
@@ -125,8 +132,9 @@ def test_weights_come_within_the_first_minute(
 
 
 def test_a_run_from_the_shipped_weights_takes_their_network(
-    tiny_groom_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tiny_groom_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(validation, "_POSES", 2)
     shipped = load_model().draper.network
     command = ["train", "--out", str(tmp_path / "run"), "--groom", str(tiny_groom_file), "--weights", "shipped"]
     small = ["--steps", "1", "--runs", "1", "--validate-every", "1", "--learning-rate", "1e-9"]
@@ -163,6 +171,64 @@ def test_the_command_trains_on_another_body(
     assert "the joints" in capsys.readouterr().err
 
 
+def test_a_network_is_specialised_on_a_character(
+    body: BodyModel,
+    tiny_groom_file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Grooms move to it, its shape is its own, and what it starts from is measured first, and best until beaten."""
+    unshaped = {name: torch.zeros_like(getattr(body, name)) for name in ("shape_directions", "joint_shape_directions")}
+    own = replace(own_body(character(body), body), **unshaped)
+    path, folder = tmp_path / "character.npz", tmp_path / "run"
+    write_body(path, own)
+    made: list[DecoderRecipe] = []
+
+    def recipe_of(*settings: Any) -> DecoderRecipe:
+        made.append(DecoderRecipe(*settings))
+        return made[0]
+
+    class Few(ProceduralGroom):
+        def groom(self, body: BodyModel, surface: Surface) -> Groom:
+            return replace(super().groom(body, surface).thinned(40), name=self.name)
+
+    few = Few("few", STYLES["bob"], 1)
+    monkeypatch.setattr(train_cli, "family_grooms", lambda indices: [few])
+    monkeypatch.setattr(validation, "_POSES", 2)
+    monkeypatch.setattr(train_cli, "DecoderRecipe", recipe_of)
+    options = ["--steps", "2", "--runs", "1", "--frames", "1", "--grooms-per-step", "1", "--validate-every", "2"]
+    command = ["train", "--out", str(folder), "--groom", str(tiny_groom_file), "--family", "1", "--body", str(path)]
+    main([*command, "--weights", "shipped", *options])
+    (recipe,) = made
+    assert [groom.name for groom in recipe.grooms] == ["bob", "few"]
+    for groom in recipe.grooms:
+        roots = root_positions(groom, own.rest_vertices[None], own)[0]
+        torch.testing.assert_close(groom.rest_strands[:, 0], roots, atol=1e-5, rtol=0)
+    _, shapes = recipe.sampler.sample(3, 1, torch.Generator().manual_seed(1))
+    assert not shapes.any()
+    assert not recipe.validation.body_shape.any()
+    printed = capsys.readouterr().out
+    assert "before training: energy" in printed
+    assert re.search(r"1 of 2, \d+:\d\d:\d\d left: loss", printed)
+    assert [row["step"] for row in rows_of(folder / "validation.csv")] == ["0", "2"]
+    specialised = load_model(folder / "best.safetensors").on(load_body(path))
+    hair = specialised.drape(load_groom(tiny_groom_file, own), torch.zeros(1, 81))
+    assert torch.isfinite(hair).all()
+
+
+def test_without_grooms_the_bundled_ones_are_trained_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, groom: Groom
+) -> None:
+    asked: list[str] = []
+    runs: list[DecoderRecipe] = []
+    monkeypatch.setattr(train_cli, "load_groom", lambda name, body: asked.append(name) or replace(groom, name=name))
+    monkeypatch.setattr(train_cli, "run_training", lambda training, *texts, **options: runs.append(training.recipe))
+    main(["train", "--out", str(tmp_path / "run"), *TINY_OPTIONS])
+    assert set(asked) == set(STYLES) - set(HELD_OUT)
+    assert [trained.name for trained in runs[0].grooms] == asked
+
+
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
@@ -171,7 +237,6 @@ def test_the_command_trains_on_another_body(
         (["--groom", "bob", "--motion", "nod"], "not in the evaluation set"),
         (["--groom", "bob", "--pose-features", "5"], "0 or 111"),
         (["--groom", "bob", "--weights", "none.safetensors"], "no such file"),
-        ([], "at least one groom"),
         (["--family", "-1"], "--family: expected 0 or more"),
         (["--groom", "bob", "--strand-layers", "0"], "strand_layers from 1 to 64"),
         (["--groom", "bob", "--learning-rate", "-1"], "--learning-rate: expected a number above 0"),

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -59,7 +59,8 @@ def drape_motion(
         rows = slice(first, min(first + FRAMES_AT_ONCE, len(motion)))
         start = time.perf_counter()
         body_pose = motion.body_pose[rows]
-        scene = Scene(groom, BodyBatch(body, body_pose, body_shape.expand(len(body_pose), -1)))
+        offsets = None if motion.morphs is None else motion.morphs.offsets(rows)
+        scene = Scene(groom, BodyBatch(body, body_pose, body_shape.expand(len(body_pose), -1), offsets))
         path = _path(motion, rows)
         if rows.stop <= stored:
             draped = torch.from_numpy(store.frames().strands[rows] - path[:, None, None])
@@ -124,7 +125,15 @@ def _path(motion: Motion, rows: slice) -> Float32[np.ndarray, "f 3"]:
 def bodies_of(sequence: DrapeSequence, body: BodyModel, frames: slice = slice(None)) -> BodyBatch:
     """The bodies of some frames of a drape, in place."""
     body_pose = torch.from_numpy(sequence.body_pose[frames])
-    return BodyBatch(body, body_pose, torch.from_numpy(sequence.body_shape).expand(len(body_pose), -1))
+    bodies = BodyBatch(body, body_pose, torch.from_numpy(sequence.body_shape).expand(len(body_pose), -1))
+    if body.origin is not None:
+        # Morph targets of its character may have changed the surface, of which a drape keeps the vertices alone.
+        vertices = torch.from_numpy(np.asarray(sequence.body_vertices[frames], np.float32))
+        path = sequence.body_translation
+        if path is not None:
+            vertices = vertices - torch.from_numpy(path[frames].astype(np.float32))[:, None]
+        bodies.__dict__["posed"] = replace(bodies.posed, vertices=vertices)
+    return bodies
 
 
 def material_of(sequence: DrapeSequence) -> HairMaterial:

@@ -21,11 +21,13 @@ class BodyBatch:
     Attributes:
         body_pose: theta [rad].
         body_shape: beta [standard deviations].
+        offsets: change of the surface at rest, before it is posed [m] (`quaffure.body.surface_morphs`); none without.
     """
 
     body: BodyModel
     body_pose: BodyPose
     body_shape: BodyShape
+    offsets: Float[Tensor, "b v 3"] | None = None
 
     @cached_property
     def joints(self) -> PosedJoints:
@@ -34,12 +36,13 @@ class BodyBatch:
 
     @cached_property
     def posed(self) -> PosedBody:
-        _, rotations, positions = self.joints
-        return self.body.skin(self.body_shape, rotations.to(self.body.rest_joints), positions.to(self.body.rest_joints))
+        _, rotations, positions = (joints.to(self.body.rest_joints) for joints in self.joints)
+        return self.body.skin(self.body_shape, rotations, positions, self.offsets)
 
     def rows(self, rows: slice) -> "BodyBatch":
         """Some of the bodies, not posed again."""
-        part = BodyBatch(self.body, self.body_pose[rows], self.body_shape[rows])
+        offsets = None if self.offsets is None else self.offsets[rows]
+        part = BodyBatch(self.body, self.body_pose[rows], self.body_shape[rows], offsets)
         part.__dict__["joints"] = self.joints.rows(rows)
         return part
 

@@ -148,10 +148,20 @@ class BodyModel:
         return self.skin(shapes, *self.posed_joints(poses, shapes))
 
     def skin(
-        self, body_shape: BodyShape, rotations: Float[Tensor, "b j 3 3"], positions: Float[Tensor, "b j 3"]
+        self,
+        body_shape: BodyShape,
+        rotations: Float[Tensor, "b j 3 3"],
+        positions: Float[Tensor, "b j 3"],
+        offsets: Float[Tensor, "b v 3"] | None = None,
     ) -> PosedBody:
-        """Bodies of shape beta [standard deviations] whose joints are posed, by linear blend skinning."""
+        """Bodies of shape beta [standard deviations] whose joints are posed, by linear blend skinning.
+
+        Args:
+            offsets: added to the vertices at rest [m].
+        """
         rest_vertices, rest_joints = self.rest(body_shape)
+        if offsets is not None:
+            rest_vertices = rest_vertices + offsets
         # x -> G_j (x - J_j) + p_j as one 3x4 matrix a joint, blended by the skin weights; vertices go last, where
         # products over them run through contiguous memory.
         offsets = positions[..., None] - rotations @ rest_joints[..., None]

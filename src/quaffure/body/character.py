@@ -80,6 +80,7 @@ class SkinnedMesh:
         uv: texture coordinates, v down, where the file has them.
         morph_targets: by name, differences from `bind_vertices`.
         morph_weights: their weights at rest.
+        attributes: further numbers of the vertices, by the names that the file gives them, such as `_SCALP`.
     """
 
     name: str
@@ -96,6 +97,7 @@ class SkinnedMesh:
     uv: Float[np.ndarray, "v 2"] | None = None
     morph_targets: dict[str, Float[np.ndarray, "v 3"]] = field(default_factory=dict)
     morph_weights: tuple[float, ...] = ()
+    attributes: dict[str, Float[np.ndarray, " v"]] = field(default_factory=dict)
 
     @property
     def joints(self) -> Int[np.ndarray, "v w"]:

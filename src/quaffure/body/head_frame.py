@@ -80,18 +80,21 @@ def head_frame_body(
     joints: PosedJoints,
     config: MlsBodyConfig,
     collides: bool = True,
+    offsets: Float[Tensor, "b v 3"] | None = None,
 ) -> HeadFrameBody:
     """Bodies of shape beta [standard deviations] in pose theta [rad]; float32, on the CPU.
 
     Args:
         joints: of these bodies.
         collides: pose the collision skin too.
+        offsets: added to the vertices of the body at rest [m].
     """
     skin = skin_to_pose(body, config.leaves, collides)
     pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
     rest, rotations, centres = joints.rest.double(), joints.rotations.double(), joints.positions.double()
     world = WorldJoints(pose.numpy(), shape.numpy(), rest.numpy(), rotations.numpy(), centres.numpy(), near_hair(body))
-    frame, *vertices = pose_bodies(world, skin)
+    moved = None if offsets is None else offsets[:, posed_vertices(body, config.leaves, collides)].detach().float()
+    frame, *vertices = pose_bodies(world, skin, None if moved is None else moved.contiguous().numpy())
     (rotation, head, code), (positions, normals) = map(torch.from_numpy, frame), map(torch.from_numpy, vertices)
     count, rest_count = len(skin.normals), len(scalp_vertices(body))
     points = positions[:, :count].unflatten(1, (-1, LEAF))
@@ -105,11 +108,16 @@ def near_hair(body: BodyModel) -> Int[np.ndarray, " j"]:
     return np.array([body.joint_names.index(name) for name in (HEAD, *NEAR_HAIR)])
 
 
+def posed_vertices(body: BodyModel, leaves: int, collides: bool) -> Int[Tensor, " k"]:
+    """Body vertices of `skin_to_pose`: sampled points, then the scalp, then the collision skin."""
+    points, _, _ = skin_points(body, leaves)
+    return torch.cat([points, scalp_vertices(body), collision_skin(body).vertices[: None if collides else 0]])
+
+
 @lru_cache(maxsize=8)
 def skin_to_pose(body: BodyModel, leaves: int, collides: bool) -> Skin:
-    """Sampled points, then the scalp, then the collision skin."""
-    points, normals, _ = skin_points(body, leaves)
-    vertices = torch.cat([points, scalp_vertices(body), collision_skin(body).vertices[: None if collides else 0]])
+    """What is posed of `posed_vertices`."""
+    vertices, (_, normals, _) = posed_vertices(body, leaves, collides), skin_points(body, leaves)
     return Skin(
         body.rest_vertices[vertices].numpy(),
         body.shape_directions[:, vertices].permute(1, 2, 0).contiguous().numpy(),

@@ -52,19 +52,24 @@ class Skin(NamedTuple):
 
 
 def pose_bodies(
-    joints: WorldJoints, skin: Skin
+    joints: WorldJoints, skin: Skin, offsets: Float[np.ndarray, "b v 3"] | None = None
 ) -> tuple[HeadFrame, Float[np.ndarray, "b v 3"], Float[np.ndarray, "b p 3"]]:
-    """Frames, vertices in the head's frame [m], and the normals of those that have one."""
+    """Frames, vertices in the head's frame [m], and the normals of those that have one.
+
+    Args:
+        offsets: added to the vertices at rest [m].
+    """
     batch, empty = len(joints.body_pose), partial(np.empty, dtype=np.float32)
     frames = HeadFrame(empty((batch, 3, 3)), empty((batch, 3)), empty((batch, POSE_CODE_SIZE)))
     positions, normals = empty((batch, len(skin.rest), 3)), empty((batch, len(skin.normals), 3))
-    _fill_bodies(joints, skin, frames, positions, normals)
+    moved = empty((0, 0, 3)) if offsets is None else offsets
+    _fill_bodies(joints, skin, moved, frames, positions, normals)
     return frames, positions, normals
 
 
 @njit(cache=True)
 def _fill_bodies(
-    joints: WorldJoints, skin: Skin, frames: HeadFrame, positions: np.ndarray, normals: np.ndarray
+    joints: WorldJoints, skin: Skin, offsets: np.ndarray, frames: HeadFrame, positions: np.ndarray, normals: np.ndarray
 ) -> None:
     transforms = np.empty((*joints.rest.shape[:2], 12), np.float32)  # 3 x 4, from rest vertices to the head's frame
     for sample in range(len(joints.body_pose)):
@@ -78,7 +83,7 @@ def _fill_bodies(
         code[:10] = joints.body_shape[sample]
         code[10:91] = joints.body_pose[sample]
         _remove_heading(joints.body_pose[sample, :3], code[10:13])
-    _pose_skin(joints.body_shape, skin, transforms, positions, normals)
+    _pose_skin(joints.body_shape, skin, offsets, transforms, positions, normals)
 
 
 @njit(cache=True)
@@ -140,8 +145,9 @@ def _write_features(
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _pose_skin(
-    body_shape: np.ndarray, skin: Skin, transforms: np.ndarray, positions: np.ndarray, normals: np.ndarray
-) -> None:
+    body_shape: np.ndarray, skin: Skin, offsets: np.ndarray, transforms: np.ndarray, positions: np.ndarray,
+    normals: np.ndarray,
+) -> None:  # fmt: skip
     batch, vertices = positions.shape[:2]
     # Rows so long that threads do not write into one line of the cache.
     scratch = np.empty((batch * _PARTS, 32), np.float32)
@@ -152,6 +158,8 @@ def _pose_skin(
                 point[axis] = skin.rest[vertex, axis]
                 for coefficient in range(body_shape.shape[1]):
                     point[axis] += body_shape[sample, coefficient] * skin.directions[vertex, axis, coefficient]
+                if len(offsets) > 0:
+                    point[axis] += offsets[sample, vertex, axis]
             blend[:] = np.float32(0.0)
             for slot in range(skin.joints.shape[1]):
                 weight, joint = skin.weights[vertex, slot], skin.joints[vertex, slot]

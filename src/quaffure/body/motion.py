@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from quaffure.body.pose_limits import check_body_pose
+from quaffure.body.surface_morphs import SurfaceMorphs
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import axis_angle_from_matrix, interpolate_rotations, matrix_from_axis_angle
 
@@ -42,6 +43,7 @@ class Motion:
             part of `body_pose`: the rotation of Hips, joint 0.
         notes: what its reader guessed, in words.
         start: time of the first frame in its file [s].
+        morphs: of the surface of the body that the motion was read for; None where it does not change.
 
     Raises:
         InputError: no frames, another width than three numbers a joint, a value or a rate that is not finite, a
@@ -54,6 +56,7 @@ class Motion:
     translation: Float[Tensor, "..."] | None = None
     notes: tuple[str, ...] = ()
     start: float = 0.0
+    morphs: SurfaceMorphs | None = None
 
     def __post_init__(self) -> None:
         if self.body_pose.ndim != 2 or self.body_pose.shape[0] < 1 or self.body_pose.shape[1] != 81:
@@ -62,6 +65,8 @@ class Motion:
         if not 0.0 < self.fps < float("inf"):
             raise InputError(self.name, "a frame rate above 0 fps", f"{self.fps}")
         self._check_translation()
+        if self.morphs is not None and len(self.morphs) != len(self):
+            raise InputError(self.name, f"weights of morph targets in {len(self)} frames", f"{len(self.morphs)}")
 
     def _check_translation(self) -> None:
         if self.translation is None:
@@ -93,7 +98,8 @@ class Motion:
         """Some of the frames, at the same rate."""
         translation = None if self.translation is None else self.translation[frames]
         start = self.start + frames.indices(len(self))[0] / self.fps
-        return replace(self, body_pose=self.body_pose[frames], translation=translation, start=start)
+        morphs = None if self.morphs is None else self.morphs.select(frames)
+        return replace(self, body_pose=self.body_pose[frames], translation=translation, start=start, morphs=morphs)
 
     def frames(self, spec: str) -> "Motion":
         """The frames `A:B:STEP`: from A up to but without B, every STEP-th, each of which may be left out; or `A`.
@@ -168,7 +174,8 @@ def resample(motion: Motion, fps: float) -> Motion:
     if translation is not None:
         weight = (position - before)[:, None].to(translation)
         translation = torch.lerp(translation[before], translation[before + 1], weight)
-    return Motion(pose_from_matrices(between), fps, motion.name, translation, motion.notes, motion.start)
+    morphs = None if motion.morphs is None else motion.morphs.between(position)
+    return Motion(pose_from_matrices(between), fps, motion.name, translation, motion.notes, motion.start, morphs)
 
 
 def filter_flips(motion: Motion) -> Motion:

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from quaffure.errors import InputError
 from quaffure.geometry.hole_filling import boundary_loops, fill_loop
 
 CLOSING_RADIUS = 0.004
@@ -40,6 +41,8 @@ FACES = 24000
 FINE_RADIUS, COARSENING = 0.16, 1.5
 """The radius around the middle of the head within which the surface is fine, and the radius over which triangles grow
 to twice their length, in units of the first."""
+WIDEST = 4.0
+"""Largest extent of a mesh, in heights of the figure: the grid has blocks wherever its bounding box is."""
 
 
 class Triangles(NamedTuple):
@@ -52,6 +55,23 @@ class Triangles(NamedTuple):
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "k 3"]
+
+
+def check_extent(name: str, vertices: Float[np.ndarray, "v 3"], height: float, source: str) -> None:
+    """Refuse a mesh with a vertex far from the figure, before there is a grid around it.
+
+    Args:
+        name: of the mesh.
+        height: of the figure, in the unit of the vertices.
+        source: the file.
+
+    Raises:
+        InputError: it is wider than `WIDEST` heights.
+    """
+    extent = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
+    if not extent <= WIDEST * height:
+        found = f"one of {extent / height:.3g} heights" if height > 0 else "joints in one place"
+        raise InputError(f"{source}, mesh {name}", f"a mesh within {WIDEST:g} heights of the figure", found)
 
 
 def closed_surface(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from quaffure.body.body_model import SHAPE_COUNT, BodyModel
 from quaffure.body.body_origin import BodyOrigin
@@ -15,7 +15,7 @@ from quaffure.body.character import Character
 from quaffure.body.joint_map import JointMap
 from quaffure.body.pose_features import HEAD
 from quaffure.body.scalp import ScalpChart
-from quaffure.character.collision_surface import CELL, Triangles, closed_surface, closest_on, distance_to
+from quaffure.character.collision_surface import CELL, Triangles, check_extent, closed_surface, closest_on, distance_to
 from quaffure.character.head_fit import HeadFit, fit_head
 from quaffure.character.parts import Part, Parts, choose_parts, joined, parts_of
 from quaffure.character.scalp import (
@@ -27,6 +27,7 @@ from quaffure.character.scalp import (
     scalp_of_transferred,
     transferred_scalp,
     under_hair,
+    where_large,
 )
 from quaffure.character.skeleton import FittedSkeleton, fit_skeleton
 from quaffure.errors import InputError
@@ -45,7 +46,8 @@ class ImportSettings:
 
     Attributes:
         joint_map: which joints are which; by their names without one.
-        scalp: name of a mesh or material that is the scalp.
+        scalp: name of a mesh or material that is the scalp, or of an attribute of vertices that is above
+            `scalp.LEAST_VALUE` there.
         hair_mesh: name of a mesh or material of hair, whose footprint is the scalp.
         roots: of a groom that was made on the character [file units], and its file.
         collide: names of meshes or materials that hair collides with, besides the skin.
@@ -96,6 +98,10 @@ def import_body(
     skeleton = fit_skeleton(character, template, settings.joint_map)
     all_parts = parts_of(character, skeleton)
     parts = choose_parts(all_parts, template.joint_names, character.source, settings.collide)
+    _check_names(all_parts, settings, character.source)
+    height = float(np.ptp(skeleton.file_joints, axis=0).max())
+    for part in (*parts.skin, *parts.inner):
+        check_extent(part.name, part.vertices, height, character.source)
     on_step("making one closed surface of the skin")
     vertices, faces, weights = joined((*parts.skin, *parts.inner))
     skin, middle = Triangles(vertices, faces), _middle_of_head(parts, template)
@@ -141,9 +147,7 @@ def _scalp(
 ) -> tuple[Scalp, str]:
     """The scalp, and where it comes from."""
     if settings.scalp:
-        named = _named(parts, settings.scalp, "--scalp", source)
-        middles, others = in_file.vertices[in_file.faces].mean(1), [part for part in parts if part not in named]
-        wanted = distance_to(middles, _mesh(named)) <= (distance_to(middles, _mesh(others)) if others else np.inf)
+        wanted = _named_faces(in_file, parts, settings.scalp)
         scalp = scalp_of_faces(
             wanted & (transferred.distance(at_rest.vertices[at_rest.faces].mean(1)) < 0.1),
             at_rest,
@@ -152,7 +156,7 @@ def _scalp(
         )
         return scalp, f"scalp: {settings.scalp}"
     if settings.hair_mesh:
-        hair = _mesh(_named(parts, settings.hair_mesh, "--hair-mesh", source))
+        hair = _mesh([part for part in parts if part.is_called(settings.hair_mesh)])
         wanted = under_hair(in_file, hair, transferred)
         return scalp_of_faces(wanted, at_rest, ears, f"--hair-mesh {settings.hair_mesh}"), (
             f"scalp: the footprint of {settings.hair_mesh}"
@@ -164,12 +168,33 @@ def _scalp(
     return scalp_of_transferred(transferred, at_rest, ears, source), "scalp: that of the shipped body, transferred"
 
 
-def _named(parts: list[Part], pattern: str, option: str, source: str) -> list[Part]:
-    named = [part for part in parts if part.is_called(pattern)]
-    if not named:
-        known = ", ".join(dict.fromkeys(part.name for part in parts))
-        raise InputError(option, f"a mesh or material of {source}: {known}", repr(pattern))
-    return named
+def _named_faces(surface: Triangles, parts: list[Part], name: str) -> Bool[np.ndarray, " k"]:
+    """Faces of a surface where a mesh or material of a name is nearest, or an attribute of that name is large."""
+    middles = surface.vertices[surface.faces].mean(1)
+    named = [part for part in parts if part.is_called(name)]
+    if named:
+        others = [part for part in parts if part not in named]
+        return distance_to(middles, _mesh(named)) <= (distance_to(middles, _mesh(others)) if others else np.inf)
+    # Hair that is on the scalp would be nearer than it.
+    bald = [part for part in parts if part.attribute(name) is not None or not part.is_hair]
+    values = [np.zeros(len(part.vertices)) if (own := part.attribute(name)) is None else own for part in bald]
+    return where_large(middles, _mesh(bald), np.concatenate(values))
+
+
+def _check_names(parts: list[Part], settings: ImportSettings, source: str) -> None:
+    """Refuse names that nothing has, before the work.
+
+    Raises:
+        InputError: lists those that there are.
+    """
+    meshes = ", ".join(dict.fromkeys(part.name for part in parts))
+    if settings.hair_mesh and not any(part.is_called(settings.hair_mesh) for part in parts):
+        raise InputError("--hair-mesh", f"a mesh or material of {source}: {meshes}", repr(settings.hair_mesh))
+    name = settings.scalp
+    if name and not any(part.is_called(name) or part.attribute(name) is not None for part in parts):
+        known = ", ".join(dict.fromkeys(attribute for part in parts for attribute in part.attributes)) or "none"
+        expected = f"a mesh or material of {source} ({meshes}) or an attribute of its vertices ({known})"
+        raise InputError("--scalp", expected, repr(name))
 
 
 def _mesh(parts: list[Part]) -> Triangles:

@@ -1,6 +1,6 @@
 """The meshes of a character, part by part: which are its skin, and what else there is."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -38,6 +38,7 @@ class Part:
         vertices: in the body's space, in the file's rest pose [m].
         faces: triangles.
         weights: share of each joint of the body.
+        attributes: further numbers of the vertices, by name.
     """
 
     mesh: str
@@ -45,6 +46,7 @@ class Part:
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "k 3"]
     weights: Float[np.ndarray, "v 27"]
+    attributes: dict[str, Float[np.ndarray, " v"]] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -53,6 +55,14 @@ class Part:
     def is_called(self, pattern: str) -> bool:
         """Whether the mesh or the material has this name; * and ? stand for any letters, and case does not matter."""
         return any(fnmatchcase(name.lower(), pattern.lower()) for name in (self.mesh, self.material))
+
+    def attribute(self, pattern: str) -> Float[np.ndarray, " v"] | None:
+        """Numbers of the vertices that have this name, with or without the underscore that glTF puts before it; * and ?
+        stand for any letters, and case does not matter."""
+        for name, values in self.attributes.items():
+            if any(fnmatchcase(each.lower(), pattern.lower()) for each in (name, name.removeprefix("_"))):
+                return values
+        return None
 
     @property
     def is_hair(self) -> bool:
@@ -93,7 +103,8 @@ def parts_of(character: Character, skeleton: FittedSkeleton) -> list[Part]:
         for index, material in enumerate(mesh.materials):
             used, faces = np.unique(mesh.faces[mesh.face_materials == index], return_inverse=True)
             if len(used):
-                parts.append(Part(mesh.name, material, vertices[used], faces.reshape(-1, 3), weights[used]))
+                attributes = {name: values[used] for name, values in mesh.attributes.items()}
+                parts.append(Part(mesh.name, material, vertices[used], faces.reshape(-1, 3), weights[used], attributes))
     return parts
 
 

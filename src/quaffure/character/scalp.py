@@ -23,6 +23,8 @@ WIDER = 0.025
 """How far a hair mesh or a groom can move the hairline outwards from the transferred scalp's [m]."""
 FOOTPRINT, ROOT_DISTANCE = 0.02, 0.012
 """Distance of the scalp from a hair mesh, and from the nearest root of a groom [m]."""
+LEAST_VALUE = 0.5
+"""Value of an attribute above which vertices are scalp."""
 LARGEST_ROOT_DISTANCE = 0.02
 """Median distance of a groom's roots from the head beyond which it was made on another one [m]."""
 
@@ -124,6 +126,19 @@ def scalp_of_faces(
     used, flat = np.unique(surface.faces[chosen], return_inverse=True)
     patch, points = flat.reshape(-1, 3), surface.vertices[used]
     return Scalp(np.flatnonzero(chosen), fitted_to_square(unrolled(points, patch))[patch])
+
+
+def where_large(
+    points: Float[np.ndarray, "p 3"], mesh: Triangles, values: Float[np.ndarray, " v"]
+) -> Bool[np.ndarray, " p"]:
+    """Points at whose nearest places on a mesh more than half of the corners, by their weight there, are scalp by an
+    attribute.
+
+    Args:
+        values: of the attribute, at the mesh's vertices.
+    """
+    face, weights, _ = closest_on(points, mesh)
+    return ((values > LEAST_VALUE)[mesh.faces[face]] * weights).sum(1) > 0.5
 
 
 def under_hair(surface: Triangles, hair: Triangles, transferred: TransferredScalp) -> Bool[np.ndarray, " k"]:

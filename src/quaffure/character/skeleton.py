@@ -18,6 +18,7 @@ from quaffure.body.joint_map import CHAINS, JointMap
 from quaffure.body.joint_names import automatic_joint_map, check_joint_map
 from quaffure.body.retargeting import rest_alignment
 from quaffure.body.source_skeleton import source_skeleton
+from quaffure.character.collision_surface import check_extent
 from quaffure.errors import InputError
 
 HEIGHTS = (0.4, 2.6)
@@ -95,10 +96,11 @@ def fit_skeleton(character: Character, template: BodyModel, joint_map: JointMap 
         raise InputError(character.source, f"one joint each for {' and '.join(ENDS)}", ", ".join(between))
     source = source_skeleton(clip, joint_map)
     turn, names = source.body_from_file, character.nodes.names
-    metres = _metres_per_unit(character, turn, template)
-    positions = metres * character.nodes.world[:, :3, 3] @ turn.T
     own = {name: joint_map[name].first for name in template.joint_names if name in joint_map}
     own = {name: first for name, first in own.items() if joint_map[name].second is None}
+    mapped = [names.index(name) for name in own.values()]
+    metres = _metres_per_unit(character, turn, character.nodes.world[mapped, :3, 3], template)
+    positions = metres * character.nodes.world[:, :3, 3] @ turn.T
     found = {joint: positions[names.index(name)] for joint, name in own.items()}
     aligned = {joint: rest_alignment(joint, source, template).numpy() for joint in source.bones}
     rotations = _rest_rotations(joint_map, aligned, template)
@@ -128,9 +130,13 @@ def rest_clip(character: Character) -> BvhClip:
     )
 
 
-def _metres_per_unit(character: Character, turn: Float[np.ndarray, "3 3"], template: BodyModel) -> float:
+def _metres_per_unit(
+    character: Character, turn: Float[np.ndarray, "3 3"], joints: Float[np.ndarray, "j 3"], template: BodyModel
+) -> float:
     """1, as glTF asks, where it gives a human height; or else the known unit whose height is nearest to the template's
     in proportion, or one that gives the template's."""
+    for mesh in (mesh for mesh in _figure(character) if not mesh.is_rigid):
+        check_extent(mesh.name, mesh.vertices, float(np.ptp(joints, axis=0).max()), character.source)
     height = float(np.ptp(np.concatenate([mesh.vertices @ turn[2] for mesh in _figure(character)])))
     if not height > 0:
         raise InputError(character.source, "meshes of a standing figure", "a height of 0")

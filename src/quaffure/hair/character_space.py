@@ -62,6 +62,16 @@ class BoundPoints:
         matrices = _blended(self.mesh, self.shares, world)
         return np.einsum("mij,mj->mi", matrices[:, :3, :3], points) + matrices[:, :3, 3]
 
+    def morphed_by(self, target: str, world: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "m 3"]:
+        """How far a morph target of weight 1 moves the points [scene units].
+
+        Args:
+            world: `scene_from_node` of every node.
+        """
+        corners = self.mesh.morph_targets[target][self.mesh.faces[self.faces]]
+        matrices = _blended(self.mesh, self.shares, world)
+        return np.einsum("mij,mj->mi", matrices[:, :3, :3], (self.barycentric[..., None] * corners).sum(1))
+
 
 def bind_points(mesh: SkinnedMesh, world: Float[np.ndarray, "n 4 4"], points: Float[np.ndarray, "m 3"]) -> BoundPoints:
     """Bind points to the nearest triangles of a mesh at rest.
@@ -70,7 +80,7 @@ def bind_points(mesh: SkinnedMesh, world: Float[np.ndarray, "n 4 4"], points: Fl
         world: `scene_from_node` of every node at rest.
         points: [scene units].
     """
-    faces, barycentric, _ = _closest(mesh, points)
+    faces, barycentric, _ = closest_on_mesh(mesh, points)
     corners = mesh.faces[faces]
     rows = np.repeat(np.arange(len(points)), 3 * mesh.weights.shape[1])
     values = (barycentric[..., None] * mesh.weights[corners]).ravel()
@@ -164,9 +174,11 @@ def skin_of(character: Character, origin: BodyOrigin, scalp: Float[np.ndarray, "
     """
     points = origin.file_from_body(scalp)
     distances = {
-        mesh: float(np.median(_closest(mesh, points)[2])) / origin.scale for mesh in character.meshes if len(mesh.faces)
+        mesh: float(np.median(closest_on_mesh(mesh, points)[2])) / origin.scale
+        for mesh in character.meshes
+        if len(mesh.faces)
     }
-    bald = [mesh for mesh in distances if not _is_hair(mesh)]
+    bald = [mesh for mesh in distances if not is_hair_mesh(mesh)]
     nearest = min(bald or distances, key=lambda mesh: distances[mesh], default=None)
     if nearest is None or distances[nearest] > SKIN_DISTANCE:
         found = "no mesh" if nearest is None else f"{nearest.name}, {1e3 * distances[nearest]:.0f} mm away"
@@ -174,12 +186,12 @@ def skin_of(character: Character, origin: BodyOrigin, scalp: Float[np.ndarray, "
     return nearest
 
 
-def _is_hair(mesh: SkinnedMesh) -> bool:
+def is_hair_mesh(mesh: SkinnedMesh) -> bool:
     """Whether the mesh or all of its materials are called as hair is."""
     return is_hair_name(mesh.name) or (bool(mesh.materials) and all(map(is_hair_name, mesh.materials)))
 
 
-def _closest(
+def closest_on_mesh(
     mesh: SkinnedMesh, points: Float[np.ndarray, "m 3"]
 ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 3"], Float[np.ndarray, " m"]]:
     """Triangle of a mesh at rest that is nearest to each point, barycentric coordinates there, and the distance."""

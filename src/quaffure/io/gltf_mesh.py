@@ -1,5 +1,6 @@
-"""Meshes of a glTF file, on the nodes of its scene: triangles, skin weights and morph targets."""
+"""Meshes of a glTF file, on the nodes of its scene: triangles, skin weights, morph targets and attributes of users."""
 
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -7,8 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from quaffure.body.character import Skin, SkinnedMesh
+from quaffure.errors import InputError
 from quaffure.io.gltf_accessor import GltfArrays
-from quaffure.io.gltf_entry import DistinctNames, Entry
+from quaffure.io.gltf_entry import DistinctNames, Entry, one_line
 from quaffure.io.gltf_nodes import GltfScene
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
@@ -16,6 +18,7 @@ BYTES_A_VERTEX = 300  # while a vertex is skinned
 BYTES_A_FACE = 112  # three corners, shifted and joined, with the material
 BYTES_A_SHARE = 32  # joint and weight, padded and joined
 BYTES_A_MISSING_TARGET = 24  # zeros for each vertex, joined
+BYTES_A_NUMBER = 12  # of an attribute of each vertex, zeros where a primitive lacks it, joined
 MOST_SETS = 8
 """A vertex has four joints and weights in each set."""
 
@@ -28,6 +31,7 @@ class _Vertices(NamedTuple):
     weights: Float[np.ndarray, "v w"]
     uv: Float[np.ndarray, "v 2"] | None
     targets: list[Float[np.ndarray, "v 3"] | None]
+    attributes: dict[str, Float[np.ndarray, " v"]]
 
 
 @dataclass
@@ -59,6 +63,11 @@ class _Surface:
         """Joints a vertex, as many as that with most has."""
         return max(part.weights.shape[1] for part in self.vertices)
 
+    @property
+    def attributes(self) -> list[str]:
+        """Names of the attributes that any vertex has."""
+        return list(dict.fromkeys(name for part in self.vertices for name in part.attributes))
+
 
 def read_meshes(root: Entry, arrays: GltfArrays, scene: GltfScene, skins: list[Skin]) -> tuple[SkinnedMesh, ...]:
     """The meshes of the scene that have triangles.
@@ -80,6 +89,7 @@ def read_meshes(root: Entry, arrays: GltfArrays, scene: GltfScene, skins: list[S
                 surface.add(primitive, arrays, skin, material)
         if surface.faces:
             arrays.document.take(BYTES_A_SHARE * surface.vertex_count * surface.width, entry)
+            arrays.document.take(BYTES_A_NUMBER * surface.vertex_count * len(surface.attributes), entry)
             meshes.append(_mesh(surface, (entry, holder), node, scene, skin, materials))
     return tuple(meshes)
 
@@ -113,6 +123,7 @@ def _mesh(
         uv=np.concatenate(uv) if len(uv) == len(surface.vertices) else None,
         morph_targets=targets,
         morph_weights=_morph_weights(entry, holder, len(targets)),
+        attributes=_attributes(surface),
     )
     at_rest = mesh.posed(scene.nodes.world)
     if not np.isfinite(at_rest).all():
@@ -153,7 +164,12 @@ def _vertices(primitive: Entry, arrays: GltfArrays, skin: Skin | None) -> _Verti
     missing = sum("POSITION" not in target for target in entries)
     arrays.document.take(BYTES_A_MISSING_TARGET * rows * missing, primitive)
     targets = [read(target, "POSITION", "VEC3", rows) if "POSITION" in target else None for target in entries]
-    return _Vertices(positions, skin_joints, weights, uv, targets)
+    own = {}
+    # Names of users' own attributes begin with an underscore (section 3.7.2.1 of the specification).
+    for name in (name for name in attributes.fields if name.startswith("_")):
+        with suppress(InputError):  # vectors, or numbers of any size: no reason to refuse a character
+            own[one_line(name)] = read(attributes, name, "SCALAR", rows)[:, 0]
+    return _Vertices(positions, skin_joints, weights, uv, targets, own)
 
 
 def _normalized(
@@ -215,6 +231,16 @@ def _morph_targets(entry: Entry, parts: list[_Vertices]) -> dict[str, Float[np.n
             [np.zeros_like(part.positions) if delta is None else delta for part, delta in zip(parts, deltas)]
         )
     return targets
+
+
+def _attributes(surface: _Surface) -> dict[str, Float[np.ndarray, " v"]]:
+    """Attributes of all vertices; 0 where a primitive lacks one."""
+    return {
+        name: np.concatenate(
+            [part.attributes.get(name, np.zeros(len(part.positions), np.float32)) for part in surface.vertices]
+        )
+        for name in surface.attributes
+    }
 
 
 def _morph_weights(entry: Entry, holder: Entry, targets: int) -> tuple[float, ...]:

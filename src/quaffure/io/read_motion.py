@@ -16,6 +16,7 @@ from quaffure.body.motion import Motion
 from quaffure.body.own_motion import is_own, own_motion
 from quaffure.body.retargeting import RETARGET_FPS, retarget_bvh
 from quaffure.errors import InputError, refused
+from quaffure.hair.character_morphs import surface_morphs
 from quaffure.input_file import check_input_file, file_and_clip, read_text
 from quaffure.io.amass import read_amass
 from quaffure.io.bvh import read_bvh
@@ -59,6 +60,7 @@ def read_motion(path: Path, body: BodyModel, joints: Path | None = None) -> Moti
         name = f"{path.stem}_{animation.name}" if len(character.animations) > 1 else path.stem
         if joint_map is None and is_own(body, character):
             motion = own_motion(character, animation, body, RETARGET_FPS)
+            motion = replace(motion, morphs=surface_morphs(character, animation, body, motion.times))
         else:
             motion = retarget_character(character, animation, body, joint_map)
         return replace(motion, name=re.sub(r"[^\w.-]+", "_", name))  # files are named after motions

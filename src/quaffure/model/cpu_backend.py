@@ -63,7 +63,8 @@ class CpuBackend:
             part, rows = grooms[first : first + BATCH], slice(first, first + BATCH)
             joints = PosedJoints(rest[rows], rotations[rows], positions[rows])
             pose, shape = bodies.body_pose[rows], bodies.body_shape[rows]
-            batch = head_frame_body(body, pose, shape, joints, config.initial_shape.body, config.contact)
+            offsets = None if bodies.offsets is None else bodies.offsets[rows]
+            batch = head_frame_body(body, pose, shape, joints, config.initial_shape.body, config.contact, offsets)
             codes, most = [], 0
             for groom in part:
                 codes.append(groom.code)
@@ -116,8 +117,8 @@ class CpuTrainingBackend(TorchBackend):
     """Initial shape and projection by the compiled kernels, without gradient, the rest in torch."""
 
     def head_frame(self, bodies: BodyBatch) -> HeadFrameBody:
-        config = self.config.initial_shape.body
-        return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, bodies.joints, config, self.projects)
+        config, joints, moved = self.config.initial_shape.body, bodies.joints, bodies.offsets
+        return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, joints, config, self.projects, moved)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
         shape = empty_shape(len(posed.body.head_position), len(groom.margin), feature_size(self.config), torch.float32)

@@ -184,7 +184,8 @@ class Training(Generic[R]):
                     self.recipe.generator.set_state(state["generator"])
                 self.step, self.best, self.seconds = _counters(state)
         if worker.is_first:
-            self.folder.rewind_logs(self.step)
+            # A run without a checkpoint starts again, and measures what it starts from again.
+            self.folder.rewind_logs(-1 if state is None else self.step)
         return state is not None
 
     def _row(self, metrics: Metrics) -> dict[str, object]:

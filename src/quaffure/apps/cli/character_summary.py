@@ -51,6 +51,8 @@ def _mesh(mesh: SkinnedMesh) -> str:
     parts.append("on its node" if mesh.is_rigid else f"{len(mesh.skin.nodes)} joints")
     if mesh.morph_targets:
         parts.append(f"{len(mesh.morph_targets)} morph targets")
+    if mesh.attributes:
+        parts.append(f"attributes {', '.join(mesh.attributes)}")
     named = [name for name in mesh.materials if name]
     return ", ".join([*parts, *([f"materials {', '.join(named)}"] if named else [])])
 

@@ -137,6 +137,10 @@ def _run_training(
             to.print(f"resuming from step {training.step} of {total}")
     elif start is not None:
         training.start_from(start)
+        if is_first and training.recipe.validate_every is not None:
+            to.print("measuring the weights to start from")
+            text = validation_text(training.validate())
+            to.print(f"before training: {text}")
     left = TimeLeft(total, training.step)
     with progress_bar("training", total, training.step, to, disable=not is_first) as update:
 

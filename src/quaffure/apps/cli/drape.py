@@ -192,10 +192,11 @@ class DrapeCommand:
     def _settings(self, groom: Groom, motion: Motion, body_shape: Float[Tensor, "10"]) -> dict[str, Any]:
         """All that the frames depend on."""
         path = () if motion.translation is None else (motion.translation,)
+        morphs = () if motion.morphs is None else (motion.morphs.directions, motion.morphs.weights)
         return {
             "frames": len(motion),
             "groom": array_digest(*groom.arrays().values()),
-            "motion": array_digest(motion.body_pose, *path),
+            "motion": array_digest(motion.body_pose, *path, *morphs),
             "fps": motion.fps,
             "shape": body_shape.tolist(),
             "body": None if self.body is None else file_digest(self.body),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import tyro
 
-from quaffure.apps.cli.console import run_training
+from quaffure.apps.cli.console import console, run_training
 from quaffure.apps.cli.inputs import motion_of
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.body.body_model import BodyModel, load_body
@@ -14,11 +14,13 @@ from quaffure.body.pose_prior import load_pose_prior
 from quaffure.errors import InputError
 from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
+from quaffure.hair.groom_transfer import transfer_groom
 from quaffure.io.load_groom import load_groom
 from quaffure.io.output_path import check_output_folder
 from quaffure.model.checkpoint import load_network
 from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.model.quaffure_network import QuaffureNetwork
+from quaffure.procedural.hair_style import HELD_OUT, STYLES
 from quaffure.training.distributed import Device, joined_workers
 from quaffure.training.groom_samples import family_grooms
 from quaffure.training.loop import BEST, LAST, Training
@@ -35,6 +37,8 @@ SHIPPED = "shipped"
 class TrainCommand:
     """Train a network on grooms over sampled poses and shapes; continues where an earlier run in the folder stopped.
 
+    With --body and --weights it specialises a network on a character, whose shape stays its own.
+
     Poses come from the shipped prior, and from motion files if some are given. The folder then holds
     `best.safetensors`, the weights to drape with (`quaffure drape --weights`), `last.safetensors`, the newest ones,
     `config.json`, the tables `training.csv` and `validation.csv`, and the checkpoint to continue from. Ctrl-C and
@@ -45,13 +49,15 @@ class TrainCommand:
     out: Path
     """Folder of the run; made if it does not exist."""
     groom: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """A bundled groom or a file; may be given several times. Grooms that are held out for evaluation are refused."""
+    """A bundled groom or a file; may be given several times. Grooms that are held out for evaluation are refused.
+    Without --groom and --family: all bundled ones that are not held out."""
     family: int = 0
     """Samples of the continuous family of hairstyles to train on, in addition or instead."""
     motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
     """Motion files to train on with the pose prior; may be given several times. Evaluation clips are refused."""
     body: Path | None = None
-    """A body file (.npz, as `scripts/bake_body.py` writes it) instead of the shipped body."""
+    """A body file (.npz) instead of the shipped body: that of a character (`quaffure body import`), which bundled
+    grooms are moved to, or one that `scripts/bake_body.py` made."""
     weights: str | None = None
     """Weights to start from: a file, or `shipped`. The options of the network are then those of the weights."""
     device: Device = "auto"
@@ -64,7 +70,11 @@ class TrainCommand:
             started = self._weights()
             config = self.config if started is None else replace(self.config, network=started.config)
             body = self._body()
-            recipe = DecoderRecipe(config, body, self._grooms(body), self._sampler(body), prior_validation(), worker)
+            sampler = self._sampler(body)
+            validation = prior_validation(sampler.draws_shapes)
+            if worker.is_first:
+                console.print("reading the grooms")
+            recipe = DecoderRecipe(config, body, self._grooms(body), sampler, validation, worker)
             run_training(Training(recipe, self.out), _bar_text, _validation_text, start=started)
 
     def _check(self) -> None:
@@ -75,8 +85,6 @@ class TrainCommand:
             raise InputError("--pose-features", f"0 or {FEATURE_COUNT}", f"{pose_features}")
         if self.family < 0:
             raise InputError("--family", "0 or more", f"{self.family}")
-        if not self.groom and not self.family:
-            raise InputError("--groom", "at least one groom, or samples of the --family", "none")
         refuse_evaluation_data(self.groom, self.motion)
 
     def _body(self) -> BodyModel:
@@ -86,19 +94,26 @@ class TrainCommand:
             raise InputError(f"{self.body}", f"the joints {list(shipped.joint_names)}", f"{list(body.joint_names)}")
         return body
 
+    @property
+    def _groom_names(self) -> tuple[str, ...]:
+        return self.groom or (() if self.family else tuple(name for name in STYLES if name not in HELD_OUT))
+
     def _grooms(self, body: BodyModel) -> tuple[Groom, ...]:
-        own = [load_groom(name, body) for name in self.groom]
+        own = [load_groom(name, body) for name in self._groom_names]
         # The name of a groom is in its file, whatever the name of the file.
         refuse_evaluation_data(groom.name for groom in own)
-        surface = rest_surface(body)
-        return (*own, *(drawn.groom(body, surface) for drawn in family_grooms(range(self.family))))
+        # Like a bundled groom, one of the family is made on our head and moved to that of a character.
+        made_on = body if body.origin is None else load_body()
+        surface = rest_surface(made_on)
+        drawn = (family.groom(made_on, surface) for family in family_grooms(range(self.family)))
+        return (*own, *(groom if made_on is body else transfer_groom(groom, made_on, body) for groom in drawn))
 
     def _sampler(self, body: BodyModel) -> PoseSampler:
         clips = tuple(motion_of(str(path), body) for path in self.motion)
         for clip in clips:
             if len(clip) < self.config.frames:
                 raise InputError(f"motion '{clip.name}'", f"at least {self.config.frames} frames", f"{len(clip)}")
-        return PoseSampler(load_pose_prior(), clips)
+        return PoseSampler(load_pose_prior(), clips, draws_shapes=body.origin is None)
 
     def _weights(self) -> QuaffureNetwork | None:
         if self.weights is None:

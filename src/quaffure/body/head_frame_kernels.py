@@ -1,11 +1,9 @@
 """Compiled parts of `quaffure.body.head_frame`: bodies posed in the head's frame."""
 
 import math
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numba import njit, prange
 
 NEAR_HAIR = (
@@ -51,23 +49,18 @@ class Skin(NamedTuple):
     normals: np.ndarray
 
 
-def pose_bodies(
-    joints: WorldJoints, skin: Skin
-) -> tuple[HeadFrame, Float[np.ndarray, "b v 3"], Float[np.ndarray, "b p 3"]]:
-    """Frames, vertices in the head's frame [m], and the normals of those that have one."""
-    batch, empty = len(joints.body_pose), partial(np.empty, dtype=np.float32)
-    frames = HeadFrame(empty((batch, 3, 3)), empty((batch, 3)), empty((batch, POSE_CODE_SIZE)))
-    positions, normals = empty((batch, len(skin.rest), 3)), empty((batch, len(skin.normals), 3))
-    _fill_bodies(joints, skin, frames, positions, normals)
-    return frames, positions, normals
-
-
 @njit(cache=True)
-def _fill_bodies(
-    joints: WorldJoints, skin: Skin, frames: HeadFrame, positions: np.ndarray, normals: np.ndarray
-) -> None:
+def pose_bodies(joints: WorldJoints, skin: Skin) -> tuple[HeadFrame, np.ndarray, np.ndarray]:
+    """Frames, vertices in the head's frame [b, v, 3] [m], and the normals of those that have one [b, p, 3]."""
+    batch, vertices, sampled = len(joints.body_pose), len(skin.rest), len(skin.normals)
+    frames = HeadFrame(
+        np.empty((batch, 3, 3), np.float32),
+        np.empty((batch, 3), np.float32),
+        np.empty((batch, POSE_CODE_SIZE), np.float32),
+    )
+    positions, normals = np.empty((batch, vertices, 3), np.float32), np.empty((batch, sampled, 3), np.float32)
     transforms = np.empty((*joints.rest.shape[:2], 12), np.float32)  # 3 x 4, from rest vertices to the head's frame
-    for sample in range(len(joints.body_pose)):
+    for sample in range(batch):
         rest, rotations, centres = joints.rest[sample], joints.rotations[sample], joints.positions[sample]
         frame, origin, code = rotations[joints.near[0]], centres[joints.near[0]], frames.pose_code[sample]
         frames.world_from_head[sample] = frame
@@ -79,6 +72,7 @@ def _fill_bodies(
         code[10:91] = joints.body_pose[sample]
         _remove_heading(joints.body_pose[sample, :3], code[10:13])
     _pose_skin(joints.body_shape, skin, transforms, positions, normals)
+    return frames, positions, normals
 
 
 @njit(cache=True)

@@ -76,14 +76,14 @@ class KernelBlocks(NamedTuple):
         strands, rods: all strands.
         rows: of the kernels' results, for each strand.
         texels: of each row.
-        surroundings: of each row but those that repeat the last strand.
+        surroundings: `Surroundings` of each row but those that repeat the last strand.
     """
 
     strands: StrandBlocks
     rods: RodBlocks
     rows: Int[np.ndarray, "block lane"]
     texels: StrandTexels
-    surroundings: Surroundings
+    surroundings: tuple[np.ndarray, ...]
 
     @property
     def nbytes(self) -> int:
@@ -125,7 +125,7 @@ class PreparedGroom:
         rows = np.arange(strands.strand.size, dtype=np.int32).reshape(strands.strand.shape)
         rods = RodBlocks(*(in_blocks(values[of_rows]) for values in self.rods))
         own = of_rows[: len(self.margin)]
-        return KernelBlocks(strands, rods, rows, texels, Surroundings(*(values[own] for values in self.surroundings)))
+        return KernelBlocks(strands, rods, rows, texels, tuple(values[own].numpy() for values in self.surroundings))
 
     def stiffened(self, factor: Float[Tensor, "s e"]) -> "PreparedGroom":
         """The same groom with each edge stiffer by a factor of its own."""

@@ -18,7 +18,7 @@ import torch
 from PIL import Image
 
 from quaffure.apps.cli.main import main
-from quaffure.apps.viewer.catalogue import LIVE, REST, Catalogue
+from quaffure.apps.viewer.catalogue import REST, Catalogue
 from quaffure.apps.viewer.draping_thread import DrapingThread
 from quaffure.apps.viewer.hair_colours import INSIDE, hair_colours, segments
 from quaffure.apps.viewer.hair_drawing import ALL_STRANDS, Display, HairDrawing

@@ -49,7 +49,7 @@ def write_drape_constants(path: Path, draper: NeuralDraper, groom: Groom, body: 
             that is not laid out for the network; or not writable.
     """
     config = draper.network.config
-    if not (config.output == "directions" and config.contact and config.surroundings and config.pose_features):
+    if not (config.predicts_directions and config.contact and config.surroundings and config.pose_features):
         raise InputError(
             "--weights", "a network of edge directions, with pose features, contact and surroundings", "another one"
         )

@@ -34,8 +34,8 @@ class Surroundings(NamedTuple):
 def surroundings_reference(
     positions: Positions, strands: Surroundings, config: DensityGridConfig
 ) -> Float[Tensor, "b s e 5"]:
-    """Torch twin of `write_surroundings`: asinh of the excess density, the gradient, as long as the asinh of its length,
-    and the margin.
+    """Torch twin of `write_surroundings`: asinh of the excess density, the gradient, as long as the asinh of its
+    length, and the margin.
 
     Args:
         positions: in the head's frame [m].

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body import BodyModel, bundled_clip
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.drape_motion import drape_motion
 from quaffure.energies import HairEnergy, hair_terms, sag_free_rest
+from quaffure.energies.body_collision import intersection_percent
 from quaffure.energies.gravity import NO_ACCELERATION
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 from quaffure.geometry.mls_kernels import FAST
+from quaffure.geometry.rotation_kernel import rotated_by_gibbs
 
 
 class ShapeRows(NamedTuple):
@@ -49,12 +50,8 @@ def integrate_edges(
                     p += half * change[3 * vertex]
                     q += half * change[3 * vertex + 1]
                     r += half * change[3 * vertex + 2]
-                    ex, ey, ez = edges[row, vertex, 0], edges[row, vertex, 1], edges[row, vertex, 2]
-                    cx, cy, cz = q * ez - r * ey, r * ex - p * ez, p * ey - q * ex
-                    scale = np.float32(2.0) / (np.float32(1.0) + p * p + q * q + r * r)
-                    ux = ex + scale * (cx + q * cz - r * cy)
-                    uy = ey + scale * (cy + r * cx - p * cz)
-                    uz = ez + scale * (cz + p * cy - q * cx)
+                    edge = edges[row, vertex, 0], edges[row, vertex, 1], edges[row, vertex, 2]
+                    ux, uy, uz = rotated_by_gibbs((p, q, r), edge)
                     scale = rest_length[own, vertex] / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
                     x, y, z = x + scale * ux, y + scale * uy, z + scale * uz
     return hair

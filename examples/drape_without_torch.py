@@ -25,8 +25,7 @@ PULL, STIFFNESS = np.float32([0, 0, -1]), np.float32(1)  # gravity [g], and a mu
 
 def main(network: Path, pose: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """Strands [strand, vertex, 3] in the world [m] on a body in pose theta [1, 81], of shape beta [1, 10]."""
-    session, c = onnxruntime.InferenceSession(network), np.load(network.with_suffix(".npz"))
-    threads = get_num_threads()
+    session, c, threads = onnxruntime.InferenceSession(network), np.load(network.with_suffix(".npz")), get_num_threads()
     # The body, relative to the head and in its frame.
     joints = WorldJoints(pose, shape, *forward_kinematics(pose, shape, _part(Skeleton, c)), c["near"])
     frame, vertices, normals = pose_bodies(joints, _part(Skin, c))
@@ -40,8 +39,7 @@ def main(network: Path, pose: np.ndarray, shape: np.ndarray) -> np.ndarray:
     strands, bent = _part(StrandBlocks, c), ShapeArrays(*space, features.view(np.uint32))
     initial_shape_kernel(strands, _part(RodBlocks, c), c["rows"], body, int(c["passes"]), threads, bent)
     around = tuple(c[f"Surroundings.{name}"] for name in ("rest_length", "mass", "rest_density", "margin"))
-    own = bent.features[..., c["own_feature_columns"] :]
-    write_surroundings(around, *bent[:2], _part(GridUnits, c), threads, own)
+    write_surroundings(around, *bent[:2], _part(GridUnits, c), threads, bent.features[..., c["own_feature_columns"] :])
     # The network rotates joints; edges one after another; strands projected out of the skin.
     size = np.log(np.linalg.norm(PULL))
     code = np.concatenate([code, pull, [size, np.log(STIFFNESS) - size]]).astype(np.float32)[None]

@@ -42,7 +42,9 @@ def rotated_by_gibbs(gibbs: Vector, vector: Vector) -> Vector:
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
-def pushed_edge(start: Vector, end: Vector, normal: Vector, push: float, length: float) -> Vector:
+def pushed_edge(
+    start: Vector, end: Vector, normal: Vector, push: float | np.floating, length: float | np.floating
+) -> Vector:
     """The edge of a length from `start` towards `end` after a push of the end along a normal: the projection of
     position-based dynamics (Mueller et al. 2007) with lengths kept, in single precision. Kernels inline it.
 

@@ -124,7 +124,9 @@ class CpuTrainingBackend(TorchBackend):
         return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, bodies.joints, config, self.projects)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
-        shape = empty_shape(len(posed.body.head_position), len(groom.margin), feature_size(self.config), torch.float32)
+        shape = empty_shape(
+            len(posed.body.head_position), len(groom.initial_clearance), feature_size(self.config), torch.float32
+        )
         config, rows = self.config.initial_shape, groom.blocks.strands.strand
         fill_initial_shape(groom.blocks, rows, posed.body, self._loading, config, shape)
         if self.config.surroundings:

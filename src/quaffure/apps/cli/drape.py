@@ -266,7 +266,7 @@ class DrapeCommand:
         for option, factor in (("--stiffness", self.stiffness), ("--weight", self.weight)):
             if not 0 < factor <= MOST_SCALE:
                 raise InputError(option, f"a factor above 0, at most {MOST_SCALE:g}", f"{factor:g}")
-        if self._name == GROOMGEN and not self.settle and not self._has_default_loads:
+        if self._name == GROOMGEN and not self.settle and not self._has_default_loading:
             expected = f"another draper, or --settle after {self._name}, which knows one hair and one gravity"
             raise InputError("--stiffness, --weight, --gravity, --wind", expected, f"'{self._name}'")
         if self._name == GROOMGEN and self.weights is None:
@@ -304,7 +304,7 @@ class DrapeCommand:
         return x, y, z
 
     @property
-    def _has_default_loads(self) -> bool:
+    def _has_default_loading(self) -> bool:
         return self.stiffness == 1 and np.allclose(self._acceleration, GRAVITY)
 
     def _terms(self, groom: Groom, body: BodyModel, material: HairMaterial) -> Terms:

@@ -84,7 +84,7 @@ class Catalogue:
             settings.frame,
             settings.rotated_joints,
             settings.body_shape,
-            settings.loads,
+            settings.loading,
         )
 
     def interpolation(self, groom: Groom, strands: int) -> GuideInterpolation:

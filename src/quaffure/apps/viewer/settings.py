@@ -86,7 +86,7 @@ class Settings:
         return STRAND_COUNTS[self.strands]
 
     @property
-    def loads(self) -> Loading:
+    def loading(self) -> Loading:
         """Stiffness of the hair, and the sum of gravity and wind."""
         x, y, z = (gravity + wind for gravity, wind in zip(self.gravity, self.wind))
         return Loading(self.stiffness, (x, y, z))

@@ -32,6 +32,7 @@ from quaffure.baselines import PosedDraper
 from quaffure.body import CLIP_FPS, CLIP_NAMES, bundled_clip, joint_matrices
 from quaffure.body.pose_features import HEAD
 from quaffure.config import HairMaterial
+from quaffure.drapers import LIVE
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.hair import DrapeSequence, Groom, GuideInterpolation

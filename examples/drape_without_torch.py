@@ -12,7 +12,7 @@ import numpy as np
 import onnxruntime
 from numba import get_num_threads
 
-from quaffure.body.head_frame_kernels import Skin, WorldJoints, pose_bodies
+from quaffure.body.head_frame_kernels import NO_OFFSETS, Skin, WorldJoints, pose_bodies
 from quaffure.body.kinematics_kernel import Skeleton, forward_kinematics
 from quaffure.hair.block_arrays import StrandBlocks
 from quaffure.model.initial_shape_kernels import BodyArrays, RodBlocks, ShapeArrays, initial_shape_kernel
@@ -25,10 +25,10 @@ PULL, STIFFNESS = np.float32([0, 0, -1]), np.float32(1)  # gravity [g], and a mu
 
 def main(network: Path, pose: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """Strands [strand, vertex, 3] in the world [m] on a body in pose theta [1, 81], of shape beta [1, 10]."""
-    session, c = onnxruntime.InferenceSession(network), np.load(network.with_suffix(".npz"))
+    session, c, threads = onnxruntime.InferenceSession(network), np.load(network.with_suffix(".npz")), get_num_threads()
     # The body, relative to the head and in its frame.
     joints = WorldJoints(pose, shape, *forward_kinematics(pose, shape, _part(Skeleton, c)), c["near"])
-    frame, vertices, normals = pose_bodies(joints, _part(Skin, c))
+    frame, vertices, normals = pose_bodies(joints, _part(Skin, c), NO_OFFSETS)
     points, scalp, far = (part.copy() for part in np.split(vertices, c["parts"], axis=1))
     rotation, head, code, pull = *(values[0] for values in frame), PULL @ frame.world_from_head[0]
     # Strands before the network, in SIMD blocks, and what the network reads of them.
@@ -37,16 +37,16 @@ def main(network: Path, pose: np.ndarray, shape: np.ndarray) -> np.ndarray:
     rows, features = c["rows"].size, np.empty((1, c["rows"].size, c["feature_columns"]), np.float32)
     space = [np.empty((1, rows, *of), np.float32) for of in ((3,), (23, 3), (23,))]
     strands, bent = _part(StrandBlocks, c), ShapeArrays(*space, features.view(np.uint32))
-    initial_shape_kernel(strands, _part(RodBlocks, c), c["rows"], body, int(c["passes"]), get_num_threads(), bent)
-    around = [c[f"Surroundings.{name}"] for name in ("rest_length", "mass", "rest_density", "margin")]
-    write_surroundings(*around, *bent[:2], _part(GridUnits, c), bent.features[..., c["own_feature_columns"] :])
+    initial_shape_kernel(strands, _part(RodBlocks, c), c["rows"], body, int(c["passes"]), threads, bent)
+    around = tuple(c[f"Surroundings.{name}"] for name in ("rest_length", "mass", "rest_density", "margin"))
+    write_surroundings(around, *bent[:2], _part(GridUnits, c), threads, bent.features[..., c["own_feature_columns"] :])
     # The network rotates joints; edges one after another; strands projected out of the skin.
     size = np.log(np.linalg.norm(PULL))
     code = np.concatenate([code, pull, [size, np.log(STIFFNESS) - size]]).astype(np.float32)[None]
     inputs = {"groom_code": c["groom_code"], "texels": c["texels"], "pose_code": code, "features": features}
     changes = session.run(None, inputs)[0].reshape(rows, -1).view(np.uint32)
     edges = ShapeRows(bent.roots[0], bent.edges[0], bent.compliance[0], strands.strand.reshape(-1))
-    hair = integrate_edges(edges, changes, c["rest_length"], rotation, head)
+    hair = integrate_edges(edges, changes, c["rest_length"], rotation, head, threads)
     hair = ProjectedStrands(hair, c["rest_length"], c["clearance"], c["spacing"][()], c["max_push"][()])
     return push_out(hair, far[0] @ rotation.T + head, c["faces"], c["band"], head)
 

@@ -10,8 +10,8 @@ import torch
 import tyro
 
 from quaffure.benchmark.appearance import JUMP_SPEED, jumps
-from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body import BodyModel, Motion, bundled_clip, load_body, resample
+from quaffure.energies.body_collision import intersection_percent
 from quaffure.hair import Groom
 from quaffure.io.read_motion import read_motion
 from quaffure.procedural import make_groom

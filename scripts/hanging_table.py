@@ -9,9 +9,9 @@ import time
 import torch
 
 from quaffure.benchmark.appearance import in_the_air, off_vertical
-from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body import BodyModel, bundled_clip, load_body
 from quaffure.energies import HairEnergy, sag_free_rest
+from quaffure.energies.body_collision import intersection_percent
 from quaffure.energies.by_name import hair_terms
 from quaffure.energies.sag_free import sag_free_report
 from quaffure.hair import Groom

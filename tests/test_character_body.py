@@ -9,7 +9,6 @@ import torch
 
 import quaffure as qf
 from quaffure.backend import Backend
-from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body import BodyModel
 from quaffure.body.character import Character
 from quaffure.body.hair_names import is_hair_name
@@ -18,6 +17,7 @@ from quaffure.body.joint_names import automatic_joint_map
 from quaffure.character.import_body import ImportedBody, ImportSettings, import_body
 from quaffure.character.parts import parts_of
 from quaffure.character.skeleton import fit_skeleton, rest_clip
+from quaffure.energies.body_collision import intersection_percent
 from quaffure.errors import InputError
 from quaffure.geometry.hole_filling import boundary_loops
 from quaffure.hair import rest_surface

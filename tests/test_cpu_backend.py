@@ -75,7 +75,7 @@ def model(network: DirectionNetwork, body: BodyModel) -> Quaffure:
 def prepared(groom: Groom, body: BodyModel, margin: torch.Tensor | None = None) -> PreparedGroom:
     """A groom with its own margin, or with another."""
     ready = prepare_groom(groom, body, build_network(CONFIG).encoder, CONFIG, MATERIAL)
-    return ready if margin is None else replace(ready, margin=margin)
+    return ready if margin is None else replace(ready, initial_clearance=margin)
 
 
 def compiled_body(bodies: BodyBatch) -> HeadFrameBody:
@@ -83,7 +83,7 @@ def compiled_body(bodies: BodyBatch) -> HeadFrameBody:
 
 
 def initial_shape(groom: PreparedGroom, bodies: BodyBatch, config: InitialShapeConfig = SHAPE) -> InitialShape:
-    shape = empty_shape(len(bodies.body_pose), len(groom.margin), 184, torch.float32)
+    shape = empty_shape(len(bodies.body_pose), len(groom.initial_clearance), 184, torch.float32)
     fill_initial_shape(
         groom.blocks, groom.blocks.strands.strand, compiled_body(bodies), STANDARD_LOADING, config, shape
     )

@@ -7,6 +7,7 @@ from types import FrameType
 
 import pytest
 import torch
+from numba.core.dispatcher import Dispatcher
 from torch import nn
 
 import quaffure
@@ -38,7 +39,7 @@ from tests.training_runs import perturbed, tiny_groom
 CONFIG = NetworkConfig(pose_features=FEATURE_COUNT, texel_channels=8, strand_width=16)
 MATERIAL = HairMaterial()
 PACKAGE = str(Path(quaffure.__file__).parent)
-MOST_FUNCTIONS = 55  # some twelve of them compiled
+MOST_FUNCTIONS, MOST_KERNELS = 35, 10
 FRAMES_AT_ONCE = 8
 
 
@@ -59,24 +60,33 @@ def network_of(kind: type[DirectionNetwork]) -> DirectionNetwork:
     return perturbed(kind(CONFIG))
 
 
+def is_compiled(frame: FrameType) -> bool:
+    """Whether numba reports the call of a kernel, whose frame stands for no Python code."""
+    module = next(each for each in [*sys.modules.values()] if getattr(each, "__file__", "") == frame.f_code.co_filename)
+    return isinstance(getattr(module, frame.f_code.co_name, None), Dispatcher)
+
+
 def test_one_drape_enters_few_functions(body: BodyModel) -> None:
     model = load_model(bf16=False)
     groom, shape = make_groom("bob", body).select(torch.arange(0, 2400, 30)), torch.zeros(1, 10)
     model.drape(groom, torch.zeros(1, 81), shape)
-    entered = set()
+    functions, kernels = set(), set()
 
     def note(frame: FrameType, event: str, argument: object) -> None:
         code = frame.f_code
         if event == "call" and code.co_filename.startswith(PACKAGE):
-            entered.add((code.co_filename.removeprefix(PACKAGE), code.co_qualname))
+            name = code.co_filename.removeprefix(PACKAGE), code.co_qualname
+            (kernels if is_compiled(frame) else functions).add(name)
 
     sys.setprofile(note)
     try:
         model.drape(groom, torch.full((1, 81), 0.1), shape)
     finally:
         sys.setprofile(None)
-    print(f"one drape enters {len(entered)} functions:", *sorted(entered), sep="\n  ")
-    assert 10 < len(entered) <= MOST_FUNCTIONS
+    print(f"one drape enters {len(functions)} Python functions:", *sorted(functions), sep="\n  ")
+    print(f"and {len(kernels)} compiled kernels:", *sorted(kernels), sep="\n  ")
+    assert 10 < len(functions) <= MOST_FUNCTIONS
+    assert 5 < len(kernels) <= MOST_KERNELS
 
 
 def test_a_subclass_drapes_with_its_own_forward(scene: Scene) -> None:

@@ -11,7 +11,9 @@ from quaffure.benchmark.metrics import metrics
 from quaffure.body import bundled_clip, load_body
 from quaffure.config import HairMaterial
 from quaffure.drape_motion import drape_motion
+from quaffure.drapers import DRAPERS, GROOMGEN, LIVE, elastic_model_of, make_draper
 from quaffure.energies import HairEnergy, equilibrium_vectors
+from quaffure.energies.by_name import MODIFIED_COSSERAT, ROD
 from quaffure.energies.rest_state import rest_state
 from quaffure.errors import InputError
 from quaffure.geometry import integrate_directions
@@ -105,3 +107,19 @@ def test_a_reference_of_another_motion_is_refused() -> None:
     )
     with pytest.raises(InputError, match="body_pose"):
         measure(turn, GROOM, BODY, reference=bow)
+
+
+def test_every_name_of_the_list_makes_its_draper() -> None:
+    """`xpbd_paper` is `xpbd` with the paper's setting; `groomgen` needs weights of the user."""
+    for name in DRAPERS:
+        if name != GROOMGEN:
+            assert make_draper(name).name == {"xpbd_paper": "xpbd"}.get(name, name)
+    assert {*LIVE} < {*DRAPERS}
+    with pytest.raises(InputError, match="draper: expected one of"):
+        make_draper("comb")
+
+
+def test_the_elastic_model_is_the_papers_for_what_the_paper_has_and_the_rod_for_all_others() -> None:
+    assert {name for name in DRAPERS if elastic_model_of(name) == MODIFIED_COSSERAT} == {"xpbd_paper", GROOMGEN}
+    assert {name for name in DRAPERS if elastic_model_of(name) == ROD} == {*DRAPERS} - {"xpbd_paper", GROOMGEN}
+    assert elastic_model_of("neural", "paper") == MODIFIED_COSSERAT

@@ -95,7 +95,7 @@ def test_a_free_rod_ends_where_the_energy_of_the_rod_is_lowest(groom: Groom, bod
     design = design_of(straight, body, MATERIAL)
     energy = HairEnergy(straight, MATERIAL, hair_terms("rod", design))
     descent = StrandDescent(energy, scene.sample(0))
-    descent.fall(12)
+    descent.run_free(12)
     head = bodies.posed.joint_rotations[0, body.joint_names.index("Head")]
     expected = torch.from_numpy(descent.direction) @ head
     apart = torch.rad2deg((found * expected).sum(-1).clamp(-1, 1).arccos())

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.benchmark.intersection import winding_numbers
 from quaffure.body import BodyModel, bundled_clip
 from quaffure.geometry.signed_distance import signed_distance
+from quaffure.geometry.winding_number import winding_numbers
 from quaffure.scene import BodyBatch
 from tests.scenes import sphere_mesh
 

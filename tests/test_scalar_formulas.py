@@ -7,6 +7,8 @@ import torch
 from quaffure.energies import energy_body_collision
 from quaffure.energies.body_collision import contact_force
 from quaffure.energies.smoothing_kernel import kernel_slope, kernel_value, smoothing_kernel
+from quaffure.geometry.rotation import rotate_by_gibbs
+from quaffure.geometry.rotation_kernel import pushed_edge, rotated_by_gibbs
 from quaffure.geometry.signed_distance import closest_barycentric
 from quaffure.geometry.triangle import (
     closest_on_triangle,
@@ -69,3 +71,18 @@ def test_signed_distance_is_positive_outside_with_an_outward_gradient() -> None:
     signed, *gradient = signed_distance_from_offset(0.0, 0.0, 0.0, *normal)
     assert signed == 0
     np.testing.assert_allclose(gradient, normal / np.linalg.norm(normal))
+
+
+def test_rotation_by_a_gibbs_vector_is_that_of_the_reference() -> None:
+    gibbs, vector = np.random.default_rng(0).normal(size=(2, 20, 3)).astype(np.float32)
+    expected = rotate_by_gibbs(torch.from_numpy(gibbs), torch.from_numpy(vector)).numpy()
+    found = [rotated_by_gibbs(tuple(g), tuple(v)) for g, v in zip(gibbs, vector)]
+    np.testing.assert_allclose(found, expected, atol=2e-6)
+
+
+def test_a_pushed_edge_keeps_its_length_and_leans_along_the_push() -> None:
+    start, end, normal = np.random.default_rng(1).normal(size=(3, 3)).astype(np.float32)
+    push, length = np.float32(0.4), np.float32(0.03)
+    expected = end + push * normal - start
+    found = pushed_edge(tuple(start), tuple(end), tuple(normal), push, length)
+    np.testing.assert_allclose(found, length * expected / np.linalg.norm(expected), rtol=1e-5)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from numba import get_num_threads
 
 from quaffure.body import BodyModel
 from quaffure.config import HairMaterial
@@ -14,10 +15,10 @@ from quaffure.model.prepared_groom import surroundings_of
 from quaffure.model.surroundings import (
     Surroundings,
     coarse_density,
-    fill_surroundings,
+    grid_units,
     surroundings_reference,
 )
-from quaffure.model.surroundings_kernels import NODES, SURROUNDING_FEATURES
+from quaffure.model.surroundings_kernels import NODES, SURROUNDING_FEATURES, write_surroundings
 from tests.scenes import few_strands
 
 VERTICES = 6
@@ -38,7 +39,8 @@ def random_strands(count: int = 200) -> tuple[torch.Tensor, torch.Tensor, Surrou
 def test_the_kernel_is_its_twin(dtype: torch.dtype, tolerance: float) -> None:
     roots, edges, strands = random_strands()
     features = torch.full((2, len(strands.mass), SURROUNDING_FEATURES * (VERTICES - 1)), torch.nan, dtype=dtype)
-    fill_surroundings(strands, roots, edges, GRID, bits(features))
+    around, vectors = tuple(map(torch.Tensor.numpy, strands)), (roots.numpy(), edges.numpy())
+    write_surroundings(around, *vectors, grid_units(GRID), get_num_threads(), bits(features))
     positions = integrate_directions(roots, edges, strands.rest_length)
     expected = surroundings_reference(positions, strands, GRID).flatten(2)
     assert expected.std() > 0.5

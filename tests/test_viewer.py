@@ -18,7 +18,7 @@ import torch
 from PIL import Image
 
 from quaffure.apps.cli.main import main
-from quaffure.apps.viewer.catalogue import LIVE, REST, Catalogue
+from quaffure.apps.viewer.catalogue import REST, Catalogue
 from quaffure.apps.viewer.draping_thread import DrapingThread
 from quaffure.apps.viewer.hair_colours import INSIDE, hair_colours, segments
 from quaffure.apps.viewer.hair_drawing import ALL_STRANDS, Display, HairDrawing
@@ -32,6 +32,7 @@ from quaffure.baselines import PosedDraper
 from quaffure.body import CLIP_FPS, CLIP_NAMES, bundled_clip, joint_matrices
 from quaffure.body.pose_features import HEAD
 from quaffure.config import HairMaterial
+from quaffure.drapers import LIVE
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.hair import DrapeSequence, Groom, GuideInterpolation
@@ -484,7 +485,7 @@ def test_stiffness_gravity_and_wind_reach_strand_newton_live(page: Page, catalog
     while after.draper.is_moving:
         settled(page)
     assert after.draper is before.draper
-    assert after.loads == Loading(0.5, (6.0, 0.0, -9.81))
+    assert after.loading == Loading(0.5, (6.0, 0.0, -9.81))
     shown = page.session.shown
     assert shown is not None
     assert (shown.sequence.meta["stiffness"], shown.sequence.meta["acceleration"]) == (0.5, (6.0, 0.0, -9.81))
@@ -492,7 +493,7 @@ def test_stiffness_gravity_and_wind_reach_strand_newton_live(page: Page, catalog
     assert float(aside.mean()) > 0.01
     page._reset_loads()
     page.session.ask_edit("draper", lambda state: replace(state, draper=catalogue.draper("neural")))
-    assert settled(page).loads == Loading()
+    assert settled(page).loading == Loading()
     assert page.panel.wind[0].value == 0.0
 
 
@@ -549,7 +550,7 @@ def test_settings_of_a_link_are_shown_in_the_scene_and_in_the_widgets(page: Page
     page.session.ask_settings(linked)
     shown = settled(page)
     assert (shown.motion.name, shown.frame, shown.joint_rotations) == ("nod", 20, {HEAD: (0.0, 0.0, 30.0)})
-    assert shown.loads.acceleration[0] == 6.0
+    assert shown.loading.acceleration[0] == 6.0
     found = page.panel.settings()
     assert replace(found, joint_rotations=found.rotated_joints) == linked
     assert page._nodes._skin.opacity is not None

@@ -12,10 +12,11 @@ from tiles import FIGURES, GAP, PAPER, Caption, Picture, TileRenderer, View, cap
 
 from quaffure.apps.render import NATURAL_COLOURS
 from quaffure.baselines import load_groomgen
-from quaffure.benchmark.metrics import inside_body, metrics
+from quaffure.benchmark.metrics import metrics
 from quaffure.body import BodyModel, turned_head
 from quaffure.draper import Draper
 from quaffure.energies import HairEnergy, hair_terms
+from quaffure.energies.body_collision import inside_body
 from quaffure.io.load_groom import load_groom
 from quaffure.model import load_model
 from quaffure.scene import BodyBatch, Scene

@@ -8,10 +8,8 @@ hair = model.drape(groom, body_pose, body_shape)  # [1, strands, 24, 3] metres, 
 """
 
 from importlib.metadata import version
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quaffure._kernel_cache import drop_kernels_of_other_types
 from quaffure._lazy import lazy_exports
 
 if TYPE_CHECKING:
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
     from quaffure.model.quaffure_model import Quaffure, load_model
 
 __version__ = version("quaffure")
-
-drop_kernels_of_other_types(Path(__file__).parent)
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__)
 __all__ += ["__version__"]

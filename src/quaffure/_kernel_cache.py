@@ -7,10 +7,21 @@ since, by another version of the package, cannot be read back, and the kernel do
 import hashlib
 import re
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 TYPES = re.compile(r"^class (\w+)\(NamedTuple\)", re.MULTILINE)
 STAMP = "kernel_types"
+
+
+@cache
+def drop_own_kernels_of_other_types() -> None:
+    """`drop_kernels_of_other_types` of this package, once in a process, before the first kernel runs.
+
+    `quaffure.geometry` and `quaffure.body` ask for it when they are imported: every kernel that takes a type of this
+    package is in a module of theirs or comes with one, and `import quaffure` alone costs nothing.
+    """
+    drop_kernels_of_other_types(Path(__file__).parent)
 
 
 def drop_kernels_of_other_types(package: Path) -> None:

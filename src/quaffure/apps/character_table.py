@@ -15,22 +15,19 @@ from quaffure.apps.drape_clip import drape_clip, save_drape
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.clips import CLIP_NAMES
 from quaffure.body.motion import Motion
-from quaffure.draper import Draper
+from quaffure.draper import Draper, LoadedDraper
+from quaffure.drapers import NEURAL, STRAND_NEWTON, followed, make_draper
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError, refused
 from quaffure.hair.groom import Groom
 from quaffure.input_file import check_input_file
 from quaffure.io.load_groom import load_groom
 from quaffure.io.load_motion import load_motion
-from quaffure.model.neural import NeuralDraper
-from quaffure.model.quaffure_model import load_model
 from quaffure.procedural.generator import make_groom
 from quaffure.procedural.hair_style import STYLES
-from quaffure.solvers.coherent_clip import CoherentDraper
-from quaffure.solvers.strand_newton import StrandNewtonDraper
 
-NEURAL, STRAND_NEWTON = "neural", "strand_newton"
-DRAPERS = (NEURAL, STRAND_NEWTON)
+CLIP_DRAPERS = (NEURAL, STRAND_NEWTON)
+"""Drapers that are fast enough for clips of many characters."""
 MOST_ROWS = 1_000_000
 KEPT = 8
 """Grooms, motions and drapers that a process keeps for further rows."""
@@ -146,14 +143,14 @@ def _motion(name: str, body: str) -> Motion:
 def _draper(name: str, stiffness: float) -> Draper:
     loading = Loading(stiffness=stiffness)
     loading.check()
-    if name == NEURAL:
-        return _network().under(loading)
-    return CoherentDraper(StrandNewtonDraper().under(loading))
+    return followed(_standard_draper(name).under(loading))
 
 
-@lru_cache(1)
-def _network() -> NeuralDraper:
-    return load_model().draper
+@lru_cache(len(CLIP_DRAPERS))
+def _standard_draper(name: str) -> LoadedDraper:
+    draper = make_draper(name)
+    assert isinstance(draper, LoadedDraper)
+    return draper
 
 
 def _number(row: CharacterRow, name: str, text: str) -> float:

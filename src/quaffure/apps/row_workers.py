@@ -138,7 +138,7 @@ def drape_rows(rows: Sequence[CharacterRow], draper: str, workers: RowWorkers, r
     whose process ended are tried again one by one, so that none ends that of another.
 
     Args:
-        draper: one of `quaffure.apps.character_table.DRAPERS`.
+        draper: one of `quaffure.apps.character_table.CLIP_DRAPERS`.
         retries: how often a row is tried again.
     """
     left: Sequence[CharacterRow] = rows

@@ -3,7 +3,7 @@
 import torch
 
 from quaffure.benchmark.appearance import JUMP_SPEED, jumps
-from quaffure.benchmark.metrics import intersection_percent
+from quaffure.energies.body_collision import intersection_percent
 from quaffure.scene import HairScene
 from quaffure.types import Float, Positions, Tensor
 

@@ -5,10 +5,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
+from quaffure.baselines.groomgen import GroomGenDraper
 from quaffure.baselines.posed import PosedDraper
 from quaffure.body.body_model import BodyModel
 from quaffure.draper import Draper, LoadedDraper
+from quaffure.drapers import GROOMGEN, NEURAL, POSED, STRAND_NEWTON, load_trained
 from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
@@ -17,16 +18,14 @@ from quaffure.model.quaffure_model import PAPER, load_model
 from quaffure.solvers.by_name import DesignSolver
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
 
-POSED, NETWORK, SETTLED = "posed", "neural", "neural_settled"
-GROOMGEN = GroomGenDraper.name
-"""The row whose weights are those of `quaffure train-groomgen`."""
-STARTED_ROWS = ("adam", "lbfgs", "strand_newton")
+SETTLED = f"{NEURAL}_settled"
+STARTED_ROWS = ("adam", "lbfgs", STRAND_NEWTON)
 SOLVER_ROWS = (*STARTED_ROWS, "xpbd")
-FROM_NETWORK = {f"{name}_from_{NETWORK}": name for name in STARTED_ROWS}
+FROM_NETWORK = {f"{name}_from_{NEURAL}": name for name in STARTED_ROWS}
 """Solvers that start from the network's drape instead of their own start. The lowest drape of a frame among these rows
 and `SOLVER_ROWS` is the reference of all rows."""
-ROWS = (POSED, *SOLVER_ROWS, *FROM_NETWORK, NETWORK, SETTLED, PAPER)
-QUICK_ROWS = (POSED, "strand_newton", NETWORK, SETTLED)
+ROWS = (POSED, *SOLVER_ROWS, *FROM_NETWORK, NEURAL, SETTLED, PAPER)
+QUICK_ROWS = (POSED, STRAND_NEWTON, NEURAL, SETTLED)
 SETTLING_PASSES = 3
 
 
@@ -75,14 +74,14 @@ def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:
     Raises:
         InputError: a name that is no row, a file that is no checkpoint, or one that was trained for other hair.
     """
-    rows = _shipped_rows(weights.get(NETWORK), with_paper=PAPER in names and PAPER not in weights)
-    material = rows[NETWORK].draper.material
+    rows = _shipped_rows(weights.get(NEURAL), with_paper=PAPER in names and PAPER not in weights)
+    material = rows[NEURAL].draper.material
     for name, path in weights.items():
-        if name == NETWORK:
+        if name == NEURAL:
             continue
         if name in rows or not re.fullmatch(r"\w[\w.-]*", name):
             raise InputError(f"weights '{name}={path}'", f"another name than {', '.join(rows)}", f"'{name}'")
-        draper, notes = _trained(name, path)
+        draper, notes = load_trained(name, path)
         if draper.material != material:
             raise InputError(path, f"weights for hair of {material}, as all rows", f"{draper.material}")
         rows[name] = Method(name, draper, notes=notes)
@@ -106,7 +105,7 @@ def _shipped_rows(weights: Path | None, with_paper: bool) -> dict[str, Method]:
     settled = SettledDraper(shipped.draper, StrandNewtonDraper(material), SETTLING_PASSES)
     rows = [
         Method(POSED, PosedDraper(material)),
-        Method(NETWORK, shipped.draper, notes=shipped.notes),
+        Method(NEURAL, shipped.draper, notes=shipped.notes),
         Method(SETTLED, settled, notes=shipped.notes),
     ]
     rows += [Method(name, DesignSolver(name, material), is_solver=True) for name in SOLVER_ROWS]
@@ -118,10 +117,3 @@ def _shipped_rows(weights: Path | None, with_paper: bool) -> dict[str, Method]:
         published = load_model(PAPER)
         rows.append(Method(PAPER, published.draper, notes=published.notes))
     return {row.name: row for row in rows}
-
-
-def _trained(name: str, path: Path) -> tuple[Draper, dict[str, str]]:
-    if name == GROOMGEN:
-        return load_groomgen(path)
-    model = load_model(path)
-    return model.draper, model.notes

@@ -1,17 +1,17 @@
 """Metrics of drapes.
 
-Intersections are those of `quaffure.benchmark.intersection`, which no loss and no solver uses.
+Intersections are those of `quaffure.geometry.winding_number`, which no loss and no solver uses.
 """
 
 import numpy as np
 import torch
 
 from quaffure.benchmark.appearance import JUMP_SPEED, in_the_air, jumps, off_vertical
-from quaffure.benchmark.intersection import winding_numbers
 from quaffure.body.body_model import BodyModel
 from quaffure.body.pose_features import HEAD, world_from_head
 from quaffure.config import HairMaterial
 from quaffure.drape_motion import FRAMES_AT_ONCE, bodies_of, material_of
+from quaffure.energies.body_collision import intersection_percent
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.self_collision import densities, density_excesses
@@ -21,7 +21,7 @@ from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.scene import BodyBatch, HairScene, Scene
-from quaffure.types import Bool, Energy, Float, Positions, Tensor
+from quaffure.types import Energy, Float, Positions, Tensor
 
 PerFrame = dict[str, Float[Tensor, " b"]]
 ENERGY_UNIT = "m g L per vertex"
@@ -172,19 +172,6 @@ def metrics(draped: Positions, scene: HairScene, energy: HairEnergy, reference: 
         values["excess_energy"] = values["energy"] - total_energy(reference, scene, energy)
         values["distance_mm"] = 1000 * (draped - reference).norm(dim=-1).mean(dim=(1, 2))
     return values
-
-
-def intersection_percent(draped: Positions, scene: HairScene) -> Float[Tensor, " b"]:
-    """Share of vertices, roots left out, inside the body [%]."""
-    return 100 * inside_body(draped, scene).to(draped).mean(dim=(1, 2))
-
-
-def inside_body(draped: Positions, scene: HairScene) -> Bool[Tensor, "b s m"]:
-    """Which vertices, roots left out, are inside the body: where its winding number is positive."""
-    points = draped[:, :, 1:].flatten(1, 2).detach().cpu().numpy()
-    vertices, faces = scene.surface.vertices.detach().cpu().numpy(), scene.surface.topology.faces.cpu().numpy()
-    inside = np.stack([winding_numbers(*sample, faces) > 0 for sample in zip(points, vertices)])
-    return torch.from_numpy(inside).to(draped.device).view(*draped.shape[:2], -1)
 
 
 def total_energy(draped: Positions, scene: HairScene, energy: HairEnergy) -> Energy:

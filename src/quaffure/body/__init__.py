@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from quaffure._kernel_cache import drop_own_kernels_of_other_types
 from quaffure._lazy import lazy_exports
 
 if TYPE_CHECKING:
@@ -16,5 +17,7 @@ if TYPE_CHECKING:
     from quaffure.body.pose_prior import PRIOR_FILE, PosePrior, load_pose_prior
     from quaffure.body.retargeting import retarget_bvh
     from quaffure.body.scalp import ScalpChart
+
+drop_own_kernels_of_other_types()
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__)

@@ -12,7 +12,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel, PosedBody
 from quaffure.body.collision_skin import collision_skin
-from quaffure.body.head_frame_kernels import Skin, WorldJoints, pose_bodies
+from quaffure.body.head_frame_kernels import NO_OFFSETS, Skin, WorldJoints, pose_bodies
 from quaffure.body.kinematics import PosedJoints
 from quaffure.body.mls_body import MlsBodyConfig, mls_body, skin_points
 from quaffure.body.motion import without_heading
@@ -94,7 +94,7 @@ def head_frame_body(
     rest, rotations, centres = joints.rest.double(), joints.rotations.double(), joints.positions.double()
     world = WorldJoints(pose.numpy(), shape.numpy(), rest.numpy(), rotations.numpy(), centres.numpy(), near_hair(body))
     moved = None if offsets is None else offsets[:, posed_vertices(body, config.leaves, collides)].detach().float()
-    frame, *vertices = pose_bodies(world, skin, None if moved is None else moved.contiguous().numpy())
+    frame, *vertices = pose_bodies(world, skin, NO_OFFSETS if moved is None else moved.contiguous().numpy())
     (rotation, head, code), (positions, normals) = map(torch.from_numpy, frame), map(torch.from_numpy, vertices)
     count, rest_count = len(skin.normals), len(scalp_vertices(body))
     points = positions[:, :count].unflatten(1, (-1, LEAF))

@@ -1,11 +1,9 @@
 """Compiled parts of `quaffure.body.head_frame`: bodies posed in the head's frame."""
 
 import math
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numba import njit, prange
 
 NEAR_HAIR = (
@@ -51,28 +49,25 @@ class Skin(NamedTuple):
     normals: np.ndarray
 
 
-def pose_bodies(
-    joints: WorldJoints, skin: Skin, offsets: Float[np.ndarray, "b v 3"] | None = None
-) -> tuple[HeadFrame, Float[np.ndarray, "b v 3"], Float[np.ndarray, "b p 3"]]:
-    """Frames, vertices in the head's frame [m], and the normals of those that have one.
-
-    Args:
-        offsets: added to the vertices at rest [m].
-    """
-    batch, empty = len(joints.body_pose), partial(np.empty, dtype=np.float32)
-    frames = HeadFrame(empty((batch, 3, 3)), empty((batch, 3)), empty((batch, POSE_CODE_SIZE)))
-    positions, normals = empty((batch, len(skin.rest), 3)), empty((batch, len(skin.normals), 3))
-    moved = empty((0, 0, 3)) if offsets is None else offsets
-    _fill_bodies(joints, skin, moved, frames, positions, normals)
-    return frames, positions, normals
+NO_OFFSETS = np.empty((0, 0, 3), np.float32)
 
 
 @njit(cache=True)
-def _fill_bodies(
-    joints: WorldJoints, skin: Skin, offsets: np.ndarray, frames: HeadFrame, positions: np.ndarray, normals: np.ndarray
-) -> None:
+def pose_bodies(joints: WorldJoints, skin: Skin, offsets: np.ndarray) -> tuple[HeadFrame, np.ndarray, np.ndarray]:
+    """Frames, vertices in the head's frame [b, v, 3] [m], and the normals of those that have one [b, p, 3].
+
+    Args:
+        offsets: added to the vertices at rest [b, v, 3] [m], or `NO_OFFSETS`.
+    """
+    batch, vertices, sampled = len(joints.body_pose), len(skin.rest), len(skin.normals)
+    frames = HeadFrame(
+        np.empty((batch, 3, 3), np.float32),
+        np.empty((batch, 3), np.float32),
+        np.empty((batch, POSE_CODE_SIZE), np.float32),
+    )
+    positions, normals = np.empty((batch, vertices, 3), np.float32), np.empty((batch, sampled, 3), np.float32)
     transforms = np.empty((*joints.rest.shape[:2], 12), np.float32)  # 3 x 4, from rest vertices to the head's frame
-    for sample in range(len(joints.body_pose)):
+    for sample in range(batch):
         rest, rotations, centres = joints.rest[sample], joints.rotations[sample], joints.positions[sample]
         frame, origin, code = rotations[joints.near[0]], centres[joints.near[0]], frames.pose_code[sample]
         frames.world_from_head[sample] = frame
@@ -84,6 +79,7 @@ def _fill_bodies(
         code[10:91] = joints.body_pose[sample]
         _remove_heading(joints.body_pose[sample, :3], code[10:13])
     _pose_skin(joints.body_shape, skin, offsets, transforms, positions, normals)
+    return frames, positions, normals
 
 
 @njit(cache=True)

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numba import njit
 
 from quaffure.geometry.rotation_kernel import write_rotation
@@ -17,23 +16,16 @@ class Skeleton(NamedTuple):
     parents: np.ndarray
 
 
-def forward_kinematics(
-    body_pose: Float[np.ndarray, "b 81"], body_shape: Float[np.ndarray, "b 10"], skeleton: Skeleton
-) -> tuple[Float[np.ndarray, "b j 3"], Float[np.ndarray, "b j 3 3"], Float[np.ndarray, "b j 3"]]:
-    """The fields of `quaffure.body.kinematics.PosedJoints` of bodies of shape beta in pose theta, float32."""
-    batch, count = len(body_pose), len(skeleton.parents)
-    joints = np.empty((batch, count, 3)), np.empty((batch, count, 3, 3)), np.empty((batch, count, 3))
-    _fill_joints(body_pose, body_shape, skeleton, *joints)
-    return joints
-
-
 @njit(cache=True)
-def _fill_joints(
-    body_pose: np.ndarray, body_shape: np.ndarray, skeleton: Skeleton, rest_joints: np.ndarray,
-    world_rotations: np.ndarray, world_positions: np.ndarray,
-) -> None:  # fmt: skip
-    local = np.empty((3, 3))
-    for sample in range(len(body_pose)):
+def forward_kinematics(
+    body_pose: np.ndarray, body_shape: np.ndarray, skeleton: Skeleton
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The fields of `quaffure.body.kinematics.PosedJoints` of bodies of shape beta [b, 10] in pose theta [b, 81],
+    float32."""
+    batch, count = len(body_pose), len(skeleton.parents)
+    rest_joints, local = np.empty((batch, count, 3)), np.empty((3, 3))
+    world_rotations, world_positions = np.empty((batch, count, 3, 3)), np.empty((batch, count, 3))
+    for sample in range(batch):
         rest, rotations, positions = rest_joints[sample], world_rotations[sample], world_positions[sample]
         for joint in range(len(rest)):
             for axis in range(3):
@@ -57,3 +49,4 @@ def _fill_joints(
                     rotations[joint, i, j] = 0.0
                     for k in range(3):
                         rotations[joint, i, j] += rotations[parent, i, k] * local[k, j]
+    return rest_joints, world_rotations, world_positions

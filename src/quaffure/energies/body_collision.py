@@ -3,12 +3,14 @@
 from typing import Any
 
 import numpy as np
+import torch
 from numba import njit
 
 from quaffure.energies.energy_term import EnergyTerm, HairState
 from quaffure.geometry.signed_distance import signed_distance
+from quaffure.geometry.winding_number import winding_numbers
 from quaffure.scene import HairScene
-from quaffure.types import Energy, Float, Positions, Scalar, Tensor
+from quaffure.types import Bool, Energy, Float, Positions, Scalar, Tensor
 
 
 def energy_body_collision(
@@ -55,6 +57,19 @@ def contact_stiffness(short: float, k_body_collision: float | np.floating) -> An
 def distances_to_body(positions: Positions, scene: HairScene) -> Float[Tensor, "b s n"]:
     """d(x) of Eq. 10: exact signed distance of every vertex to the body [m], positive outside."""
     return signed_distance(positions.flatten(1, 2), scene.surface).reshape(positions.shape[:3])
+
+
+def intersection_percent(draped: Positions, scene: HairScene) -> Float[Tensor, " b"]:
+    """`body_intersection_percent`: share of vertices, roots left out, inside the body [%]."""
+    return 100 * inside_body(draped, scene).to(draped).mean(dim=(1, 2))
+
+
+def inside_body(draped: Positions, scene: HairScene) -> Bool[Tensor, "b s m"]:
+    """Which vertices, roots left out, are inside the body: where its winding number is positive."""
+    points = draped[:, :, 1:].flatten(1, 2).detach().cpu().numpy()
+    vertices, faces = scene.surface.vertices.detach().cpu().numpy(), scene.surface.topology.faces.cpu().numpy()
+    inside = np.stack([winding_numbers(*sample, faces) > 0 for sample in zip(points, vertices)])
+    return torch.from_numpy(inside).to(draped.device).view(*draped.shape[:2], -1)
 
 
 class BodyCollision(EnergyTerm):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from quaffure.energies.rod import BENDING_STIFFNESS, joint_lengths
+from quaffure.energies.rod import joint_stiffness
 from quaffure.hair.groom import Groom
 from quaffure.types import Bool, Float, Int, RestLengths, Tensor
 
@@ -14,7 +14,8 @@ GOAL_STIFFNESS = 200.0
 
 def free_goal_weight(rest_lengths: RestLengths, held: Bool[Tensor, "s e"]) -> Float[Tensor, "s e"]:
     """Weight of the goals of held edges that carry no load [J]: `GOAL_STIFFNESS` times a human hair's B."""
-    return torch.where(held, GOAL_STIFFNESS * BENDING_STIFFNESS / joint_lengths(rest_lengths), 0.0)
+    bending, _ = joint_stiffness(rest_lengths, GOAL_STIFFNESS)
+    return torch.where(held, bending, 0.0)
 
 
 def goal_weight_of(groom: Groom) -> Float[Tensor, "s e"]:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 
@@ -44,14 +45,14 @@ class Loading:
         if len(self.acceleration) != 3 or not all(map(math.isfinite, self.acceleration)):
             raise InputError("acceleration", "three finite numbers", f"{self.acceleration}")
 
-    @property
+    @cached_property
     def mean_stiffness(self) -> float:
         """Geometric mean over the edges."""
         if isinstance(self.stiffness, Tensor):
             return float(self.stiffness.log().mean().exp())
         return self.stiffness
 
-    @property
+    @cached_property
     def in_gravities(self) -> tuple[float, float, float]:
         """The acceleration in g."""
         x, y, z = self.acceleration

@@ -117,6 +117,23 @@ def in_frames(
     return torch.stack([(vectors * axis).sum(-1) for axis in (tangent, normal, binormal)], dim=-1)
 
 
+def joint_stiffness(
+    rest_length: RestLengths,
+    scale: float | Float[Tensor, "s e"] = 1.0,
+    bend: float = BENDING_STIFFNESS,
+    twist: float = TWISTING_STIFFNESS,
+) -> tuple[Float[Tensor, "s e"], Float[Tensor, "s e"]]:
+    """B = scale EI / l and C = scale GJ / l of every joint [J].
+
+    Args:
+        rest_length: of the edges [m].
+        scale: multiple of the stiffness, of all edges or of each.
+        bend, twist: EI and GJ [N m^2]; a human hair's by default.
+    """
+    joint = joint_lengths(rest_length)
+    return scale * bend / joint, scale * twist / joint
+
+
 def stress_free_rest(
     strands: Float[Tensor, "s n 3"],
     stiffness_scale: Float[Tensor, "s e"] | None = None,
@@ -135,18 +152,18 @@ def stress_free_rest(
     Raises:
         InputError: a strand folds back.
     """
-    direction = directors(strands)
-    joint = joint_lengths(strands.diff(dim=1).norm(dim=-1))
-    scale = torch.ones_like(joint) if stiffness_scale is None else stiffness_scale
+    direction, rest_length = directors(strands), strands.diff(dim=1).norm(dim=-1)
+    scale = torch.ones_like(rest_length) if stiffness_scale is None else stiffness_scale
+    bending, twisting = joint_stiffness(rest_length, scale, bend, twist)
     before, normal = previous_frames(direction)
     return RodRest(
-        bending_stiffness=scale * bend / joint,
-        twisting_stiffness=scale * twist / joint,
+        bending_stiffness=bending,
+        twisting_stiffness=twisting,
         rest_direction=in_frames(direction, before, normal),
-        rest_twist=torch.zeros_like(joint),
+        rest_twist=torch.zeros_like(rest_length),
         root_frame=torch.stack([before[:, 0], normal[:, 0]], dim=1),
         stiffness_scale=scale,
-        goal_weight=torch.zeros_like(joint) if goal_weight is None else goal_weight,
+        goal_weight=torch.zeros_like(rest_length) if goal_weight is None else goal_weight,
         goal_direction=direction,
     )
 

@@ -25,14 +25,7 @@ from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.energies.cohesion import Tails, tails_of
 from quaffure.energies.held_parts import GOAL_STIFFNESS, goal_weight_of, stiffness_scale_of
 from quaffure.energies.rest_state import rest_state
-from quaffure.energies.rod import (
-    BENDING_STIFFNESS,
-    TWISTING_STIFFNESS,
-    RodRest,
-    in_frames,
-    joint_lengths,
-    previous_frames,
-)
+from quaffure.energies.rod import RodRest, in_frames, joint_stiffness, previous_frames
 from quaffure.energies.rod_kernels import rod_arrays, rod_energies_and_gradient
 from quaffure.energies.stability import Design, stable_factors
 from quaffure.energies.support import StrandForces, solve_support, transmitted_moments
@@ -137,15 +130,12 @@ def sag_free_rest(
     material = material or HairMaterial()
     state = rest_state(groom.rest_strands.double().cpu(), material)
     strands, direction = state.rest_strands, directors(state.rest_strands)
-    joint = joint_lengths(state.rest_length)
     own = groom.to("cpu")
     held = own.held_edges if held is None else held.cpu()
     own_scale = stiffness_scale_of(own).double()
     distance, normal = distances_and_normals(strands, surface or rest_surface(body.to("cpu")))
     weight = STANDARD_GRAVITY * state.mass
-    forces = StrandForces.of(
-        strands, weight, normal, held, own_scale * BENDING_STIFFNESS / joint, own_scale * TWISTING_STIFFNESS / joint
-    )
+    forces = StrandForces.of(strands, weight, normal, held, *joint_stiffness(state.rest_length, own_scale))
     available = (1 - (distance - SUPPORT_DISTANCE).clamp(min=0) / SUPPORT_FADE).clamp(0, 1)
     available[:, 0] = 0
     available[:, 1:][held] = 0

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from quaffure._kernel_cache import drop_own_kernels_of_other_types
 from quaffure._lazy import lazy_exports
 
 if TYPE_CHECKING:
@@ -19,5 +20,7 @@ if TYPE_CHECKING:
     from quaffure.geometry.sampling import spread_subset
     from quaffure.geometry.surface import Surface, occupancy_of, posed_surface, surface_topology
     from quaffure.geometry.triangle_grid import TriangleGrid
+
+drop_own_kernels_of_other_types()
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__)

@@ -1,9 +1,13 @@
-"""A rotation matrix in compiled code, and a constant that kernels share with their torch twins."""
+"""Rotations in compiled code, and a constant that kernels share with their torch twins."""
 
 import math
 
 import numpy as np
 from numba import njit
+
+from quaffure.geometry.mls_kernels import FAST
+
+Vector = tuple[np.floating, np.floating, np.floating]
 
 LEAST_ALIGNMENT = 0.1
 """Least 1 + cosine in a Gibbs vector, which has no end for opposite vectors."""
@@ -26,3 +30,33 @@ def write_rotation(axis_angle: np.ndarray, matrix: np.ndarray) -> None:
     matrix[0, 1], matrix[1, 0] = cosine * x * y - sine * z, cosine * x * y + sine * z
     matrix[0, 2], matrix[2, 0] = cosine * x * z + sine * y, cosine * x * z - sine * y
     matrix[1, 2], matrix[2, 1] = cosine * y * z - sine * x, cosine * y * z + sine * x
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def rotated_by_gibbs(gibbs: Vector, vector: Vector) -> Vector:
+    """A vector rotated by a Gibbs vector (Rodrigues 1840), in single precision. Kernels inline it."""
+    (a, b, c), (x, y, z) = gibbs, vector
+    scale = np.float32(2.0) / (np.float32(1.0) + a * a + b * b + c * c)
+    u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
+    return x + scale * (u + b * w - c * v), y + scale * (v + c * u - a * w), z + scale * (w + a * v - b * u)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def pushed_edge(
+    start: Vector, end: Vector, normal: Vector, push: float | np.floating, length: float | np.floating
+) -> Vector:
+    """The edge of a length from `start` towards `end` after a push of the end along a normal: the projection of
+    position-based dynamics (Mueller et al. 2007) with lengths kept, in single precision. Kernels inline it.
+
+    Args:
+        start, end: positions [m].
+        push: along the normal [m].
+        length: of the result [m]; of 1, its direction.
+    """
+    x, y, z = (
+        end[0] + push * normal[0] - start[0],
+        end[1] + push * normal[1] - start[1],
+        end[2] + push * normal[2] - start[2],
+    )
+    scale = length / np.sqrt(x * x + y * y + z * z + np.float32(1e-24))
+    return scale * x, scale * y, scale * z

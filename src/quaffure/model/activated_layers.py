@@ -7,17 +7,17 @@ Layers give the same bits with any number of threads as far as oneDNN does: test
 """
 
 from collections.abc import Callable
-from functools import cache
-from typing import NamedTuple
+from functools import cache, partial
+from typing import Any, NamedTuple
 
 import torch
 from torch.nn.functional import conv2d, linear, silu
 
 from quaffure.types import Float, Tensor
 
-_Activation = tuple[str, list[float], str]  # what is done to the sums, its numbers, its variant
-_SILU: _Activation = ("swish", [], "")
-_NONE: _Activation = ("none", [], "")
+# What is done to the sums, its numbers, its variant: names of oneDNN's arguments.
+_SILU: dict[str, Any] = {"attr": "swish", "scalars": [], "algorithm": ""}
+_NONE: dict[str, Any] = {"attr": "none", "scalars": [], "algorithm": ""}
 _ONE = [1, 1]
 
 
@@ -102,15 +102,14 @@ def fused(dtype: torch.dtype) -> bool:
     return True
 
 
-def _fused_linear(weight: Tensor, bias: Tensor, activation: _Activation = _SILU) -> ActivatedLayer:
+def _fused_linear(weight: Tensor, bias: Tensor, activation: dict[str, Any] = _SILU) -> ActivatedLayer:
     ops = torch.ops.mkldnn
     packed = ops._reorder_linear_weight(weight)
-    return ActivatedLayer(weight, bias, lambda values: ops._linear_pointwise(values, packed, bias, *activation))
+    return ActivatedLayer(weight, bias, partial(ops._linear_pointwise, W=packed, B=bias, **activation))
 
 
 def _fused_convolution(weight: Tensor, bias: Tensor) -> ActivatedLayer:
-    ops, geometry = torch.ops.mkldnn, (_ONE, _ONE, _ONE, 1)  # padding, stride, dilation, groups
-    packed = ops._reorder_convolution_weight(weight, *geometry)
-    return ActivatedLayer(
-        weight, bias, lambda values: ops._convolution_pointwise(values, packed, bias, *geometry, *_SILU)
-    )
+    ops, geometry = torch.ops.mkldnn, {"padding": _ONE, "stride": _ONE, "dilation": _ONE, "groups": 1}
+    packed = ops._reorder_convolution_weight(weight, *geometry.values())
+    run = partial(ops._convolution_pointwise, W=packed, B=bias, **geometry, **_SILU)
+    return ActivatedLayer(weight, bias, run)

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
+from numba import get_num_threads
 
 from quaffure.body.collision_skin import CollisionSkin, collision_skin
 from quaffure.body.head_frame import HeadFrameBody, head_frame_body
@@ -16,7 +17,8 @@ from quaffure.model.loading_features import loading_features
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project
 from quaffure.model.quaffure_network import OWN_FEATURES, DirectionNetwork, feature_size, pose_code
-from quaffure.model.surroundings import fill_surroundings
+from quaffure.model.surroundings import grid_units
+from quaffure.model.surroundings_kernels import write_surroundings
 from quaffure.model.torch_backend import TorchBackend, TorchPosed
 from quaffure.scene import BodyBatch
 from quaffure.types import Float, Positions, Tensor
@@ -52,6 +54,7 @@ class CpuBackend:
     def __init__(self, network: DirectionNetwork, loading: Loading, bf16: bool) -> None:
         self.config, self._loading = network.config, loading
         self.layout: Any = network.for_inference(bf16)
+        self._grid = grid_units(network.config.density_grid)
         self.network_seconds = 0.0
 
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, CpuPosed]]:
@@ -85,8 +88,8 @@ class CpuBackend:
         fill_initial_shape(groom.blocks, rows, posed.body, self._loading, self.config.initial_shape, shape)
         if self.config.surroundings:
             around = bits(shape.features)[..., OWN_FEATURES:]
-            grid, strands = self.config.density_grid, groom.blocks.surroundings
-            fill_surroundings(strands, shape.roots, shape.edges, grid, around)
+            own_roots, own_edges = shape.roots.numpy(), shape.edges.numpy()
+            write_surroundings(groom.blocks.surroundings, own_roots, own_edges, self._grid, get_num_threads(), around)
         return shape
 
     def network(self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape) -> Float[Tensor, "row outputs"]:
@@ -103,7 +106,8 @@ class CpuBackend:
         strand, body = groom.blocks.strands.strand.reshape(-1), posed.body
         rows = ShapeRows(shape.roots[0].numpy(), shape.edges[0].numpy(), shape.compliance[0].numpy(), strand)
         frame = body.world_from_head[0].numpy(), body.head_position[0].numpy()
-        return torch.from_numpy(integrate_edges(rows, bits(changes), groom.rest_length.numpy(), *frame))[None]
+        lengths, threads = groom.rest_length.numpy(), get_num_threads()
+        return torch.from_numpy(integrate_edges(rows, bits(changes), lengths, *frame, threads))[None]
 
     def project(self, groom: PreparedGroom, posed: CpuPosed, hair: Positions) -> Positions:
         """Hair projected out of the skin [m, world]."""
@@ -121,12 +125,15 @@ class CpuTrainingBackend(TorchBackend):
         return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, joints, config, self.projects, moved)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
-        shape = empty_shape(len(posed.body.head_position), len(groom.margin), feature_size(self.config), torch.float32)
+        shape = empty_shape(
+            len(posed.body.head_position), len(groom.initial_clearance), feature_size(self.config), torch.float32
+        )
         config, rows = self.config.initial_shape, groom.blocks.strands.strand
         fill_initial_shape(groom.blocks, rows, posed.body, self._loading, config, shape)
         if self.config.surroundings:
             around = bits(shape.features)[..., OWN_FEATURES:]
-            fill_surroundings(groom.surroundings, shape.roots, shape.edges, self.config.density_grid, around)
+            strands, grid = tuple(map(Tensor.numpy, groom.surroundings)), grid_units(self.config.density_grid)
+            write_surroundings(strands, shape.roots.numpy(), shape.edges.numpy(), grid, get_num_threads(), around)
         return shape
 
     def project(self, groom: PreparedGroom, posed: TorchPosed, hair: Positions) -> Positions:

@@ -38,7 +38,7 @@ from quaffure.model.network_config import NetworkConfig
 from quaffure.model.neural import NeuralDraper
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.quaffure_network import OWN_FEATURES, feature_size
-from quaffure.model.surroundings import grid_units
+from quaffure.model.surroundings import Surroundings, grid_units
 
 
 def write_drape_constants(path: Path, draper: NeuralDraper, groom: Groom, body: BodyModel) -> None:
@@ -49,7 +49,7 @@ def write_drape_constants(path: Path, draper: NeuralDraper, groom: Groom, body: 
             that is not laid out for the network; or not writable.
     """
     config = draper.network.config
-    if not (config.output == "directions" and config.contact and config.surroundings and config.pose_features):
+    if not (config.predicts_directions and config.contact and config.surroundings and config.pose_features):
         raise InputError(
             "--weights", "a network of edge directions, with pose features, contact and surroundings", "another one"
         )
@@ -82,7 +82,7 @@ def _of_groom(groom: PreparedGroom) -> dict[str, np.ndarray]:
     return {
         **_fields(blocks.strands),
         **_fields(blocks.rods),
-        **_fields(blocks.surroundings),
+        **{f"Surroundings.{name}": values for name, values in zip(Surroundings._fields, blocks.surroundings)},
         "rows": blocks.rows,
         "texels": blocks.texels.flat.numpy(),
         "groom_code": groom.code.numpy(),

@@ -71,7 +71,8 @@ def initial_shape_reference(
         ),
         config.passes,
     )
-    edges, local = resolve_contact_reference(roots, free, rest_length, groom.margin, body.surface, config.decay_length)
+    clearance = groom.initial_clearance
+    edges, local = resolve_contact_reference(roots, free, rest_length, clearance, body.surface, config.decay_length)
     deflection = torch.nn.functional.pad(edges - free, (0, 0, 1, 0)).diff(dim=2).norm(dim=-1)
     disturbance = (edges - posed).square().sum(-1).amax(dim=2, keepdim=True)
     fading = disturbance / (disturbance + config.least_disturbance**2 + 1e-12)

@@ -18,7 +18,7 @@ from quaffure.geometry.mls_kernels import (
     list_points,
     normalize_features,
 )
-from quaffure.geometry.rotation_kernel import LEAST_ALIGNMENT
+from quaffure.geometry.rotation_kernel import LEAST_ALIGNMENT, pushed_edge, rotated_by_gibbs
 from quaffure.model import free_rod_lanes as rod
 from quaffure.model.bfloat16 import rounded
 
@@ -139,16 +139,12 @@ def load(
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def aim(inputs: np.ndarray, rows: np.ndarray) -> None:
     """Directions of the next edges, rotated like the edges before by the skin, and their lengths."""
-    one, two = np.float32(1.0), np.float32(2.0)
     for i in range(LANES):
         rows[_LENGTH + i] = inputs[rod.LENGTH, i]
-        x, y, z = inputs[rod.DIRECTION, i], inputs[rod.DIRECTION + 1, i], inputs[rod.DIRECTION + 2, i]
-        a, b, c = rows[_GIBBS + i], rows[_GIBBS + LANES + i], rows[_GIBBS + 2 * LANES + i]
-        scale = two / (one + a * a + b * b + c * c)
-        u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
-        rows[DIRECTION + i] = x + scale * (u + b * w - c * v)
-        rows[DIRECTION + LANES + i] = y + scale * (v + c * u - a * w)
-        rows[DIRECTION + 2 * LANES + i] = z + scale * (w + a * v - b * u)
+        free = inputs[rod.DIRECTION, i], inputs[rod.DIRECTION + 1, i], inputs[rod.DIRECTION + 2, i]
+        gibbs = rows[_GIBBS + i], rows[_GIBBS + LANES + i], rows[_GIBBS + 2 * LANES + i]
+        x, y, z = rotated_by_gibbs(gibbs, free)
+        rows[DIRECTION + i], rows[DIRECTION + LANES + i], rows[DIRECTION + 2 * LANES + i] = x, y, z
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -219,13 +215,11 @@ def deflect(margin: np.ndarray, radius: float, decay_length: float, rows: np.nda
     """Rotate edges out of the skin."""
     one, none = np.float32(1.0), np.float32(0.0)
     for i in range(LANES):
-        mx, my, mz = rows[NORMAL + i], rows[NORMAL + LANES + i], rows[NORMAL + 2 * LANES + i]
+        normal = rows[NORMAL + i], rows[NORMAL + LANES + i], rows[NORMAL + 2 * LANES + i]
         ux, uy, uz = rows[DIRECTION + i], rows[DIRECTION + LANES + i], rows[DIRECTION + 2 * LANES + i]
         depth = max(margin[i] * rows[WEIGHT + i] - radius * rows[HEIGHT + i], none)
         angle = depth / max(rows[_LENGTH + i], np.float32(MIN_LENGTH))
-        vx, vy, vz = ux + angle * mx, uy + angle * my, uz + angle * mz
-        norm = one / np.sqrt(vx * vx + vy * vy + vz * vz + np.float32(1e-24))
-        vx, vy, vz = vx * norm, vy * norm, vz * norm
+        vx, vy, vz = pushed_edge((none, none, none), (ux, uy, uz), normal, angle, one)
         rows[DIRECTION + i], rows[DIRECTION + LANES + i], rows[DIRECTION + 2 * LANES + i] = vx, vy, vz
         share = decay_length / (decay_length + rows[_LENGTH + i])
         half = one / max(one + ux * vx + uy * vy + uz * vz, np.float32(LEAST_ALIGNMENT))

@@ -3,10 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from numba import get_num_threads, njit, prange
+from numba import njit, prange
 
 from quaffure.geometry.mls_kernels import FAST
+from quaffure.geometry.rotation_kernel import rotated_by_gibbs
 
 
 class ShapeRows(NamedTuple):
@@ -18,31 +18,20 @@ class ShapeRows(NamedTuple):
     strand: np.ndarray
 
 
+@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
 def integrate_edges(
-    shape: ShapeRows,
-    changes: np.ndarray,
-    rest_length: Float[np.ndarray, "s e"],
-    world_from_head: Float[np.ndarray, "3 3"],
-    head: Float[np.ndarray, "3"],
-) -> Float[np.ndarray, "s n 3"]:
-    """Vertices [m, world] of edges rotated by the sum of the network's outputs before them, in the order of
-    `rest_length`.
+    shape: ShapeRows, changes: np.ndarray, rest_length: np.ndarray, world_from_head: np.ndarray, head: np.ndarray,
+    threads: int,
+) -> np.ndarray:  # fmt: skip
+    """Vertices [strand, vertex, 3] [m, world] of edges rotated by the sum of the network's outputs before them, in the
+    order of `rest_length` [strand, edge].
 
     Args:
         changes: of each row, the bits of float32, or of bfloat16.
     """
-    hair = np.empty((len(rest_length), shape.edges.shape[1] + 1, 3), np.float32)
-    _integrate(shape, changes, rest_length, world_from_head, head, get_num_threads(), hair)
-    return hair
-
-
-@njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")
-def _integrate(
-    shape: ShapeRows, changes: np.ndarray, rest_length: np.ndarray, world_from_head: np.ndarray, head: np.ndarray,
-    threads: int, hair: np.ndarray,
-) -> None:  # fmt: skip
     edges, compliance = shape.edges, shape.compliance
     count, columns = edges.shape[1], changes.shape[1]
+    hair = np.empty((len(rest_length), count + 1, 3), np.float32)
     spaces, shift = np.empty((threads, columns), np.uint32), np.uint32(32 - 8 * changes.itemsize)
     a, b, c = world_from_head[0], world_from_head[1], world_from_head[2]
     for thread in prange(threads):
@@ -61,11 +50,8 @@ def _integrate(
                     p += half * change[3 * vertex]
                     q += half * change[3 * vertex + 1]
                     r += half * change[3 * vertex + 2]
-                    ex, ey, ez = edges[row, vertex, 0], edges[row, vertex, 1], edges[row, vertex, 2]
-                    cx, cy, cz = q * ez - r * ey, r * ex - p * ez, p * ey - q * ex
-                    scale = np.float32(2.0) / (np.float32(1.0) + p * p + q * q + r * r)
-                    ux = ex + scale * (cx + q * cz - r * cy)
-                    uy = ey + scale * (cy + r * cx - p * cz)
-                    uz = ez + scale * (cz + p * cy - q * cx)
+                    edge = edges[row, vertex, 0], edges[row, vertex, 1], edges[row, vertex, 2]
+                    ux, uy, uz = rotated_by_gibbs((p, q, r), edge)
                     scale = rest_length[own, vertex] / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
                     x, y, z = x + scale * ux, y + scale * uy, z + scale * uz
+    return hair

@@ -129,11 +129,17 @@ class NetworkConfig:
     density_grid: DensityGridConfig = field(default_factory=DensityGridConfig)
     projection: ProjectionConfig = field(default_factory=ProjectionConfig)
 
+    @property
+    def predicts_directions(self) -> bool:
+        """Whether this is our configuration, which reads a loading; the paper's predicts displacements and knows human
+        hair under gravity alone."""
+        return self.output == "directions"
+
     def __post_init__(self) -> None:
         if self.output not in ("directions", "displacement"):
             raise ValueError(f"expected output directions or displacement, found {self.output!r}")
         widths = {"pose_features": (0, MAX_WIDTH), "texel_channels": (1, MAX_WIDTH), "strand_width": (1, MAX_WIDTH)}
-        if self.surroundings and not (self.skin_features and self.output == "directions"):
+        if self.surroundings and not (self.skin_features and self.predicts_directions):
             raise ValueError("expected surroundings with directions and the skin's features, found them without")
         for name, (least, most) in (widths | {"strand_layers": (1, MAX_LAYERS)}).items():
             value = getattr(self, name)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 from weakref import WeakKeyDictionary
 
 import torch
@@ -17,7 +17,7 @@ from quaffure.hair.groom import Groom
 from quaffure.hair.groom_cache import GroomCache
 from quaffure.model.cpu_backend import CpuBackend, CpuTrainingBackend
 from quaffure.model.prepared_groom import PreparedGroom, prepare_groom
-from quaffure.model.quaffure_network import DisplacementNetwork, QuaffureNetwork
+from quaffure.model.quaffure_network import DirectionNetwork, QuaffureNetwork
 from quaffure.model.torch_backend import DisplacementBackend, TorchBackend
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions, Tensor
@@ -106,7 +106,7 @@ class NeuralDraper:
     @property
     def reads_loading(self) -> bool:
         """Whether stiffness, gravity and wind are inputs: the paper's configuration knows human hair under gravity."""
-        return not isinstance(self.network, DisplacementNetwork)
+        return self.network.config.predicts_directions
 
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of every sample [m, world], without gradient."""
@@ -163,14 +163,15 @@ class NeuralDraper:
                     weights += (weight.data_ptr(), None if weight.is_inference() else weight._version)
         state = (layers, weights, self.loading, self.bf16)
         if self._made is None or self._made[0] != state:
-            if self._kind is Backend.CPU and not isinstance(self.network, DisplacementNetwork):
-                made: DrapeBackend = CpuBackend(self.network, self.loading, self.bf16)
+            if self._kind is Backend.CPU and self.network.config.predicts_directions:
+                network = cast(DirectionNetwork, self.network)
+                made: DrapeBackend = CpuBackend(network, self.loading, self.bf16)
             else:
                 made = self._torch_backend(TorchBackend, projects=True)
             self._made = state, made
         return self._made[1]
 
     def _torch_backend(self, kind: type[TorchBackend], projects: bool) -> TorchBackend:
-        if isinstance(self.network, DisplacementNetwork):
-            return DisplacementBackend(self.network, self.loading, self.bf16)
-        return kind(self.network, self.loading, self.bf16, projects)
+        if self.network.config.predicts_directions:
+            return kind(self.network, self.loading, self.bf16, projects)
+        return DisplacementBackend(self.network, self.loading, self.bf16)

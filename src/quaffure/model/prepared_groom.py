@@ -76,14 +76,14 @@ class KernelBlocks(NamedTuple):
         strands, rods: all strands.
         rows: of the kernels' results, for each strand.
         texels: of each row.
-        surroundings: of each row but those that repeat the last strand.
+        surroundings: `Surroundings` of each row but those that repeat the last strand.
     """
 
     strands: StrandBlocks
     rods: RodBlocks
     rows: Int[np.ndarray, "block lane"]
     texels: StrandTexels
-    surroundings: Surroundings
+    surroundings: tuple[np.ndarray, ...]
 
     @property
     def nbytes(self) -> int:
@@ -100,7 +100,7 @@ class PreparedGroom:
         texels: flat index of each strand's texel.
         strands, rods: in the frames in which strands move rigidly.
         rest_length: of every edge [m].
-        margin: distance from the point-sampled body at which strands start [m].
+        initial_clearance: distance from the point-sampled body at which strands start [m].
         clearance: distance up to which hair is projected out of the skin [m], see `quaffure.model.projection`.
         surroundings: of each strand.
         order: of the strands in the kernels' blocks, near ones next to each other.
@@ -111,7 +111,7 @@ class PreparedGroom:
     strands: RestStrands
     rods: DesignRods
     rest_length: RestLengths
-    margin: Float[Tensor, "s n"]
+    initial_clearance: Float[Tensor, "s n"]
     clearance: Float[Tensor, "s n"]
     surroundings: Surroundings
     order: Int[Tensor, " s"]
@@ -119,13 +119,13 @@ class PreparedGroom:
     @cached_property
     def blocks(self) -> KernelBlocks:
         """Laid out for the compiled kernels; float32, on the CPU."""
-        strands = strand_blocks(self.strands, self.margin, self.order)
+        strands = strand_blocks(self.strands, self.initial_clearance, self.order)
         of_rows = torch.from_numpy(strands.strand).flatten().long()
         texels = StrandTexels(self.texels[of_rows], texture_rows(self.texels[of_rows], TEXTURE_SIZE))
         rows = np.arange(strands.strand.size, dtype=np.int32).reshape(strands.strand.shape)
         rods = RodBlocks(*(in_blocks(values[of_rows]) for values in self.rods))
-        own = of_rows[: len(self.margin)]
-        return KernelBlocks(strands, rods, rows, texels, Surroundings(*(values[own] for values in self.surroundings)))
+        own = of_rows[: len(self.initial_clearance)]
+        return KernelBlocks(strands, rods, rows, texels, tuple(values[own].numpy() for values in self.surroundings))
 
     def stiffened(self, factor: Float[Tensor, "s e"]) -> "PreparedGroom":
         """The same groom with each edge stiffer by a factor of its own."""

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from numba import get_num_threads, njit, prange
 
 from quaffure.geometry.mls_kernels import FAST
+from quaffure.geometry.rotation_kernel import pushed_edge
 from quaffure.geometry.triangle_grid import OUT_OF_BAND, TriangleGrid, nearest_triangle_in_band, triangle_grid
 
 _PADDING = 64  # numbers between the workspaces of threads, which would write into one line of the cache
@@ -59,11 +60,9 @@ def _push_out(strands: ProjectedStrands, grid: TriangleGrid, rows: np.ndarray, o
                     if face >= 0 and push > none:
                         px, py, pz = result[vertex - 1, 0], result[vertex - 1, 1], result[vertex - 1, 2]
                         record = grid.records[face]
-                        ux = x + push * record[0] - px
-                        uy = y + push * record[1] - py
-                        uz = z + push * record[2] - pz
-                        scale = length / np.sqrt(ux * ux + uy * uy + uz * uz + np.float32(1e-24))
-                        ux, uy, uz = px + scale * ux, py + scale * uy, pz + scale * uz
+                        normal = record[0], record[1], record[2]
+                        ux, uy, uz = pushed_edge((px, py, pz), (x, y, z), normal, push, length)
+                        ux, uy, uz = px + ux, py + uy, pz + uz
                         dx, dy, dz = dx + ux - x, dy + uy - y, dz + uz - z
                         x, y, z = ux, uy, uz
                 result[vertex, 0], result[vertex, 1], result[vertex, 2] = x, y, z

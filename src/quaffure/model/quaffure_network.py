@@ -111,7 +111,7 @@ def feature_size(config: NetworkConfig) -> int:
 
 
 def build_network(config: NetworkConfig) -> QuaffureNetwork:
-    return DirectionNetwork(config) if config.output == "directions" else DisplacementNetwork(config)
+    return DirectionNetwork(config) if config.predicts_directions else DisplacementNetwork(config)
 
 
 def pose_code(
@@ -124,12 +124,12 @@ def pose_code(
         loading: see `quaffure.model.loading_features`; the paper's configuration leaves it out.
     """
     used = features[:, : SHAPE_SIZE + POSE_SIZE + config.pose_features]
-    return torch.cat([used, loading], dim=1) if config.output == "directions" else used
+    return torch.cat([used, loading], dim=1) if config.predicts_directions else used
 
 
 def _code_size(config: NetworkConfig) -> int:
     """Length of the groom code and `pose_code`."""
-    loading = LOADING_FEATURES if config.output == "directions" else 0
+    loading = LOADING_FEATURES if config.predicts_directions else 0
     return CODE_SIZE + SHAPE_SIZE + POSE_SIZE + config.pose_features + loading
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 
 from quaffure.model.network_config import DensityGridConfig
-from quaffure.model.surroundings_kernels import NODES, GridUnits, write_surroundings
-from quaffure.types import EdgeVectors, Float, Positions, RestLengths, Tensor
+from quaffure.model.surroundings_kernels import NODES, GridUnits
+from quaffure.types import Float, Positions, RestLengths, Tensor
 
 
 class Surroundings(NamedTuple):
@@ -34,8 +34,8 @@ class Surroundings(NamedTuple):
 def surroundings_reference(
     positions: Positions, strands: Surroundings, config: DensityGridConfig
 ) -> Float[Tensor, "b s e 5"]:
-    """Torch twin of `fill_surroundings`: asinh of the excess density, the gradient, as long as the asinh of its length,
-    and the margin.
+    """Torch twin of `write_surroundings`: asinh of the excess density, the gradient, as long as the asinh of its
+    length, and the margin.
 
     Args:
         positions: in the head's frame [m].
@@ -78,24 +78,6 @@ def coarse_density(
             turned = torch.stack([y * z, x * z, x * y], dim=-1) * sign
             slope[sample] = slope[sample] + value[..., None] * turned / cell
     return density, slope
-
-
-def fill_surroundings(
-    strands: Surroundings,
-    roots: Float[Tensor, "b r 3"],
-    edges: EdgeVectors,
-    config: DensityGridConfig,
-    features: np.ndarray,
-) -> None:
-    """Write the features of all vertices but the root; float32, on the CPU.
-
-    Args:
-        strands: of the rows; there may be more rows, which are left out.
-        roots, edges: of each row in the head's frame [m]; unit edges.
-        features: [batch, row, column] to write, bits of float32 or bfloat16 (`quaffure.model.initial_shape.bits`).
-    """
-    length, mass, density, margin = map(Tensor.numpy, strands)
-    write_surroundings(length, mass, density, margin, roots.numpy(), edges.numpy(), grid_units(config), features)
 
 
 def grid_units(config: DensityGridConfig) -> GridUnits:

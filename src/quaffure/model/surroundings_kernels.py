@@ -3,8 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
-from numba import get_num_threads, njit, prange
+from numba import njit, prange
 
 from quaffure.geometry.mls_kernels import FAST
 from quaffure.model.bfloat16 import rounded
@@ -24,22 +23,25 @@ class GridUnits(NamedTuple):
     margin: np.float32
 
 
+@njit(cache=True)
 def write_surroundings(
-    rest_length: Float[np.ndarray, "s e"],
-    mass: Float[np.ndarray, "s n"],
-    rest_density: Float[np.ndarray, "s n"],
-    margin: Float[np.ndarray, "s n"],
-    roots: Float[np.ndarray, "b r 3"],
-    edges: Float[np.ndarray, "b r e 3"],
-    units: GridUnits,
+    strands: tuple[np.ndarray, ...], roots: np.ndarray, edges: np.ndarray, units: GridUnits, threads: int,
     features: np.ndarray,
-) -> None:
-    """`quaffure.model.surroundings.fill_surroundings`, whose first argument are the first four."""
+) -> None:  # fmt: skip
+    """Write the features of all vertices but the root (`quaffure.model.surroundings.surroundings_reference`); float32.
+
+    Args:
+        strands: `quaffure.model.surroundings.Surroundings` of the rows, as arrays.
+        roots, edges: of each row in the head's frame, [batch, row, 3] [m] and unit edges [batch, row, edge, 3]; there
+            may be more rows than strands, which are left out.
+        features: [batch, row, column] to write, bits of float32 or bfloat16 (`quaffure.model.initial_shape.bits`).
+    """
+    rest_length, mass, rest_density, margin = strands
     positions, grid = np.empty((*mass.shape, 3), np.float32), np.empty(NODES, np.float32)
-    for own_roots, own_edges, own_features in zip(roots, edges, features):
-        grid.fill(0.0)
-        _spread(own_roots, own_edges, rest_length, mass, units.cell, positions, grid)
-        _read(positions, rest_density, margin, grid, units, get_num_threads(), own_features)
+    for sample in range(len(roots)):
+        grid[:] = np.float32(0.0)
+        _spread(roots[sample], edges[sample], rest_length, mass, units.cell, positions, grid)
+        _read(positions, rest_density, margin, grid, units, threads, features[sample])
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")

@@ -41,10 +41,11 @@ def _with_terms(kind: Callable[..., Draper]) -> Callable[[HairMaterial, Terms | 
     return lambda material, terms: kind(material, terms=terms)
 
 
+PAPER_XPBD = "xpbd_paper"
 _OF_TERMS = (AdamDraper, AdamPositionsDraper, LbfgsDraper, LbfgsPositionsDraper, XpbdDraper)
 _DRAPERS: dict[str, Callable[[HairMaterial, Terms | None], Draper]] = {
     **{kind.name: _with_terms(kind) for kind in (StrandNewtonDraper, *_OF_TERMS)},
-    "xpbd_paper": lambda material, terms: XpbdDraper(material, paper_setting(), terms),
+    PAPER_XPBD: lambda material, terms: XpbdDraper(material, paper_setting(), terms),
     PosedDraper.name: lambda material, terms: PosedDraper(material),
 }
 SOLVERS = tuple(_DRAPERS)

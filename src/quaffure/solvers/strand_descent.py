@@ -128,7 +128,7 @@ class StrandDescent:
         self._evaluate(self._k_body_collision)
         return torch.from_numpy(self._now.positions.copy())[None]
 
-    def fall(self, passes: int, most_turn: float = 1.5) -> None:
+    def run_free(self, passes: int, most_turn: float = 1.5) -> None:
         """Passes without contact and without density; tails cohere."""
         self._best = None
         for _ in range(passes):
@@ -140,7 +140,7 @@ class StrandDescent:
         resolve_strands(self.direction, self._hair, self._rod.goal_weight, self._body, np.float32(share))
         self._best = self._k_of_now = self._start = None
 
-    def touch(self, passes: int) -> None:
+    def run_with_contact(self, passes: int) -> None:
         """Passes with contact and without density; tails cohere."""
         for _ in range(passes):
             self._surround_by_tails()

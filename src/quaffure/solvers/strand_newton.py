@@ -163,9 +163,9 @@ class StrandNewtonDraper:
         setting = self.setting
         fallen = StrandDescent(energy, scene, setting.control)
         own_energy_posed = fallen.own_energy
-        fallen.fall(setting.free_passes)
+        fallen.run_free(setting.free_passes)
         fallen.resolve_contact(setting.resolved_share)
-        fallen.touch(setting.contact_passes)
+        fallen.run_with_contact(setting.contact_passes)
         factor = setting.tied_factor if fallen.has_goals else 1
         passes = factor * (setting.passes - setting.free_passes - setting.contact_passes)
         self._settle_in_rounds(fallen, passes, factor * setting.rounds)
@@ -176,7 +176,7 @@ class StrandNewtonDraper:
         if fallen.has_goals:
             found.append(StrandDescent(energy, scene, setting.control))
             found[-1].resolve_contact(setting.resolved_share)
-            found[-1].touch(setting.free_passes + setting.contact_passes)
+            found[-1].run_with_contact(setting.free_passes + setting.contact_passes)
             self._settle_in_rounds(found[-1], passes, factor * setting.rounds)
         return min(found, key=lambda shape: shape.settled_energy)
 

@@ -95,7 +95,7 @@ class DecoderRecipe(Recipe):
     def draws_loadings(self) -> bool:
         """Whether stiffness, gravity and wind change from step to step: the energy of the rod alone has them, and the
         paper's configuration does not read them."""
-        reads = self.network.config.output == "directions"
+        reads = self.network.config.predicts_directions
         return reads and self.own_terms is None and self.config.elastic == ROD
 
     def backward(self, step: int) -> dict[str, float]:

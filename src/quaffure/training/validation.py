@@ -7,16 +7,16 @@ import torch
 
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.draper import Draper
+from quaffure.energies.body_collision import intersection_percent
 from quaffure.energies.hair_energy import HairEnergy
 from quaffure.energies.stretch import length_errors
 from quaffure.energies.stretch_shear import orientation_errors
-from quaffure.geometry.signed_distance import signed_distance
 from quaffure.scene import Scene
 from quaffure.training.pose_sampler import PoseSampler
-from quaffure.types import BodyPose, BodyShape, Energy, Float, Positions, Tensor
+from quaffure.types import BodyPose, BodyShape, Energy, Positions
 
-# Exact distances cost twice what all energies do; as many strands, spread over the groom, give the share to a
-# twentieth of itself.
+# Hair inside the body costs as much to find as all energies do; as many strands, spread over the groom, give the share
+# to a twentieth of itself.
 MEASURED_STRANDS = 500
 _POSES, _SEED = 16, 20_000
 
@@ -88,13 +88,8 @@ def _groom_metrics(draped: Positions, scene: Scene, energy: HairEnergy) -> dict[
     metrics = {name: float(term.mean()) / loss_unit(energy) for name, term in terms.items()}
     metrics["energy"] = sum(metrics.values())
     metrics["log_energy"] = float(energy_above_offset(torch.stack([*terms.values()]).sum(dim=0), energy).log().mean())
-    metrics["body_intersection_percent"] = float(_inside(draped, scene).mean()) * 100
+    every = -(-draped.shape[1] // MEASURED_STRANDS)
+    metrics["body_intersection_percent"] = float(intersection_percent(draped[:, ::every], scene).mean())
     metrics["orientation_error_deg"] = float(orientation_errors(draped, scene.director).mean())
     metrics["length_error_percent"] = float(length_errors(draped, energy.rest.rest_length).mean()) * 100
     return metrics
-
-
-def _inside(draped: Positions, scene: Scene) -> Float[Tensor, "b p"]:
-    """1 where a vertex, roots left out, is strictly inside the body; of some of the strands."""
-    every = -(-draped.shape[1] // MEASURED_STRANDS)
-    return (signed_distance(draped[:, ::every, 1:].flatten(1, 2), scene.surface) < 0).to(draped)

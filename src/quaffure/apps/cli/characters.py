@@ -9,10 +9,11 @@ from typing import Annotated
 
 import tyro
 
-from quaffure.apps.character_table import DRAPERS, NEURAL, read_table
+from quaffure.apps.character_table import CLIP_DRAPERS, read_table
 from quaffure.apps.cli.console import console, print_json, progress_bar
 from quaffure.apps.cli.outputs import check_outputs
 from quaffure.apps.row_workers import LocalProcesses, RayCluster, RowWorkers, drape_rows
+from quaffure.drapers import NEURAL
 from quaffure.errors import InputError
 
 ROWS_FAILED = 4
@@ -31,7 +32,7 @@ class CharactersCommand:
     table: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TABLE")]
     """A .csv with the columns groom, motion and out, and if wanted frames, shape (ten numbers separated by spaces),
     stiffness, seed (of a bundled style) and body (a file of `quaffure body import`)."""
-    draper: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(DRAPERS)}}}")] = NEURAL
+    draper: Annotated[str, tyro.conf.arg(metavar=f"{{{','.join(CLIP_DRAPERS)}}}")] = NEURAL
     """The network, or the solver, whose clips do not jump."""
     workers: int = 0
     """Processes; 0 is one for each processor. Each takes up to 2 GB."""
@@ -45,8 +46,8 @@ class CharactersCommand:
 
     def run(self) -> None:
         console.quiet = self.json
-        if self.draper not in DRAPERS:
-            raise InputError("--draper", f"one of {', '.join(DRAPERS)}", f"'{self.draper}'")
+        if self.draper not in CLIP_DRAPERS:
+            raise InputError("--draper", f"one of {', '.join(CLIP_DRAPERS)}", f"'{self.draper}'")
         for option, value in (("--workers", self.workers), ("--retries", self.retries)):
             if value < 0:
                 raise InputError(option, "0 or more", f"{value}")

@@ -17,7 +17,6 @@ from quaffure.apps.cli.kept_frames import kept_frames
 from quaffure.apps.cli.kernel_cache import is_cached
 from quaffure.apps.cli.outputs import PICTURES, check_frames, check_outputs, files_of, is_export, write_output
 from quaffure.apps.cli.shown_strands import strands_between
-from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
 from quaffure.benchmark.drape_checks import DrapeChecks
 from quaffure.benchmark.metrics import DrapeMetrics
 from quaffure.body.body_model import BodyModel, load_body
@@ -26,6 +25,7 @@ from quaffure.config import HairMaterial
 from quaffure.digest import array_digest, file_digest
 from quaffure.drape_motion import drape_motion
 from quaffure.draper import Draper
+from quaffure.drapers import DRAPERS, GROOMGEN, NEURAL, elastic_model_of, followed, load_trained
 from quaffure.energies.by_name import ELASTIC_MODELS, MODIFIED_COSSERAT, ROD, hair_terms
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.gravity import GRAVITY, Acceleration
@@ -40,19 +40,15 @@ from quaffure.hair.placed_clip import placed_clip
 from quaffure.io.drape_file import read_drape
 from quaffure.io.load_groom import load_groom
 from quaffure.model.initial_shape_kernels import initial_shape_kernel
-from quaffure.model.quaffure_model import MODELS, PAPER, load_model
+from quaffure.model.neural import NeuralDraper
+from quaffure.model.quaffure_model import MODELS
 from quaffure.scene import Scene
 from quaffure.solvers.by_name import SOLVERS, solver
-from quaffure.solvers.coherent_clip import CoherentDraper
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
 from quaffure.solvers.strand_recursion import newton_rotations
 from quaffure.training.pose_sampler import LARGEST_COEFFICIENT
 from quaffure.types import Float, Positions, Tensor
 
-NEURAL, GROOMGEN = "neural", GroomGenDraper.name
-DRAPERS = (*SOLVERS, NEURAL, GROOMGEN)
-OF_PAPER = ("xpbd_paper", GROOMGEN)
-"""Drapers that know the paper's elastic model alone."""
 FAULTS_FOUND = 3
 """Exit code with --strict."""
 MOST_SCALE = 100.0
@@ -239,8 +235,11 @@ class DrapeCommand:
 
     @property
     def _elastic(self) -> str:
-        of_paper = self.model == PAPER or self._name in OF_PAPER
-        return self.elastic or (MODIFIED_COSSERAT if of_paper and not self.settle else ROD)
+        return self.elastic or (ROD if self.settle else self._own_elastic)
+
+    @property
+    def _own_elastic(self) -> str:
+        return elastic_model_of(self._name, self.model)
 
     @property
     def _rest(self) -> str:
@@ -260,16 +259,15 @@ class DrapeCommand:
         if self.model is not None and (self.model not in MODELS or self.weights is not None or self._name != NEURAL):
             expected = f"{' or '.join(MODELS)}, with the network and without --weights"
             raise InputError("--model", expected, f"'{self.model}', {self._name}")
-        of_network = MODIFIED_COSSERAT if self.model == PAPER else ROD
-        trained = {NEURAL: of_network, GROOMGEN: MODIFIED_COSSERAT}.get(self._name)
-        if trained is not None and not self.settle and self.elastic not in (None, trained):
-            raise InputError("--elastic", f"{trained} with {self._name}", f"'{self.elastic}'")
+        is_trained = self._name in (NEURAL, GROOMGEN)
+        if is_trained and not self.settle and self.elastic not in (None, self._own_elastic):
+            raise InputError("--elastic", f"{self._own_elastic} with {self._name}", f"'{self.elastic}'")
         if self._name == NEURAL and self._rest != "design":
             raise InputError("--rest", f"design with {NEURAL}", f"'{self.rest}'")
         for option, factor in (("--stiffness", self.stiffness), ("--weight", self.weight)):
             if not 0 < factor <= MOST_SCALE:
                 raise InputError(option, f"a factor above 0, at most {MOST_SCALE:g}", f"{factor:g}")
-        if self._name == GROOMGEN and not self.settle and not self._has_default_loads:
+        if self._name == GROOMGEN and not self.settle and not self._has_default_loading:
             expected = f"another draper, or --settle after {self._name}, which knows one hair and one gravity"
             raise InputError("--stiffness, --weight, --gravity, --wind", expected, f"'{self._name}'")
         if self._name == GROOMGEN and self.weights is None:
@@ -286,22 +284,19 @@ class DrapeCommand:
 
         Solvers get the material that the weights were trained for, to be comparable.
         """
-        if self._name == GROOMGEN and self.weights is not None:
-            draper: Draper = load_groomgen(self.weights)[0]
-        else:
-            draper = load_model(self.weights or self.model).under(Loading(self.stiffness, self._acceleration)).draper
+        draper, _ = load_trained(self._name, self.weights or self.model)
+        if isinstance(draper, NeuralDraper):
+            draper = draper.under(Loading(self.stiffness, self._acceleration))
         material = draper.material
         if self._elastic == MODIFIED_COSSERAT:
             material = replace(material, k_cosserat=self.stiffness * material.k_cosserat)
         terms = self._terms(groom, body, material)
         if self._name in SOLVERS:
-            start = hair_terms(acceleration=self._acceleration) if self.settle and self._name in OF_PAPER else terms
-            draper = solver(self._name, material, start)
+            is_of_terms = not self.settle or self._own_elastic == ROD
+            draper = solver(self._name, material, terms if is_of_terms else hair_terms(acceleration=self._acceleration))
         if self.settle:
             draper = SettledDraper(draper, StrandNewtonDraper(material, terms=terms), self.settle)
-        if isinstance(draper, StrandNewtonDraper) and self.coherent:
-            draper = CoherentDraper(draper)
-        return draper, terms
+        return followed(draper) if self.coherent else draper, terms
 
     @property
     def _acceleration(self) -> Acceleration:
@@ -310,7 +305,7 @@ class DrapeCommand:
         return x, y, z
 
     @property
-    def _has_default_loads(self) -> bool:
+    def _has_default_loading(self) -> bool:
         return self.stiffness == 1 and np.allclose(self._acceleration, GRAVITY)
 
     def _terms(self, groom: Groom, body: BodyModel, material: HairMaterial) -> Terms:

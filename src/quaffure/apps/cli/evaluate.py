@@ -17,13 +17,14 @@ from quaffure.benchmark.comparison import DrapeFrame, compare
 from quaffure.benchmark.drape_cache import DrapeCache, TimedDrape
 from quaffure.benchmark.draping import CaseDraper
 from quaffure.benchmark.evaluation_set import SETS, DataFolders, EvaluationCase, load_cases, load_evaluation_set
-from quaffure.benchmark.methods import NETWORK, QUICK_ROWS, ROWS, methods
+from quaffure.benchmark.methods import QUICK_ROWS, ROWS, methods
 from quaffure.benchmark.report import headline, mean_rows, worst_rows, write_report
 from quaffure.benchmark.results import Results, results_of
 from quaffure.benchmark.submissions import read_submission, submitted_frames, write_case
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.config import HairMaterial
+from quaffure.drapers import NEURAL
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.io.atomic import write_json
@@ -195,7 +196,7 @@ class EvaluateCommand:
         return Selection(cases, sum(len(case.frames) for case in cases), None, {})
 
     def _write_cases(self, folder: Path, body: BodyModel, weights: dict[str, Path]) -> None:
-        material = methods((NETWORK,), weights)[0].draper.material
+        material = methods((NEURAL,), weights)[0].draper.material
         cases = self._set_cases(body).cases
         made_folder(folder, "a folder for the cases")
         version = load_evaluation_set(self.shared.set).version

@@ -2,12 +2,12 @@
 
 import torch
 
-from quaffure.apps.viewer.settings import NEURAL, Settings
+from quaffure.apps.viewer.settings import Settings
 from quaffure.apps.viewer.view_state import ViewState
-from quaffure.baselines.posed import PosedDraper
 from quaffure.body.clips import CLIP_FPS, CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion
 from quaffure.draper import Draper
+from quaffure.drapers import LIVE, NEURAL, followed, make_draper
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of
@@ -15,13 +15,9 @@ from quaffure.io.load_groom import load_groom
 from quaffure.model.network_config import POSE_SIZE
 from quaffure.model.quaffure_model import Quaffure
 from quaffure.procedural.hair_style import STYLES
-from quaffure.solvers.by_name import SOLVERS, solver
-from quaffure.solvers.coherent_clip import CoherentDraper
-from quaffure.solvers.strand_newton import StrandNewtonDraper
+from quaffure.solvers.by_name import SOLVERS
 
 REST = "rest"
-LIVE = (NEURAL, StrandNewtonDraper.name, PosedDraper.name)
-"""Drapers that follow every change; all others take seconds to minutes."""
 
 
 class Catalogue:
@@ -72,8 +68,7 @@ class Catalogue:
         """
         if name == NEURAL:
             return self._model.draper
-        draper = solver(name, self._model.draper.material)
-        return CoherentDraper(draper) if isinstance(draper, StrandNewtonDraper) else draper
+        return followed(make_draper(name, self._model.draper.material))
 
     def state(self, settings: Settings) -> ViewState:
         """What the widgets of the page describe.
@@ -89,7 +84,7 @@ class Catalogue:
             settings.frame,
             settings.rotated_joints,
             settings.body_shape,
-            settings.loads,
+            settings.loading,
         )
 
     def interpolation(self, groom: Groom, strands: int) -> GuideInterpolation:

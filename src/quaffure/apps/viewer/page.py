@@ -273,15 +273,15 @@ class Page:
 
     def _load(self, _: float) -> None:
         """Stiffness, gravity and wind from their sliders."""
-        loads = self.panel.settings().loads
-        self.session.ask_edit("loads", lambda state: replace(state, loads=loads))
+        loading = self.panel.settings().loading
+        self.session.ask_edit("loading", lambda state: replace(state, loading=loading))
 
     def _reset_loads(self) -> None:
         put(self.panel.stiffness, 1.0)
         for sliders, start in ((self.panel.gravity, GRAVITY), (self.panel.wind, NO_ACCELERATION)):
             for slider, value in zip(sliders, start):
                 put(slider, value)
-        self.session.ask_edit("reset of the hair", lambda state: replace(state, loads=Loading()))
+        self.session.ask_edit("reset of the hair", lambda state: replace(state, loading=Loading()))
 
     def _settle(self) -> None:
         self._play(False)

@@ -10,15 +10,16 @@ from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
-from quaffure.apps.viewer.catalogue import LIVE, Catalogue
+from quaffure.apps.viewer.catalogue import Catalogue
 from quaffure.apps.viewer.draping_thread import DrapingThread
 from quaffure.apps.viewer.hair_drawing import Display, HairDrawing
 from quaffure.apps.viewer.panel import Panel
 from quaffure.apps.viewer.picture import BrowserCamera, png_of
 from quaffure.apps.viewer.scene_nodes import SceneNodes
-from quaffure.apps.viewer.settings import NEURAL, Settings
+from quaffure.apps.viewer.settings import Settings
 from quaffure.apps.viewer.view_state import Drape, ViewState
 from quaffure.draper import ClipDraper
+from quaffure.drapers import LIVE, NEURAL
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from quaffure.apps.viewer.view_state import MEAN_SHAPE, NO_ROTATION, Degrees
 from quaffure.body.body_model import SHAPE_COUNT
+from quaffure.drapers import NEURAL
 from quaffure.energies.gravity import GRAVITY, NO_ACCELERATION, Acceleration
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
@@ -34,7 +35,6 @@ STRAND_COUNTS: Mapping[str, int | None] = {
     "20,000 strands": 20_000,
 }
 """Strands to draw by their name in the picker: None for as many as this machine draws in time, 0 for the guides."""
-NEURAL = "neural"
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Settings:
         return STRAND_COUNTS[self.strands]
 
     @property
-    def loads(self) -> Loading:
+    def loading(self) -> Loading:
         """Stiffness of the hair, and the sum of gravity and wind."""
         x, y, z = (gravity + wind for gravity, wind in zip(self.gravity, self.wind))
         return Loading(self.stiffness, (x, y, z))

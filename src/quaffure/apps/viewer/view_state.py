@@ -38,7 +38,7 @@ class ViewState:
         frame: index in the clip.
         joint_rotations: rotation vectors about the axes of the rest pose, by joint, applied after the clip [degrees].
         body_shape: beta [standard deviations].
-        loads: stiffness of the hair, gravity and wind; `strand_newton` and the network read them.
+        loading: stiffness of the hair, gravity and wind; `strand_newton` and the network read them.
 
     Raises:
         InputError: a frame outside of the clip, a joint that the body does not have, or not ten shape coefficients.
@@ -51,7 +51,7 @@ class ViewState:
     frame: int = 0
     joint_rotations: Mapping[str, Degrees] = field(default_factory=dict)
     body_shape: tuple[float, ...] = MEAN_SHAPE
-    loads: Loading = field(default_factory=Loading)
+    loading: Loading = field(default_factory=Loading)
 
     def __post_init__(self) -> None:
         if not 0 <= self.frame < len(self.motion):
@@ -102,18 +102,18 @@ class ViewState:
             sequence = drape_motion(draper, self.groom, self.body, pose, shape, follows=True)
         sequence.meta["frame"] = self.frame
         if isinstance(draper, CoherentDraper | LoadedDraper):
-            sequence.meta.update(asdict(self.loads))
+            sequence.meta.update(asdict(self.loading))
         return Drape(self, sequence, sum(network_times) if network_times else None)
 
     def _loaded_draper(self) -> Draper:
-        """The draper under the loads. The network's and the one that follows stay the same, with what they keep."""
+        """The draper under the loading. The network's and the one that follows stay the same, with what they keep."""
         draper = self.draper
         if isinstance(draper, CoherentDraper):
-            draper.draper.loading = self.loads
+            draper.draper.loading = self.loading
         elif isinstance(draper, NeuralDraper):
-            draper.loading = self.loads
+            draper.loading = self.loading
         elif isinstance(draper, LoadedDraper):
-            return draper.under(self.loads)
+            return draper.under(self.loading)
         return draper
 
 
@@ -154,7 +154,7 @@ class Drape:
     def metrics(self) -> tuple[dict[str, float], dict[str, float]]:
         """Metrics by name, of the drape and of the posed groom; energies are those of the rod in its design."""
         state = self.state
-        terms = terms_of_design(state.groom, state.body, state.draper.material, state.loads)
+        terms = terms_of_design(state.groom, state.body, state.draper.material, state.loading)
         draped, posed = measure(self.sequence, state.groom, state.body, terms=terms)
         return _first_frame(draped), _first_frame(posed)
 

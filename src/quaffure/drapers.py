@@ -1,0 +1,71 @@
+"""Every draper by its name: one list for the command line, comparisons, the live page and tables of characters.
+
+Solvers that need no weights are made by `quaffure.solvers.by_name`; here the drapers that were trained join them.
+"""
+
+from pathlib import Path
+
+from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
+from quaffure.baselines.posed import PosedDraper
+from quaffure.config import HairMaterial
+from quaffure.draper import Draper
+from quaffure.energies.by_name import MODIFIED_COSSERAT, ROD
+from quaffure.energies.energy_term import Terms
+from quaffure.model.neural import NeuralDraper
+from quaffure.model.quaffure_model import PAPER, load_model
+from quaffure.solvers.by_name import PAPER_XPBD, SOLVERS, solver
+from quaffure.solvers.coherent_clip import CoherentDraper
+from quaffure.solvers.strand_newton import StrandNewtonDraper
+
+POSED, NEURAL, GROOMGEN = PosedDraper.name, NeuralDraper.name, GroomGenDraper.name
+STRAND_NEWTON = StrandNewtonDraper.name
+DRAPERS = (*SOLVERS, NEURAL, GROOMGEN)
+LIVE = (NEURAL, STRAND_NEWTON, POSED)
+"""Drapers that follow every change; all others take seconds to minutes, or need weights of the user."""
+
+
+def elastic_model_of(name: str, model: str | None = None) -> str:
+    """The elastic model that a draper minimizes where no other is asked for, or that its weights were trained on: the
+    paper's or the rod.
+
+    Args:
+        name: one of `DRAPERS`.
+        model: shipped weights by their name (`quaffure.model.MODELS`).
+    """
+    return MODIFIED_COSSERAT if name in (PAPER_XPBD, GROOMGEN) or model == PAPER else ROD
+
+
+def load_trained(name: str, weights: str | Path | None = None) -> tuple[Draper, dict[str, str]]:
+    """A draper of a training run, and how its weights were made.
+
+    Args:
+        name: `groomgen`, whose weights are none of the package's; a network under any other name.
+        weights: a file, or a name of shipped weights; without it, the shipped network.
+
+    Raises:
+        InputError: `weights` holds no such draper.
+    """
+    if name == GROOMGEN and weights is not None:
+        return load_groomgen(weights)
+    model = load_model(weights)
+    return model.draper, model.notes
+
+
+def make_draper(name: str, material: HairMaterial | None = None, terms: Terms | None = None) -> Draper:
+    """A draper that needs no weights of the user: the shipped network or a solver.
+
+    Args:
+        name: one of `DRAPERS`.
+        material, terms: see `quaffure.solvers.solver`; the network has its own.
+
+    Raises:
+        InputError: no such draper, or one that does not accept these terms.
+    """
+    if name == NEURAL:
+        return load_trained(name)[0]
+    return solver(name, material, terms)
+
+
+def followed(draper: Draper) -> Draper:
+    """The draper whose frames follow from the last one, where it can do that; else the same."""
+    return CoherentDraper(draper) if isinstance(draper, StrandNewtonDraper) else draper

@@ -52,6 +52,18 @@ def test_guides_have_small_numbers_of_their_own(clip: ExportClip) -> None:
     assert found.guide_identifiers.max() < UNREALS_EXACT_INTEGERS
 
 
+def test_guides_are_in_the_group_of_the_strands_around_them(clip: ExportClip) -> None:
+    """Unreal looks for the closest guides of a strand within its group."""
+    roots = clip.rest_points.reshape(STRANDS, -1, 3)[:, 0]
+    attributes = StrandAttributes(group=(roots[:, 0] > 0).astype(np.int64), group_names=("right", "left"))
+    found = with_attributes(clip, attributes)
+    x = clip.rest_guides[:, 0, 0]
+    far = np.abs(x) > 0.02  # m
+    assert far.sum() > 20
+    np.testing.assert_array_equal(found.guide_groups[far], (x > 0)[far])
+    assert clip.guide_groups.tolist() == [0] * len(x)
+
+
 def test_tapers_are_the_same_on_guides_and_strands(clip: ExportClip) -> None:
     np.testing.assert_array_equal(clip.widths.reshape(STRANDS, -1), np.tile(clip.strand_width, (STRANDS, 1)))
     assert clip.strand_width[-1] == pytest.approx(0.35 * clip.strand_width[0])

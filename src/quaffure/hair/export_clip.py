@@ -147,8 +147,7 @@ class ExportClip:
         """The same of the guides, on the same texture: where the source gives them, those of its nearest root."""
         own = self._attributes.root_uv
         if own is not None:
-            roots = self._own_rest[np.cumsum(self._own_counts) - self._own_counts]
-            return own[cKDTree(roots).query(self._rest_guides[self.guide_index, 0])[1]].astype(np.float32)
+            return own[self._strand_of_guide].astype(np.float32)
         return None if self.binding is None else self.binding.root_uv[self.guide_index].astype(np.float32)
 
     @cached_property
@@ -213,6 +212,11 @@ class ExportClip:
         if found is None:
             return np.zeros(self.strand_count, np.int32)
         return np.where(found < 0, len(self._attributes.group_names), found).astype(np.int32)
+
+    @property
+    def guide_groups(self) -> Int32[np.ndarray, " g"]:
+        """Those of the guides: of the nearest strand, as Unreal looks for closest guides within a strand's group."""
+        return self.groups[self._strand_of_guide] if self.has_groups else np.zeros(len(self.guide_index), np.int32)
 
     @property
     def has_groups(self) -> bool:
@@ -281,6 +285,12 @@ class ExportClip:
     @cached_property
     def _own_rest(self) -> Float32[np.ndarray, "o 3"]:
         return self._own_points(self._rest_guides, self._rest_body)
+
+    @cached_property
+    def _strand_of_guide(self) -> Int[np.ndarray, " g"]:
+        """The strand whose root is nearest to each guide's."""
+        roots = self._own_rest[np.cumsum(self._own_counts) - self._own_counts]
+        return np.asarray(cKDTree(roots).query(self._rest_guides[self.guide_index, 0])[1])
 
     @property
     def _attributes(self) -> StrandAttributes:

@@ -147,10 +147,10 @@ class _Curves:
         clip = self.clip
         self._add_integers("groom_id", self._identifiers())
         self._add_integers("groom_guide", np.full(self.count, self.is_guide))
-        self._add_integers("groom_group_id", np.zeros(self.count) if self.is_guide else clip.groups)
-        if clip.has_groups and not self.is_guide:
-            names = np.array(clip.group_names)[clip.groups].tolist()
-            self._add("groom_group_name", Sdf.ValueTypeNames.StringArray, UsdGeom.Tokens.uniform, names)
+        groups = clip.guide_groups if self.is_guide else clip.groups
+        self._add_integers("groom_group_id", groups)
+        if clip.has_groups:
+            self._add_group_names(groups)
         of_guides = self.count * clip.point_count
         colour = Vt.Vec3fArray(of_guides, HAIR_COLOUR) if self.is_guide else Vt.Vec3fArray.FromNumpy(clip.colours)
         self._add("groom_color", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex, colour)
@@ -172,6 +172,14 @@ class _Curves:
                 UsdGeom.Tokens.uniform,
                 Vt.Vec3fArray.FromNumpy(weights),
             )
+
+    def _add_group_names(self, groups: np.ndarray) -> None:
+        """One name for all where there is one group: Blender says of an array of names that it cannot convert it."""
+        names, types, tokens = self.clip.group_names, Sdf.ValueTypeNames, UsdGeom.Tokens
+        if len(names) == 1:
+            self._add("groom_group_name", types.String, tokens.constant, names[0])
+        else:
+            self._add("groom_group_name", types.StringArray, tokens.uniform, np.array(names)[groups].tolist())
 
     def _identifiers(self) -> np.ndarray:
         own, guides = self.clip.identifiers, self.clip.settings.guides

@@ -1,14 +1,17 @@
 """Numbers and texture coordinates that exporters share, where some come from the strands' source."""
 
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
 from quaffure.hair.export_clip import ExportClip
 from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.hair.strand_attributes import LARGEST_ID, StrandAttributes
+from quaffure.io.read_strands import read_strands
 from tests.export_clips import export_clip
 from tests.training_runs import tiny_groom
 
@@ -53,7 +56,7 @@ def test_guides_have_small_numbers_of_their_own(clip: ExportClip) -> None:
 
 
 def test_guides_are_in_the_group_of_the_strands_around_them(clip: ExportClip) -> None:
-    """Unreal looks for the closest guides of a strand within its group."""
+    """Unreal finds the closest guides of a strand within its group alone."""
     roots = clip.rest_points.reshape(STRANDS, -1, 3)[:, 0]
     attributes = StrandAttributes(group=(roots[:, 0] > 0).astype(np.int64), group_names=("right", "left"))
     found = with_attributes(clip, attributes)
@@ -62,6 +65,13 @@ def test_guides_are_in_the_group_of_the_strands_around_them(clip: ExportClip) ->
     assert far.sum() > 20
     np.testing.assert_array_equal(found.guide_groups[far], (x > 0)[far])
     assert clip.guide_groups.tolist() == [0] * len(x)
+
+
+def test_a_ply_has_root_coordinates_of_the_body(tmp_path: Path, tiny_groom_file: Path) -> None:
+    options = ["--draper", "posed", "--motion", "nod", "--frames", "0:1"]
+    main(["drape", str(tiny_groom_file), *options, "--out", str(tmp_path / "hair.ply")])
+    found, expected = read_strands(tmp_path / "hair.ply").attributes.root_uv, np.load(tiny_groom_file)["root_uv"]
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_tapers_are_the_same_on_guides_and_strands(clip: ExportClip) -> None:

@@ -198,8 +198,8 @@ class ExportClip:
 
     @property
     def guide_identifiers(self) -> Int32[np.ndarray, " g"]:
-        """Numbers of the guides: from 0, or the smallest that no strand of a source has. Unreal keeps numbers of closest
-        guides as float32, which is exact up to 2**24."""
+        """Numbers of the guides: from 0, or the smallest that no strand of a source has. Unreal reads the numbers of
+        closest guides into float32, which is exact up to 2**24."""
         count = len(self.guide_index)
         if self.identifiers is None:
             return np.arange(count, dtype=np.int32)
@@ -215,7 +215,7 @@ class ExportClip:
 
     @property
     def guide_groups(self) -> Int32[np.ndarray, " g"]:
-        """Those of the guides: of the nearest strand, as Unreal looks for closest guides within a strand's group."""
+        """Those of the guides: of the nearest strand, as Unreal finds closest guides within a strand's group alone."""
         return self.groups[self._strand_of_guide] if self.has_groups else np.zeros(len(self.guide_index), np.int32)
 
     @property

@@ -24,8 +24,8 @@ from quaffure.training.loop import LAST, Training, train
 console = Console() if sys.stdout.isatty() else Console(width=140)
 Update = Callable[..., None]
 Text = Callable[[dict[str, float]], str]
-SECONDS_PER_LINE, SHARE_PER_LINE = 20.0, 0.1
-"""Between two lines about a work: a share of the time that it has taken, at most so many seconds."""
+SECONDS_PER_LINE, SHARE_PER_LINE = (1.0, 20.0), 0.1
+"""Between two lines about a work: at least and at most [s], and in between a share of the time that it has taken."""
 
 
 @contextmanager
@@ -78,7 +78,7 @@ class ProgressLines:
         self._done = advance + (self._done if completed is None else completed)
         self._description, self._total = description or self._description, total or self._total
         now = time.monotonic()
-        interval = min(SECONDS_PER_LINE, SHARE_PER_LINE * (now - self._clock[0]))
+        interval = min(max(SHARE_PER_LINE * (now - self._clock[0]), SECONDS_PER_LINE[0]), SECONDS_PER_LINE[1])
         if self._done > before and self._done != self._total and now - self._printed >= interval:
             self._printed = now
             line = f"{self._done}{self._rest(now)}: {self._description}"

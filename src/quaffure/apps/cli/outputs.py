@@ -117,8 +117,8 @@ def check_packages(path: Path) -> None:
 
 
 def is_export(paths: Iterable[Path]) -> bool:
-    """Whether one of them is written for other programs, which take groom and body at rest, too."""
-    return any(path.suffix.lower() in (*EXPORTS, ".glb") for path in paths)
+    """Whether one of them is written for other programs, which take groom and body at rest, or roots on its texture."""
+    return any(path.suffix.lower() in (*EXPORTS, ".glb", ".ply") for path in paths)
 
 
 def known_groom(sequence: DrapeSequence, body: BodyModel) -> Groom | None:

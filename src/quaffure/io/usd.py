@@ -216,7 +216,6 @@ def _animate_layers(stage: Usd.Stage, path: Path, clip: ExportClip, on_frame: Ca
             part = _new_stage(written.enter_context(replacing(each.path)))
             _set_stage(part, clip, each.frames)
             _animate(part, clip, each.frames, on_frame)
-            _animate(part, clip, each.following)
         clips = Usd.ClipsAPI(stage.GetDefaultPrim())
         clips.SetClipPrimPath(ROOT)
         names = [Sdf.AssetPath(f"./{each.path.name}") for each in layers]
@@ -228,9 +227,7 @@ def _animate_layers(stage: Usd.Stage, path: Path, clip: ExportClip, on_frame: Ca
         _save(stage.GetRootLayer())
 
 
-def _animate(
-    stage: Usd.Stage, clip: ExportClip, frames: Sequence[int], on_frame: Callable[[], object] = lambda: None
-) -> None:
+def _animate(stage: Usd.Stage, clip: ExportClip, frames: Sequence[int], on_frame: Callable[[], object]) -> None:
     """Write points and extents of frames, one by one."""
     layer, width, unsaved = stage.GetRootLayer(), float(clip.widths.max()), 0.0
     body, strands = stage.OverridePrim(BODY), stage.OverridePrim(STRANDS)

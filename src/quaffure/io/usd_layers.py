@@ -11,14 +11,11 @@ class FrameLayer:
 
     Attributes:
         path: of the file.
-        frames: of the drape that it shows.
-        following: the first frame of the next layer, if there is one. It is written as well, so that times between the
-            two interpolate.
+        frames: of the drape that it holds.
     """
 
     path: Path
     frames: Sequence[int]
-    following: Sequence[int]
 
 
 def frame_layers(path: Path, frames: Sequence[int], frames_per_layer: int) -> list[FrameLayer]:
@@ -29,12 +26,6 @@ def frame_layers(path: Path, frames: Sequence[int], frames_per_layer: int) -> li
         frames: of the drape that are written.
         frames_per_layer: how many of them a layer holds; the last one may have fewer.
     """
-    starts = range(0, len(frames), frames_per_layer)
-    parts = [frames[start : start + frames_per_layer] for start in starts]
+    parts = [frames[start : start + frames_per_layer] for start in range(0, len(frames), frames_per_layer)]
     digits = max(4, len(str(frames[-1])))
-    return [
-        FrameLayer(
-            path.with_name(f"{path.stem}.{part[0]:0{digits}}{path.suffix}"), part, frames[start + len(part) :][:1]
-        )
-        for start, part in zip(starts, parts)
-    ]
+    return [FrameLayer(path.with_name(f"{path.stem}.{part[0]:0{digits}}{path.suffix}"), part) for part in parts]

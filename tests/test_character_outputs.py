@@ -63,6 +63,18 @@ def test_usd_has_the_axes_and_the_frames_of_the_file(
     np.testing.assert_allclose(skin[chosen], expected, atol=0.01)
 
 
+def test_roots_are_on_the_texture_of_the_skin(written: tuple[PlacedClip, Character, np.ndarray]) -> None:
+    """Roots are at vertices of the skin, whose texture coordinates the file's body has."""
+    clip, moved, chosen = written
+    mesh = moved.meshes[0]
+    uv = np.random.default_rng(0).uniform(size=(len(mesh.vertices), 2))
+    skin = AnimatedSkin(moved, moved.animations[0], replace(mesh, uv=uv), np.zeros(1))
+    found = placed_clip(clip.inner, replace(clip.space, skin=skin))
+    expected = np.stack([uv[chosen, 0], 1 - uv[chosen, 1]], axis=1)
+    np.testing.assert_allclose(found.root_uv, expected, atol=1e-3)
+    np.testing.assert_allclose(found.guide_root_uv, expected[found.guide_index], atol=1e-3)
+
+
 def test_glb_has_the_place_and_the_times_of_the_file(
     written: tuple[PlacedClip, Character, np.ndarray], tmp_path: Path
 ) -> None:

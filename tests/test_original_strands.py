@@ -259,13 +259,13 @@ def test_guides_and_ids_of_all_strands_are_valid(case: Case, ramps: OriginalStra
     assert identifiers is not None
     assert identifiers[::2].tolist() == [*range(0, 600, 2)]
     assert identifiers[1::2].tolist() == [*range(599, 899)]
-    assert clip.guide_identifiers.tolist() == [*range(899, 899 + len(case.groom))]
+    assert clip.guide_identifiers.tolist() == [*range(1, 2 * len(case.groom), 2)]
     none = replace(ramps.placed, attributes=StrandAttributes(identifier=np.full(600, -1)))
     assert ExportClip(still(case), replace(ramps, placed=none)).identifiers is None
 
 
 def test_unreals_schema_finds_no_fault_in_a_source(case: Case, ramps: OriginalStrands, tmp_path: Path) -> None:
-    """Ids of the file, guides after them, which the strands name by their ids; in USD, too."""
+    """Ids of the file, and others of guides, which the strands name by their ids; in USD, too."""
     pytest.importorskip("alembic3d")
     pytest.importorskip("pxr")
     from pxr import Usd, UsdGeom

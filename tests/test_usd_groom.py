@@ -1,5 +1,6 @@
 """What USD says of a groom for other programs: binding, texture coordinates, widths, materials, rate and frames."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,10 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdValidation
 
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
+from quaffure.errors import InputError
 from quaffure.hair import Groom
 from quaffure.hair.export_clip import ExportClip, ExportSettings
-from quaffure.io import usd, write_usd
+from quaffure.io import read_usd_strands, usd, write_usd
 from tests.export_clips import FRAMES, export_clip
 from tests.training_runs import tiny_groom
 
@@ -130,6 +132,42 @@ def test_a_layer_that_is_saved_as_it_grows_is_the_same(
     layers = [Sdf.Layer.FindOrOpen(str(tmp_path / f"{name}.usdc")) for name in ("whole", "parts")]
     texts = [layer.ExportToString() for layer in layers]
     assert texts[0] == texts[1]
+
+
+def test_layers_of_frames_are_the_stage(groom: Groom, body: BodyModel, tmp_path: Path) -> None:
+    """Value clips: positions, also between frames of two layers, bounds and times are those of one file."""
+    whole = export_clip(groom, body, STRANDS, ExportSettings(guides=True))
+    write_usd(tmp_path / "one.usd", whole)
+    write_usd(tmp_path / "walk.usd", replace(whole, settings=ExportSettings(guides=True, frames_per_layer=3)))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.usd", "walk.0000.usd", "walk.0003.usd", "walk.usd"]
+    assert (tmp_path / "walk.usd").stat().st_size < (tmp_path / "one.usd").stat().st_size / 2
+    one, layered = (Usd.Stage.Open(str(tmp_path / name)) for name in ("one.usd", "walk.usd"))
+    for name in ("Body", "Hair/Strands", "Hair/Guides"):
+        for attribute in ("points", "extent"):
+            expected, found = (each.GetPrimAtPath(f"/Drape/{name}").GetAttribute(attribute) for each in (one, layered))
+            assert found.GetTimeSamples() == [0.0, 1.0, 2.0, 3.0]
+            for time in (0.0, 1.5, 2.5, 3.0):
+                np.testing.assert_array_equal(np.array(found.Get(time)), np.array(expected.Get(time)))
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    found = UsdValidation.ValidationContext(validators).Validate(layered)
+    assert [error.GetErrorAsString() for error in found] == []
+    strands = read_usd_strands(tmp_path / "walk.usd")
+    np.testing.assert_allclose(strands.points, whole.points(0), atol=1e-6)
+    with pytest.raises(InputError, match="frames-per-layer"):
+        ExportSettings(frames_per_layer=0)
+
+
+def test_a_layer_that_would_replace_a_file_is_refused(
+    tmp_path: Path, tiny_groom_file: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--draper", "posed", "--motion", "nod", "--frames", "0:4", "--frames-per-layer", "2"]
+    outputs = ["--out", str(tmp_path / "nod.usd"), "--out", str(tmp_path / "nod.0002.usd")]
+    with pytest.raises(SystemExit):
+        main(["drape", str(tiny_groom_file), *options, *outputs])
+    assert "nod.0002.usd: expected outputs that differ" in capfd.readouterr().err
+    assert [*tmp_path.iterdir()] == []
+    main(["drape", str(tiny_groom_file), *options, *outputs[:2]])
+    assert "frames in 2 layers, nod.0000.usd to nod.0002.usd" in "".join(capfd.readouterr().out.split("\n"))
 
 
 def test_the_command_takes_every_option(tmp_path: Path, tiny_groom_file: Path) -> None:

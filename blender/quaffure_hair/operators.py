@@ -1,5 +1,6 @@
 """Operators and their panel: add a character with a groom, drape a frame, bake a range."""
 
+import shutil
 import tempfile
 from collections.abc import Callable
 from itertools import count
@@ -115,6 +116,8 @@ class Bake(bpy.types.Operator):
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC":
             self._run.cancel()
+            # The frames of a longer run, which quaffure keeps for --resume.
+            shutil.rmtree(self._cache.with_name(f".{self._cache.name}.frames"), ignore_errors=True)
             self._stop(context)
             self.report({"INFO"}, "bake cancelled")
             return {"CANCELLED"}

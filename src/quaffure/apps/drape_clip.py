@@ -65,7 +65,7 @@ def save_drape(
 
     path, body = Path(path), body or load_body()
     check_outputs((path,), (motion,))
-    check_frames((path,), len(sequence))
+    check_frames((path,), range(len(sequence)))
     is_bound = is_export((path,)) or body.origin is not None
     groom = known_groom(sequence, body) if is_bound else None
     interpolation = None if strands is None else interpolation_of(groom_of_drape(sequence, body), body, strands)

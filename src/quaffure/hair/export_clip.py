@@ -43,12 +43,17 @@ class ExportSettings:
     """Write .glb with the body's skeleton: the body is skinned, and hair is attached to the head."""
     guides: bool = False
     """Write the guides to .usd*, too: curves that viewers hide, and that strands are interpolated between."""
+    frames_per_layer: int | None = None
+    """Write the frames of .usd* to files of N frames each beside it (walk.0000.usd, walk.0100.usd and so on), which it
+    names as value clips: programs open only the one that they play."""
 
     def __post_init__(self) -> None:
         if self.points is not None and not FEWEST_POINTS <= self.points <= MOST_POINTS:
             raise InputError("--points", f"{FEWEST_POINTS} to {MOST_POINTS} vertices of a strand", f"{self.points}")
         if self.every < 1:
             raise InputError("--every", "1 or more", f"{self.every}")
+        if self.frames_per_layer is not None and self.frames_per_layer < 1:
+            raise InputError("--frames-per-layer", "1 or more", f"{self.frames_per_layer}")
 
 
 @dataclass(frozen=True)
@@ -137,9 +142,12 @@ class ExportClip:
             return self.binding.root_uv.astype(np.float32)
         return _uv_at(self.binding, self.sequence.body_faces, self.interpolation)
 
-    @property
+    @cached_property
     def guide_root_uv(self) -> Float32[np.ndarray, "g 2"] | None:
-        """The same of the guides."""
+        """The same of the guides, on the same texture: where the source gives them, those of its nearest root."""
+        own = self._attributes.root_uv
+        if own is not None:
+            return own[self._strand_of_guide].astype(np.float32)
         return None if self.binding is None else self.binding.root_uv[self.guide_index].astype(np.float32)
 
     @cached_property
@@ -161,14 +169,14 @@ class ExportClip:
     @property
     def strand_width(self) -> Float32[np.ndarray, " p"]:
         """Width of a strand at each of its vertices [m]: as many as there are, they cover the head."""
-        return (width_of(self.strand_count) * np.linspace(1.0, TIP_WIDTH, self.point_count)).astype(np.float32)
+        return _tapered(width_of(self.strand_count), np.linspace(0.0, 1.0, self.point_count))
 
     @cached_property
     def widths(self) -> Float32[np.ndarray, " v"]:
         """Width of the strands at each of `points` [m]: that of their source, or tapering to the tip."""
         if self._attributes.width is not None:
             return self._at_points(self._attributes.width)
-        return (width_of(self.strand_count) * (1 - (1 - TIP_WIDTH) * self._share_of_way)).astype(np.float32)
+        return _tapered(width_of(self.strand_count), self._share_of_way)
 
     @cached_property
     def colours(self) -> Float32[np.ndarray, "v 3"]:
@@ -190,9 +198,12 @@ class ExportClip:
 
     @property
     def guide_identifiers(self) -> Int32[np.ndarray, " g"]:
-        """Numbers of the guides: from 0, or after those of the strands of a source."""
-        first = 0 if self.identifiers is None else int(self.identifiers.max()) + 1
-        return first + np.arange(len(self.guide_index), dtype=np.int32)
+        """Numbers of the guides: from 0, or the smallest that no strand of a source has. Unreal reads the numbers of
+        closest guides into float32, which is exact up to 2**24."""
+        count = len(self.guide_index)
+        if self.identifiers is None:
+            return np.arange(count, dtype=np.int32)
+        return np.setdiff1d(np.arange(self.strand_count + count), self.identifiers)[:count].astype(np.int32)
 
     @property
     def groups(self) -> Int32[np.ndarray, " m"]:
@@ -201,6 +212,11 @@ class ExportClip:
         if found is None:
             return np.zeros(self.strand_count, np.int32)
         return np.where(found < 0, len(self._attributes.group_names), found).astype(np.int32)
+
+    @property
+    def guide_groups(self) -> Int32[np.ndarray, " g"]:
+        """Those of the guides: of the nearest strand, as Unreal finds closest guides within a strand's group alone."""
+        return self.groups[self._strand_of_guide] if self.has_groups else np.zeros(len(self.guide_index), np.int32)
 
     @property
     def has_groups(self) -> bool:
@@ -269,6 +285,12 @@ class ExportClip:
     @cached_property
     def _own_rest(self) -> Float32[np.ndarray, "o 3"]:
         return self._own_points(self._rest_guides, self._rest_body)
+
+    @cached_property
+    def _strand_of_guide(self) -> Int[np.ndarray, " g"]:
+        """The strand whose root is nearest to each guide's."""
+        roots = self._own_rest[np.cumsum(self._own_counts) - self._own_counts]
+        return np.asarray(cKDTree(roots).query(self._rest_guides[self.guide_index, 0])[1])
 
     @property
     def _attributes(self) -> StrandAttributes:
@@ -340,6 +362,11 @@ class ExportClip:
         for name in {STIFFNESS_SCALE, GOAL_WEIGHT} & {*parts}:
             parts[name] = _at_vertices(parts[name]).reshape(-1, self.point_count)
         return parts
+
+
+def _tapered(width: float, share_of_way: Float[np.ndarray, " v"]) -> Float32[np.ndarray, " v"]:
+    """Width of a strand so far along it, from 0 at its root to 1 at its tip."""
+    return (width * (1 - (1 - TIP_WIDTH) * share_of_way)).astype(np.float32)
 
 
 def _at_vertices(of_edges: np.ndarray) -> np.ndarray:

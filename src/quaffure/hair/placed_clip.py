@@ -59,6 +59,14 @@ class PlacedClip(ExportClip):
     def rest_guides(self) -> Float32[np.ndarray, "g p 3"]:
         return self._turned(self.space.origin.file_from_body(self.inner.rest_guides))
 
+    @cached_property
+    def root_uv(self) -> Float32[np.ndarray, "m 2"] | None:
+        return self._uv_at(self._roots, self.inner.root_uv)
+
+    @cached_property
+    def guide_root_uv(self) -> Float32[np.ndarray, "g 2"] | None:
+        return self._uv_at(self._guide_roots, self.inner.guide_root_uv)
+
     @property
     def strand_width(self) -> Float32[np.ndarray, " p"]:
         return (self.space.origin.scale * self.inner.strand_width).astype(np.float32)
@@ -104,6 +112,15 @@ class PlacedClip(ExportClip):
                 ]
             ).astype(np.float32)
         return arrays
+
+    def _uv_at(
+        self, roots: BoundPoints | None, inner: Float32[np.ndarray, "r 2"] | None
+    ) -> Float32[np.ndarray, "r 2"] | None:
+        """Texture coordinates of the file's skin at roots, where the strands' source has none."""
+        uv = self.body_uv
+        if roots is None or uv is None or self._attributes.root_uv is not None:
+            return inner
+        return (roots.barycentric[..., None] * uv[roots.faces]).sum(axis=1).astype(np.float32)
 
     @cached_property
     def _roots(self) -> BoundPoints | None:

@@ -141,10 +141,9 @@ def _counts(clip: ExportClip, name: str) -> Int32[np.ndarray, " c"]:
 
 
 def _guide_attributes(clip: ExportClip) -> list[_Attribute]:
-    """Guides are of the first group, and their ids follow those that strands have in their source."""
     count = len(clip.guide_index)
     return [
-        *_identity(clip.guide_identifiers, True, np.zeros(count, np.int32), clip.group_names),
+        *_identity(clip.guide_identifiers, True, clip.guide_groups, clip.group_names),
         _Attribute("groom_width", "float", "vertex", np.tile(CENTIMETRES * clip.strand_width, count)),
         _Attribute(
             "groom_color", "float3", "vertex", np.tile(np.array(HAIR_COLOUR, np.float32), (count * clip.point_count, 1))

@@ -8,8 +8,8 @@ that viewers hide.
 """
 
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from quaffure.hair.export_clip import BODY_COLOUR, HAIR_COLOUR, ExportClip
 from quaffure.hair.strands import TIE_VERTEX
 from quaffure.io.atomic import replacing
 from quaffure.io.output_path import check_suffix
+from quaffure.io.usd_layers import frame_layers
 from quaffure.io.usd_materials import add_materials, bind_material
 from quaffure.io.usd_process import PREFIX
 
@@ -36,7 +37,8 @@ def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[
 
     `/Drape/Body` is a mesh, `/Drape/Hair/Strands` and `/Drape/Hair/Guides` are curves through the strands' vertices
     (pinned Catmull-Rom, so that no vertex is added). `primvars:rest` holds the strands at rest, or where the clip has
-    no binding the posed strands of the first frame. Memory does not grow with the number of frames, but in .usda.
+    no binding the posed strands of the first frame. Memory does not grow with the number of frames, but in .usda. With
+    `frames_per_layer` frames are in layers beside the file, its value clips, which replace files of their names.
 
     Args:
         on_frame: called after each frame.
@@ -47,9 +49,10 @@ def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[
     check_suffix(path, *USD_SUFFIXES)
     clip = drape if isinstance(drape, ExportClip) else ExportClip(drape)
     with replacing(path) as temporary, _system_errors():
-        layer = Sdf.Layer.CreateNew(str(temporary.absolute()))
-        stage = Usd.Stage.Open(layer)
-        _set_stage(stage, clip)
+        stage = _new_stage(temporary)
+        _set_stage(stage, clip, clip.frames)
+        root = UsdGeom.Xform.Define(stage, ROOT).GetPrim()
+        Usd.ModelAPI(root).SetKind("component")
         add_materials(stage, f"{ROOT}/Materials", clip.has_colours)
         _add_body(stage, clip)
         hair = UsdGeom.Xform.Define(stage, HAIR).GetPrim()
@@ -57,7 +60,10 @@ def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[
         _Curves(stage, STRANDS, clip, is_guide=False).describe()
         if clip.settings.guides:
             _Curves(stage, GUIDES, clip, is_guide=True).describe()
-        _animate(layer, stage, clip, on_frame)
+        if clip.settings.frames_per_layer is None:
+            _animate(stage, clip, clip.frames, on_frame)
+        else:
+            _animate_layers(stage, path, clip, on_frame)
 
 
 @contextmanager
@@ -70,16 +76,14 @@ def _system_errors() -> Iterator[None]:
         raise OSError(said[1] if said else "USD could not write it") from error
 
 
-def _set_stage(stage: Usd.Stage, clip: ExportClip) -> None:
+def _set_stage(stage: Usd.Stage, clip: ExportClip, frames: Sequence[int]) -> None:
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if clip.up_axis == "z" else UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, UsdGeom.LinearUnits.meters)
     stage.SetTimeCodesPerSecond(clip.sequence.fps)
     stage.SetFramesPerSecond(clip.sequence.fps)
-    stage.SetStartTimeCode(_time_code(clip, 0))
-    stage.SetEndTimeCode(_time_code(clip, clip.frames[-1]))
-    root = UsdGeom.Xform.Define(stage, ROOT).GetPrim()
-    Usd.ModelAPI(root).SetKind("component")
-    stage.SetDefaultPrim(root)
+    stage.SetStartTimeCode(_time_code(clip, frames[0]))
+    stage.SetEndTimeCode(_time_code(clip, frames[-1]))
+    stage.SetDefaultPrim(stage.OverridePrim(ROOT))
     stage.GetRootLayer().documentation = "Hair draped by quaffure"
 
 
@@ -143,10 +147,10 @@ class _Curves:
         clip = self.clip
         self._add_integers("groom_id", self._identifiers())
         self._add_integers("groom_guide", np.full(self.count, self.is_guide))
-        self._add_integers("groom_group_id", np.zeros(self.count) if self.is_guide else clip.groups)
-        if clip.has_groups and not self.is_guide:
-            names = np.array(clip.group_names)[clip.groups].tolist()
-            self._add("groom_group_name", Sdf.ValueTypeNames.StringArray, UsdGeom.Tokens.uniform, names)
+        groups = clip.guide_groups if self.is_guide else clip.groups
+        self._add_integers("groom_group_id", groups)
+        if clip.has_groups:
+            self._add_group_names(groups)
         of_guides = self.count * clip.point_count
         colour = Vt.Vec3fArray(of_guides, HAIR_COLOUR) if self.is_guide else Vt.Vec3fArray.FromNumpy(clip.colours)
         self._add("groom_color", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex, colour)
@@ -168,6 +172,14 @@ class _Curves:
                 UsdGeom.Tokens.uniform,
                 Vt.Vec3fArray.FromNumpy(weights),
             )
+
+    def _add_group_names(self, groups: np.ndarray) -> None:
+        """One name for all where there is one group: Blender says of an array of names that it cannot convert it."""
+        names, types, tokens = self.clip.group_names, Sdf.ValueTypeNames, UsdGeom.Tokens
+        if len(names) == 1:
+            self._add("groom_group_name", types.String, tokens.constant, names[0])
+        else:
+            self._add("groom_group_name", types.StringArray, tokens.uniform, np.array(names)[groups].tolist())
 
     def _identifiers(self) -> np.ndarray:
         own, guides = self.clip.identifiers, self.clip.settings.guides
@@ -191,17 +203,41 @@ class _Curves:
         self.primvars.CreatePrimvar(name, kind, interpolation).Set(values)
 
 
-def _animate(layer: Sdf.Layer, stage: Usd.Stage, clip: ExportClip, on_frame: Callable[[], object]) -> None:
-    """Write points and extents, frame by frame."""
-    body, strands = UsdGeom.Mesh.Get(stage, BODY), UsdGeom.BasisCurves.Get(stage, STRANDS)
-    width, unsaved = float(clip.widths.max()), 0.0
-    for frame in clip.frames:
+def _new_stage(path: Path) -> Usd.Stage:
+    return Usd.Stage.Open(Sdf.Layer.CreateNew(str(path.absolute())))
+
+
+def _animate_layers(stage: Usd.Stage, path: Path, clip: ExportClip, on_frame: Callable[[], object]) -> None:
+    """Write points and extents to layers, and name these as value clips."""
+    assert clip.settings.frames_per_layer is not None
+    layers = frame_layers(path, clip.frames, clip.settings.frames_per_layer)
+    with ExitStack() as written:
+        for each in layers:
+            part = _new_stage(written.enter_context(replacing(each.path)))
+            _set_stage(part, clip, each.frames)
+            _animate(part, clip, each.frames, on_frame)
+        clips = Usd.ClipsAPI(stage.GetDefaultPrim())
+        clips.SetClipPrimPath(ROOT)
+        names = [Sdf.AssetPath(f"./{each.path.name}") for each in layers]
+        clips.SetClipAssetPaths(Sdf.AssetPathArray(names))
+        # It declares what the others hold.
+        clips.SetClipManifestAssetPath(names[0])
+        active = [(_time_code(clip, each.frames[0]), index) for index, each in enumerate(layers)]
+        clips.SetClipActive(Vt.Vec2dArray(active))
+        _save(stage.GetRootLayer())
+
+
+def _animate(stage: Usd.Stage, clip: ExportClip, frames: Sequence[int], on_frame: Callable[[], object]) -> None:
+    """Write points and extents of frames, one by one."""
+    layer, width, unsaved = stage.GetRootLayer(), float(clip.widths.max()), 0.0
+    body, strands = stage.OverridePrim(BODY), stage.OverridePrim(STRANDS)
+    for frame in frames:
         points = clip.points(frame)
         time = _time_code(clip, frame)
         _set_points(body, clip.body_vertices(frame), time, margin=0.0)
         _set_points(strands, points, time, margin=width)
         if clip.settings.guides:
-            _set_points(UsdGeom.BasisCurves.Get(stage, GUIDES), clip.guides(frame), time, margin=width)
+            _set_points(stage.OverridePrim(GUIDES), clip.guides(frame), time, margin=width)
         unsaved += points.nbytes
         if unsaved > UNSAVED_BYTES and layer.GetFileFormat().formatId != "usda":
             _save(layer)
@@ -223,10 +259,13 @@ def _time_code(clip: ExportClip, frame: int) -> float:
     return frame + round(clip.start * clip.sequence.fps, 3)
 
 
-def _set_points(gprim: UsdGeom.PointBased, positions: np.ndarray, time: float, margin: float) -> None:
+def _set_points(prim: Usd.Prim, positions: np.ndarray, time: float, margin: float) -> None:
+    """A layer of frames does not say what kind of prims these are, so the attributes are made by name."""
     flat = positions.reshape(-1, 3)
-    gprim.CreatePointsAttr().Set(_points(flat), time)
-    gprim.CreateExtentAttr().Set(_points(np.stack([flat.min(axis=0) - margin, flat.max(axis=0) + margin])), time)
+    extent = np.stack([flat.min(axis=0) - margin, flat.max(axis=0) + margin])
+    tokens, types = UsdGeom.Tokens, Sdf.ValueTypeNames
+    for name, kind, values in ((tokens.points, types.Point3fArray, flat), (tokens.extent, types.Float3Array, extent)):
+        prim.CreateAttribute(name, kind, custom=False).Set(_points(values), time)
 
 
 def _points(positions: np.ndarray) -> Vt.Vec3fArray:

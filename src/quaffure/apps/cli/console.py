@@ -24,7 +24,8 @@ from quaffure.training.loop import LAST, Training, train
 console = Console() if sys.stdout.isatty() else Console(width=140)
 Update = Callable[..., None]
 Text = Callable[[dict[str, float]], str]
-SECONDS_PER_LINE = 20.0
+SECONDS_PER_LINE, SHARE_PER_LINE = (1.0, 20.0), 0.1
+"""Between two lines about a work: at least and at most [s], and in between a share of the time that it has taken."""
 
 
 @contextmanager
@@ -51,8 +52,8 @@ def progress_bar(
 
 
 class ProgressLines:
-    """Plain lines about a work in parts, for files and pipes: after its first part, then not more often than every
-    `SECONDS_PER_LINE`.
+    """Plain lines about a work in parts, for files, pipes and the Blender add-on: after its first part, then the rarer
+    the longer it takes.
 
     Args:
         description: the end of every line.
@@ -77,7 +78,8 @@ class ProgressLines:
         self._done = advance + (self._done if completed is None else completed)
         self._description, self._total = description or self._description, total or self._total
         now = time.monotonic()
-        if self._done > before and self._done != self._total and now - self._printed >= SECONDS_PER_LINE:
+        interval = min(max(SHARE_PER_LINE * (now - self._clock[0]), SECONDS_PER_LINE[0]), SECONDS_PER_LINE[1])
+        if self._done > before and self._done != self._total and now - self._printed >= interval:
             self._printed = now
             line = f"{self._done}{self._rest(now)}: {self._description}"
             self._to.print(line, markup=False, highlight=False, soft_wrap=True)

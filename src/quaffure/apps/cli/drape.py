@@ -15,7 +15,7 @@ from quaffure.apps.cli.drape_report import Stopwatch, frames_text, print_drape_j
 from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, character_space_of, motion_of
 from quaffure.apps.cli.kept_frames import kept_frames
 from quaffure.apps.cli.kernel_cache import is_cached
-from quaffure.apps.cli.outputs import PICTURES, check_frames, check_outputs, files_of, is_export, write_output
+from quaffure.apps.cli.outputs import PICTURES, check_frames, check_outputs, is_export, write_output, written_text
 from quaffure.apps.cli.shown_strands import strands_between
 from quaffure.benchmark.drape_checks import DrapeChecks
 from quaffure.benchmark.metrics import DrapeMetrics
@@ -124,11 +124,12 @@ class DrapeCommand:
     def run(self) -> None:
         console.quiet = self.json
         options = self.shape, self.body, self.head, self.joints, self.weights, self.reference
-        check_outputs(self.out, (self.groom, self.motion, *options))
+        inputs = self.groom, self.motion, *options
+        check_outputs(self.out, inputs)
         times = Stopwatch()
         body = load_body(self.body)
         motion = motion_of(self.motion, body, self.in_place, self.joints).frames(self.frames)
-        check_frames(self.out, len(range(0, len(motion), self.export.every)))
+        check_frames(self.out, range(0, len(motion), self.export.every), self.export, inputs)
         space = character_space_of(self.motion, body, motion.times, self.export, self.joints)
         body_shape = body_shape_of(self.shape)
         if float(body_shape.abs().max()) > LARGEST_COEFFICIENT:
@@ -175,7 +176,7 @@ class DrapeCommand:
             clip = ExportClip(sequence, interpolation, binding, self.export)
             self._write(clip if space is None else placed_clip(clip, space), times)
         (print_drape_json if self.json else report_drape)(sequence, checks, measured, times)
-        console.print(f"written: {', '.join(map(str, files_of(self.out)))}")
+        console.print(f"written: {written_text(self.out, clip.frames, self.export)}")
         if self.strict and checks.findings():
             sys.exit(FAULTS_FOUND)
 

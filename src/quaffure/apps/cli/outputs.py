@@ -10,11 +10,12 @@ from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.extras import require_extra
 from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.hair.export_clip import ExportClip
+from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import groom_of_drape
 from quaffure.hair.placed_clip import PlacedClip
-from quaffure.io.output_path import check_distinct, check_one_frame, check_output
+from quaffure.io.output_path import check_distinct, check_not_input, check_one_frame, check_output
+from quaffure.io.usd_layers import frame_layers
 
 PICTURES = (".png", ".mp4")
 USD = (".usd", ".usda", ".usdc")
@@ -46,20 +47,59 @@ def check_outputs(paths: Sequence[Path], inputs: Iterable[str | Path | None]) ->
     check_distinct(files_of(paths))
 
 
-def check_frames(paths: Iterable[Path], frames: int) -> None:
-    """Refuse more frames than a format takes, before the work for them.
+def check_frames(
+    paths: Sequence[Path],
+    frames: range,
+    settings: ExportSettings | None = None,
+    inputs: Iterable[str | Path | None] = (),
+) -> None:
+    """Refuse more frames than a format takes, and files for parts of them, before the work for them.
+
+    Args:
+        frames: of the drape that are written.
+        settings: how.
+        inputs: as of `check_outputs`.
 
     Raises:
-        InputError: more than one for a format of one frame.
+        InputError: more than one for a format of one frame, or a layer that is an input or another output.
     """
     for path in paths:
         if path.suffix.lower() in ONE_FRAME:
-            check_one_frame(path, frames)
+            check_one_frame(path, len(frames))
+    layers, inputs = layers_of(paths, frames, settings or ExportSettings()), [*inputs]
+    for layer in layers:
+        check_not_input(layer, inputs)
+    check_distinct([*files_of(paths), *layers])
+
+
+def layers_of(paths: Iterable[Path], frames: range, settings: ExportSettings) -> list[Path]:
+    """Files of ranges of frames, beside those of USD that name them.
+
+    Args:
+        frames: of the drape that are written.
+    """
+    if settings.frames_per_layer is None:
+        return []
+    usd = [path for path in paths if path.suffix.lower() in USD]
+    return [each.path for path in usd for each in frame_layers(path, frames, settings.frames_per_layer)]
 
 
 def files_of(paths: Iterable[Path]) -> list[Path]:
     """All files that are written for these outputs: an Alembic groom cache comes with its groom asset."""
     return [file for path in paths for file in ((path, asset_path(path)) if _is_alembic(path) else (path,))]
+
+
+def written_text(paths: Iterable[Path], frames: range, settings: ExportSettings) -> str:
+    """Names of all files that were written.
+
+    Args:
+        frames: of the drape.
+    """
+    paths = [*paths]
+    names, layers = [*map(str, files_of(paths))], layers_of(paths, frames, settings)
+    if layers:
+        names.append(f"frames in {len(layers)} layers, {layers[0].name} to {layers[-1].name}")
+    return ", ".join(names)
 
 
 def asset_path(path: Path) -> Path:
@@ -77,8 +117,8 @@ def check_packages(path: Path) -> None:
 
 
 def is_export(paths: Iterable[Path]) -> bool:
-    """Whether one of them is written for other programs, which take groom and body at rest, too."""
-    return any(path.suffix.lower() in (*EXPORTS, ".glb") for path in paths)
+    """Whether one of them is written for other programs, which take groom and body at rest, or roots on its texture."""
+    return any(path.suffix.lower() in (*EXPORTS, ".glb", ".ply") for path in paths)
 
 
 def known_groom(sequence: DrapeSequence, body: BodyModel) -> Groom | None:

@@ -44,12 +44,13 @@ class RenderCommand:
     export: ExportSettings = field(default_factory=ExportSettings)
 
     def run(self) -> None:
-        check_outputs(self.out, (self.drape, self.groom, self.head, self.body, self.motion))
+        inputs = self.drape, self.groom, self.head, self.body, self.motion
+        check_outputs(self.out, inputs)
         for path in self.out:
             if path.suffix.lower() == ".npz":
                 raise InputError(path, "a picture, a video or a file for another program", "a drape file")
         sequence = read_drape(self.drape)
-        check_frames(self.out, len(range(0, len(sequence), self.export.every)))
+        check_frames(self.out, range(0, len(sequence), self.export.every), self.export, inputs)
         body, groom, interpolation, binding = load_body(self.body), None, None, None
         if self.strands is not None:
             groom, source = groom_of_drape(sequence, body), str(self.drape)

@@ -1,7 +1,7 @@
 """The network on an imported body and on ours, same frames: the tables in docs/own_character.md.
 
     quaffure body import CHARACTER.glb --out my_body.npz
-    python scripts/excess_on_character.py my_body.npz MOTION ... [--grooms GROOM ...] [--frames N]
+    python scripts/excess_on_character.py my_body.npz MOTION ... [--grooms GROOM ...] [--frames N] [--strands N]
 
 Excess is over the lower of `strand_newton` from its own start and from the network's drape, in m g L per vertex, and
 what each kind of energy adds to it. The first clip is the rest pose.
@@ -32,7 +32,8 @@ KINDS = {SelfCollision.name: "hair", Cohesion.name: "hair", BodyCollision.name: 
 """Kind of each term; all others are `rod`: bending, stretching and weight."""
 SHOWN = ("rod", "skin", "hair")
 COLUMNS = (
-    "groom", "clip", "body", "inside %, mean", "worst", "excess, mean", "median", *SHOWN, "ratio of means", "of medians",
+    "groom", "clip", "body", "inside %, mean", "worst", "excess, mean", "median", *SHOWN, "ratio of means",
+    "of medians",
 )  # fmt: skip
 
 
@@ -58,6 +59,7 @@ def main(
     motions: tyro.conf.Positional[tuple[str, ...]],
     grooms: tuple[str, ...] = ("bob", "long_wavy", "ponytail"),
     frames: int = 6,
+    strands: int = 4096,
 ) -> None:
     """Compare the network on two bodies.
 
@@ -66,12 +68,13 @@ def main(
         motions: clips besides the rest pose.
         grooms: bundled names or files.
         frames: of each clip, evenly spaced, its ends left out.
+        strands: of each groom at most, evenly spaced; fewer are faster, and press less on each other.
     """
     bodies, model = {"ours": load_body(), "character": load_body(body)}, load_model()
     print(f"| {' | '.join(COLUMNS)} |")
     print("|---" * len(COLUMNS) + "|")
     for name in grooms:
-        on_bodies = {key: load_groom(name, of) for key, of in bodies.items()}
+        on_bodies = {key: load_groom(name, of).thinned(strands) for key, of in bodies.items()}
         for clip in ("rest", *motions):
             own: list[FrameResult] = []
             for key, of in bodies.items():

@@ -90,8 +90,9 @@ class ProjectionConfig:
     """Largest push of a vertex, in lengths of its edge: the edge then stands nearly along the push."""
 
     def __post_init__(self) -> None:
-        if self.spacing <= 0 or min(self.clearance_share, self.clearance_slope, self.max_push, self.depth, self.most) < 0:
-            raise ValueError(f"expected a spacing above 0, and no share, slope, push or distance below it, found {self}")
+        least = min(self.clearance_share, self.clearance_slope, self.max_push, self.depth, self.most)
+        if self.spacing <= 0 or not least >= 0:
+            raise ValueError(f"expected a spacing above 0, no share, slope, push or distance below it, found {self}")
 
     def clearance(self, margin: Float[Tensor, "s n"], depth: Float[Tensor, "s 1"]) -> Float[Tensor, "s n"]:
         """Distance at which hair with a collision margin is left alone [m].

@@ -31,6 +31,8 @@ from quaffure.types import Float, Positions, Tensor
 KINDS = {SelfCollision.name: "hair", Cohesion.name: "hair", BodyCollision.name: "skin"}
 """Kind of each term; all others are `rod`: bending, stretching and weight."""
 SHOWN = ("rod", "skin", "hair")
+LEAST = 1e-3
+"""Excess on our body below which a ratio says nothing [m g L]."""
 COLUMNS = (
     "groom", "clip", "body", "inside %, mean", "worst", "excess, mean", "median", *SHOWN, "ratio of means",
     "of medians",
@@ -123,7 +125,8 @@ def row(results: list[FrameResult]) -> list[str]:
 
 def ratios_of(results: list[FrameResult], own: list[FrameResult]) -> list[str]:
     totals = [[result.total for result in part] for part in (results, own)]
-    return [f"{middle(totals[0]) / middle(totals[1]):.1f}" for middle in (mean, median)]
+    means = [[middle(part) for part in totals] for middle in (mean, median)]
+    return [f"{of_body / of_ours:.1f}" if of_ours >= LEAST else "" for of_body, of_ours in means]
 
 
 if __name__ == "__main__":

@@ -7,10 +7,13 @@ import torch
 
 from quaffure.body import BodyModel
 from quaffure.body.collision_skin import collision_skin
-from quaffure.energies import RestState
+from quaffure.energies import HairEnergy, RestState
+from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.rest_state import rest_state
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.model import NetworkConfig, NeuralDraper, ProjectionConfig, build_network, load_model, project
+from quaffure.model.neural import drape
+from quaffure.model.prepared_groom import approaching, prepare_groom
 from quaffure.model.projection import project_reference
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
@@ -183,3 +186,29 @@ def test_margins_of_five_centimetres_are_kept(scene: Scene, rest: RestState) -> 
     short = clearance - signed_distance(out.flatten(1, 2), scene.surface).unflatten(1, out.shape[1:3])
     print((short[..., 1:] < 1e-3).float().mean(), short.max(), (short[..., 1:] < 3e-3).float().mean())
     assert (short[..., 1:] < 1e-3).float().mean() > 0.95
+
+
+def test_distances_to_keep_grow_towards_the_vertex_that_needs_most() -> None:
+    clearance = torch.tensor([[0.0, 0.003, 0.003, 0.003, 0.020, 0.003]])
+    at_rest = torch.tensor([[0.0, 0.004, 0.009, 0.030, 0.024, 0.026]])
+    found = approaching(clearance, torch.full((1, 5), 0.01), at_rest, slope=0.5)
+    # 15 mm a centimetre before it; 10 mm another one before, but no more than in the design.
+    torch.testing.assert_close(found, torch.tensor([[0.0, 0.004, 0.009, 0.015, 0.020, 0.003]]))
+
+
+def test_hair_does_not_fold_over_a_shoulder(body: BodyModel) -> None:
+    """Of strands whose tips are to keep far from the skin, the middles leave a shoulder that comes near as well."""
+    groom, draper = make_groom("bob", body).select(torch.arange(0, 2400, 9)), load_model().draper
+    pose = torch.zeros(1, 27, 3)
+    for joint, angle in {"Neck": -0.4, "Head": -0.4, "LeftShoulder": -0.5, "RightShoulder": 0.5}.items():
+        pose[0, body.joint_names.index(joint), 1] = angle
+    scene = Scene(groom, BodyBatch(body, pose.flatten(1), torch.zeros(1, 10)))
+    energy = HairEnergy(groom, draper.material, terms_of_design(groom, body, draper.material)).only("body_collision")
+    config, contact = draper.network.config, {}
+    for slope in (config.projection.clearance_slope, float("inf")):
+        changed = replace(config, projection=replace(config.projection, clearance_slope=slope))
+        prepared = prepare_groom(groom, body, draper.network.encoder, changed, draper.material)
+        with torch.no_grad():
+            (hair,) = drape(draper.backend(), [prepared], scene.bodies)
+        contact[slope] = float(energy.total(hair, scene))
+    assert 0 < contact[config.projection.clearance_slope] < 0.9 * contact[float("inf")]

@@ -82,14 +82,17 @@ class ProjectionConfig:
     """Largest depth below its collision margin at which hair is left alone [m]; at rest on skin it is 0.1 to 0.5 mm."""
     most: float = 0.025
     """Largest distance that hair is pushed out to [m]: farther faces take longer to search."""
+    clearance_slope: float = 0.5
+    """Growth of that distance before a vertex that needs more, for each length along a strand."""
     spacing: float = 0.0025
     """Distance along a strand between two contact queries [m]; shorter edges are skipped."""
     max_push: float = 3.0
     """Largest push of a vertex, in lengths of its edge: the edge then stands nearly along the push."""
 
     def __post_init__(self) -> None:
-        if self.spacing <= 0 or min(self.clearance_share, self.max_push, self.depth, self.most) < 0:
-            raise ValueError(f"expected a spacing above 0, and no share, push or distance below it, found {self}")
+        least = min(self.clearance_share, self.clearance_slope, self.max_push, self.depth, self.most)
+        if self.spacing <= 0 or not least >= 0:
+            raise ValueError(f"expected a spacing above 0, no share, slope, push or distance below it, found {self}")
 
     def clearance(self, margin: Float[Tensor, "s n"], depth: Float[Tensor, "s 1"]) -> Float[Tensor, "s n"]:
         """Distance at which hair with a collision margin is left alone [m].

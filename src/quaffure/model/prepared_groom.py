@@ -17,6 +17,7 @@ from quaffure.geometry.mls_kernels import LANES
 from quaffure.geometry.mls_surface import local_features
 from quaffure.geometry.sampling import neighbours_together
 from quaffure.hair.block_arrays import StrandBlocks
+from quaffure.hair.clearance import distances_and_normals, rest_surface
 from quaffure.hair.groom import Groom
 from quaffure.hair.posing import rest_frames, ties_of
 from quaffure.hair.strand_blocks import RestStrands, in_blocks, rest_strands, strand_blocks
@@ -149,7 +150,10 @@ def prepare_groom(
         depth = balanced_depth(design, groom.rest_lengths, material, shape)
         margin = initial_clearance(groom, design_margin, body, shape) - depth
         margin = rising(torch.where(held, NO_CONTACT, margin), groom.rest_lengths, shape.margin_slope)
-        clearance = torch.where(held, NO_CONTACT, config.projection.clearance(design_margin, depth))
+        at_rest, _ = distances_and_normals(groom.rest_strands, rest_surface(body))
+        clearance = config.projection.clearance(design_margin, depth)
+        clearance = approaching(clearance, groom.rest_lengths, at_rest, config.projection.clearance_slope)
+        clearance = torch.where(held, NO_CONTACT, clearance)
     # Roots count most, for there the skin is.
     roots, middles, tips = groom.rest_strands[:, [0, VERTICES_PER_STRAND // 2, -1]].unbind(1)
     positions = torch.cat([roots, 0.5 * middles, 0.5 * tips], dim=1)
@@ -250,3 +254,23 @@ def rising(margin: Float[Tensor, "s n"], rest_length: RestLengths, slope: float)
     for vertex in range(1, margin.shape[1]):
         kept.append(torch.minimum(margin[:, vertex], kept[-1].clamp(min=0) + slope * rest_length[:, vertex - 1]))
     return torch.stack(kept, dim=1)
+
+
+def approaching(
+    clearance: Float[Tensor, "s n"], rest_length: RestLengths, at_rest: Float[Tensor, "s n"], slope: float
+) -> Float[Tensor, "s n"]:
+    """Distances to keep from the body that grow, from the root to each vertex, by a share of the way at most [m].
+
+    The body supports a design at single vertices, which keep 2 cm where others of their strand keep 3 mm. Where a
+    shoulder comes near, a strand would go straight down to the skin and fold there.
+
+    Args:
+        clearance: distance that each vertex needs by itself [m].
+        at_rest: distance of each vertex in the design, which is the most that those before others get [m].
+        slope: growth for each length along a strand.
+    """
+    kept = [clearance[:, -1]]
+    for vertex in range(clearance.shape[1] - 2, -1, -1):
+        wanted = torch.minimum(kept[-1] - slope * rest_length[:, vertex], at_rest[:, vertex])
+        kept.append(torch.maximum(clearance[:, vertex], wanted))
+    return torch.stack(kept[::-1], dim=1)

@@ -137,9 +137,13 @@ class ExportClip:
             return self.binding.root_uv.astype(np.float32)
         return _uv_at(self.binding, self.sequence.body_faces, self.interpolation)
 
-    @property
+    @cached_property
     def guide_root_uv(self) -> Float32[np.ndarray, "g 2"] | None:
-        """The same of the guides."""
+        """The same of the guides; of one layout with those of the strands: that of a source at the nearest root."""
+        own = self._attributes.root_uv
+        if own is not None:
+            roots = self._own_rest[np.cumsum(self._own_counts) - self._own_counts]
+            return own[cKDTree(roots).query(self._rest_guides[self.guide_index, 0])[1]].astype(np.float32)
         return None if self.binding is None else self.binding.root_uv[self.guide_index].astype(np.float32)
 
     @cached_property

@@ -13,6 +13,9 @@ CLEARANCE = np.float32(1.5e-3)
 """Distance that strands keep from the skin [m]."""
 CLEARANCE_RAMP = np.float32(0.25)  # increase of it per length of strand from the root, which lies on the skin
 CONTACT_PASSES = 4
+RETURN = np.float32(0.03)
+"""Length of strand in which it returns to its course by a factor of e after a contact [m]."""
+LARGEST_TURN = np.float32(0.7)  # of an edge on the way back, as the tangent of the angle
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _LEAST = np.float32(1e-12)
 _FAR = np.float32(1e6)
@@ -85,7 +88,7 @@ def drive_strands(
             continue
         _follow(strand, strands, rotations, root_rotations[strand], out)
         if strands.weights[strand, 0] > _ZERO:
-            _leave_body(out[first : first + count], strands.points[first : first + count], body)
+            _leave_body(out[first : first + count], body)
 
 
 @njit(cache=True, fastmath=True)
@@ -163,17 +166,25 @@ def _turn(matrix: np.ndarray, vector: np.ndarray, weight: float, out: np.ndarray
 
 
 @njit(cache=True)
-def _leave_body(strand: np.ndarray, rest: np.ndarray, body: SurfaceArrays) -> None:
-    """Push vertices out from root to tip; what follows moves along, and edges keep their lengths."""
+def _leave_body(strand: np.ndarray, body: SurfaceArrays) -> None:
+    """Push vertices out from root to tip; edges keep their lengths, and after a contact the strand returns to its own
+    course."""
     workspace = search_workspace()
-    step, shift, at = np.empty(3, np.float32), np.zeros(3, np.float32), np.empty(3, np.float32)
+    edge, shift, at = np.empty(3, np.float32), np.zeros(3, np.float32), np.empty(3, np.float32)
     along, leaf = _ZERO, 0
+    before = strand[0].copy()
     for vertex in range(1, len(strand)):
-        length = _unit_edge(rest, vertex - 1, step)
+        for axis in range(3):
+            edge[axis] = strand[vertex, axis] - before[axis]
+            before[axis] = strand[vertex, axis]
+        length = np.sqrt(_squared(edge))
         along += length
         needed = min(CLEARANCE_RAMP * along, CLEARANCE)
+        # Less than a right angle, so that no shift folds the strand.
+        share = length / max(RETURN + length, np.sqrt(_squared(shift)) / LARGEST_TURN)
         for axis in range(3):
-            at[axis] = strand[vertex, axis] + shift[axis]
+            at[axis] = strand[vertex - 1, axis] + edge[axis] - share * shift[axis]
+        _at_length(strand[vertex - 1], length, at)
         for _ in range(CONTACT_PASSES):
             if not abs(at[0]) + abs(at[1]) + abs(at[2]) < _FAR:  # a NaN has no cell in the grid
                 return
@@ -182,13 +193,23 @@ def _leave_body(strand: np.ndarray, rest: np.ndarray, body: SurfaceArrays) -> No
             if distance >= needed:
                 break
             push = needed - distance
-            x = at[0] + push * nx - strand[vertex - 1, 0]
-            y = at[1] + push * ny - strand[vertex - 1, 1]
-            z = at[2] + push * nz - strand[vertex - 1, 2]
-            scale = length / np.sqrt(x * x + y * y + z * z + _LEAST)
-            at[0] = strand[vertex - 1, 0] + scale * x
-            at[1] = strand[vertex - 1, 1] + scale * y
-            at[2] = strand[vertex - 1, 2] + scale * z
+            at[0] += push * nx
+            at[1] += push * ny
+            at[2] += push * nz
+            _at_length(strand[vertex - 1], length, at)
         for axis in range(3):
-            shift[axis] = at[axis] - strand[vertex, axis]
+            shift[axis] = at[axis] - before[axis]
             strand[vertex, axis] = at[axis]
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _squared(vector: np.ndarray) -> float:
+    return vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _at_length(start: np.ndarray, length: float, end: np.ndarray) -> None:
+    """Move the end of an edge along it."""
+    x, y, z = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    scale = length / np.sqrt(x * x + y * y + z * z + _LEAST)
+    end[0], end[1], end[2] = start[0] + scale * x, start[1] + scale * y, start[2] + scale * z

@@ -17,7 +17,8 @@ PLACES = 8
 """Places along a strand at which shapes are compared."""
 SAME_ROOT = 2e-5
 """Distance of a root from that of a draped strand that is the same one [m]."""
-SAME_LENGTH = 0.02  # relative
+SAME_LENGTH = 0.2
+"""Relative difference of lengths up to which it may be: what leaves the skin changes its length."""
 SOFTENING = 1e-3  # m: distance below which a nearer guide gains nothing
 
 

@@ -182,8 +182,8 @@ def test_a_strand_through_an_ear_is_not_caught_above_it(surface: Surface) -> Non
     strand = torch.from_numpy(through_the_ear())[None]
     assert float(distances_and_normals(strand, surface)[0].min()) < -5e-3
     found = pushed_out(strand, surface)
-    edges = found[0].diff(dim=0)
-    assert ((edges[1:] * edges[:-1]).sum(-1) > 0).all()
+    edges = torch.nn.functional.normalize(found[0].diff(dim=0), dim=-1)
+    assert float((edges[1:] * edges[:-1]).sum(-1).min()) > -0.5  # one bend, where the other side of the ear is nearer
     assert float((found - strand).norm(dim=-1).max()) < 0.015
     assert inside_share(found, surface) == 0
 

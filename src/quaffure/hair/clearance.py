@@ -19,6 +19,8 @@ TIPWARD_SHARE, ROOTWARD_SHARE = 0.8, 0.4
 FINAL_ROUNDS = 10
 CAUGHT_FOLDS = 2
 """Folds of a strand that is caught."""
+LONGEST_MOVED = 1.1
+"""Largest length of a strand whose vertices are moved out by themselves, in lengths of before."""
 # Damping for displacements in opposite directions (hair between neck and shoulder).
 STEP = 0.9
 
@@ -71,7 +73,11 @@ def pushed_out(
     result = _pushed_keeping_lengths(strands, surface, clearance, rounds)
     caught = (_folds(result) >= CAUGHT_FOLDS) & (_folds(strands) == 0)
     if caught.any():
-        result[caught] = _moved_out(strands[caught], required_clearance(strands[caught], clearance), surface)
+        rows, own = caught.nonzero()[:, 0], strands[caught]
+        moved = _moved_out(own, required_clearance(own, clearance), surface)
+        # Deep in the body, vertices leave by several sides.
+        alike = arc_lengths(moved)[:, -1] < LONGEST_MOVED * arc_lengths(own)[:, -1]
+        result[rows[alike]] = moved[alike]
     return result
 
 

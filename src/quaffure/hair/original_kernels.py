@@ -240,7 +240,7 @@ def _turn_towards(edge: np.ndarray, start: np.ndarray, least: float, end: np.nda
 
 @njit(cache=True, fastmath=True)
 def _cosine(strand: np.ndarray, vertex: int) -> float:
-    """Of the angle between the edge that ends at a vertex and the one before."""
+    """Cosine of the angle between the edge that ends at a vertex and the one before."""
     product, before, after = _ZERO, _LEAST, _LEAST
     for axis in range(3):
         first = strand[vertex - 1, axis] - strand[vertex - 2, axis]

@@ -44,3 +44,10 @@ def drape(strands: np.ndarray, frames: int = 3) -> DrapeSequence:
         fps=30.0,
         meta={"groom": "patch", "draper": "none"},
     )
+
+
+def through_the_ear() -> np.ndarray:
+    """A strand of 24 vertices that leads from above an ear through it, as on a head with another ear [m]."""
+    corners = np.array([[0.0764, -0.047, 1.7403], [0.0733, -0.0533, 1.6905], [0.045, -0.0561, 1.6212]])
+    place = np.linspace(0, 2, 24)
+    return np.stack([np.interp(place, [0, 1, 2], axis) for axis in corners.T], axis=1).astype(np.float32)

@@ -26,6 +26,7 @@ from quaffure.hair import (
 )
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.export_clip import ExportClip, ExportSettings
+from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.resample import arc_length_places
 from quaffure.hair.source_strands import OriginalStrands, PlacedStrands, original_strands, place_strands
@@ -34,6 +35,7 @@ from quaffure.io.groom_file import read_source, write_groom
 from quaffure.io.load_groom import load_source
 from quaffure.io.read_strands import read_strands
 from quaffure.scene import BodyBatch, Scene
+from tests.synthetic_drape import through_the_ear
 
 pytestmark = pytest.mark.shared_data
 BOW_FRAME = 40
@@ -102,14 +104,108 @@ def test_every_strand_keeps_its_length_and_leaves_the_body(case: Case) -> None:
 
 
 def test_a_strand_that_is_draped_is_its_drape(case: Case) -> None:
+    """The curve of the drape, at the places along it that the source's points have along the source: these are close
+    together near the root, so that no vertex of the drape is one of them."""
+    placed = unevenly_spaced(case.placed)
+    original = original_strands(placed, case.groom, case.body)
     guides = settled(case, 1)
-    found = hair_of(case.original.points(guides, case.vertices[1]))
-    own = case.original.own_guide[:HAIRS]
-    assert 120 < (own >= 0).sum() <= len(case.groom)
-    lengths = np.linalg.norm(np.diff(hair_of(case.placed.points), axis=1), axis=-1)
-    even = (own >= 0) & (np.ptp(lengths, axis=1) < 1e-4)
-    assert even.sum() > 50
-    np.testing.assert_allclose(found[even], guides[own[even]], atol=3e-4)
+    found = original.points(guides, case.vertices[1])
+    own = np.flatnonzero(original.own_guide >= 0)
+    assert 120 < len(own) <= len(case.groom)
+    assert len(np.unique(original.own_guide[own])) == len(own)
+    by_index = []
+    for strand in own:
+        points, rest = (
+            array[placed.starts[strand] :][: placed.counts[strand]].astype(float) for array in (found, placed.points)
+        )
+        guide = guides[original.own_guide[strand]].astype(float)
+        share = np.linalg.norm(np.diff(rest, axis=0, prepend=rest[:1]), axis=1).cumsum()
+        along = 23 * share / share[-1]
+        expected = np.stack([np.interp(along, np.arange(24), axis) for axis in guide.T], axis=1)
+        np.testing.assert_allclose(points, expected, atol=2e-6)
+        assert distance_to_polyline(points, guide).max() < 1e-6
+        by_index.append(np.linalg.norm(points - guide, axis=1).max())
+    assert np.median(by_index) > 5e-3
+
+
+def unevenly_spaced(placed: PlacedStrands) -> PlacedStrands:
+    """The strands with as many points, at distances that grow from root to tip."""
+    strands = Strands(placed.points, placed.counts, "strands")
+    fine = resample_by_arc_length(strands, 256)
+    at = [np.rint(255 * np.linspace(0, 1, count) ** 1.5).astype(int) for count in placed.counts]
+    return replace(placed, points=np.concatenate([line[chosen] for line, chosen in zip(fine, at)]))
+
+
+def distance_to_polyline(points: np.ndarray, line: np.ndarray) -> np.ndarray:
+    edge = np.diff(line, axis=0)
+    offset = points[:, None] - line[:-1]
+    share = ((offset * edge).sum(-1) / (edge**2).sum(-1)).clip(0, 1)
+    return np.asarray(np.linalg.norm(offset - share[..., None] * edge, axis=-1).min(axis=1))
+
+
+def test_one_strand_of_several_at_a_root_is_the_draped_one(case: Case) -> None:
+    """The one of its shape, not those that curl away from it with the same length."""
+    own = np.flatnonzero(case.original.own_guide >= 0)
+    first = case.placed.select(np.isin(np.arange(600), own))
+    lines = first.points.reshape(len(own), 24, 3)
+    away = lines[:, :1] + (lines - lines[:, :1]) * [1, -1, 1]
+    points = np.concatenate([away, lines]).reshape(-1, 3).astype(np.float32)
+    twice = PlacedStrands(points, *(np.tile(getattr(first, name), 2) for name in ("counts", "from_tip", "on_scalp")))
+    found = original_strands(twice, case.groom, case.body).own_guide
+    assert (found[: len(own)] == -1).all()
+    np.testing.assert_array_equal(found[len(own) :], case.original.own_guide[own])
+
+
+def test_upright_a_strand_that_enters_the_skin_comes_back_to_its_course(case: Case) -> None:
+    """A dent towards the head behind the root: what is in the skin is pushed out, and the tip hardly moves."""
+    driven = np.flatnonzero((case.original.own_guide < 0) & case.placed.on_scalp)
+    points, starts = case.placed.points.copy(), case.placed.starts[driven]
+    centre = case.groom.rest_strands[:, 0].mean(0).numpy()
+    for start in starts:
+        points[start + 1 : start + 4] += 0.15 * (centre - points[start + 1 : start + 4])
+    original = original_strands(replace(case.placed, points=points), case.groom, case.body)
+    found = original.points(case.posed[0], case.vertices[0])
+    inside = np.linalg.norm(found[starts + 2] - points[starts + 2], axis=1)
+    tips = np.linalg.norm(found[starts + 23] - points[starts + 23], axis=1)
+    assert np.median(inside) > 5e-3
+    assert np.median(tips) < 2e-3
+
+
+def test_upright_a_strand_through_an_ear_stays_near_its_course(case: Case) -> None:
+    points = through_the_ear()
+    count = np.ones(1, dtype=bool)
+    placed = PlacedStrands(points, np.array([len(points)]), ~count, count)
+    original = original_strands(placed, case.groom, case.body)
+    assert original.own_guide[0] < 0
+    found = original.points(case.posed[0], case.vertices[0])
+    edges = np.diff(found, axis=0)
+    assert ((edges[1:] * edges[:-1]).sum(axis=1) > 0).all()
+    assert np.linalg.norm(found - points, axis=1).max() < 0.015
+
+
+def test_registration_alone_says_where_a_strand_begins_and_stands(
+    shared_data: Path, body: BodyModel, surface: Surface
+) -> None:
+    """A beard, hair of which some strands are stored from their tips, and some are too short to be hair."""
+    whole = read_strands(shared_data / "cases/beard200.hair")
+    points, starts = whole.points.copy(), whole.starts
+    for strand in range(0, HAIRS, 16):
+        own = slice(starts[strand], starts[strand] + whole.counts[strand])
+        points[own] = points[own][::-1]
+    short = np.arange(5, HAIRS, 40)
+    for strand in short:
+        own = slice(starts[strand], starts[strand] + whole.counts[strand])
+        points[own] = points[own][:1] + 0.001 * (points[own] - points[own][:1])
+    strands = replace(whole, points=points)
+    groom, report = register_groom(strands, body, "mixed", surface=surface)
+    placed = place_strands(strands, report, body)
+    assert placed.from_tip.sum() == report.turned_strands == HAIRS / 16
+    assert not placed.on_scalp[short].any()
+    assert placed.on_scalp.sum() == report.kept == HAIRS - len(short)
+    roots = placed.points[placed.starts][placed.on_scalp]
+    np.testing.assert_allclose(roots, groom.rest_strands[:, 0].numpy(), atol=1e-5)
+    original = original_strands(placed, groom, body)
+    assert original.own_guide[placed.on_scalp].tolist() == [*range(len(groom))]
 
 
 def test_others_hang_as_their_guides_do(case: Case) -> None:
@@ -176,6 +272,16 @@ def test_groom_files_keep_the_source(case: Case, tmp_path: Path) -> None:
         read_source(path)
 
 
+def assert_normals_lead_away(path: Path, points: np.ndarray, counts: np.ndarray) -> None:
+    """Of a .bin file: unit vectors, y up, from the middle of all roots."""
+    numbers = np.fromfile(path, "<f4")[1:]
+    heads = 7 * (np.cumsum(counts) - counts) + np.arange(len(counts))
+    normals = np.delete(numbers, heads).reshape(-1, 7)[:, 3:6]
+    x, y, z = (points - points[np.cumsum(counts) - counts].mean(axis=0)).T
+    away = np.stack([x, z, -y], axis=1)
+    np.testing.assert_allclose(normals, away / np.linalg.norm(away, axis=1, keepdims=True), atol=1e-4)
+
+
 @pytest.mark.parametrize("suffix", [".usda", ".abc", ".hair", ".ply", ".data", ".bin"])
 def test_every_format_keeps_what_the_source_says(case: Case, tmp_path: Path, suffix: str) -> None:
     """Points a strand, widths, colours, ids, groups and root coordinates, in the order of the source."""
@@ -201,7 +307,12 @@ def test_every_format_keeps_what_the_source_says(case: Case, tmp_path: Path, suf
     assert metres == pytest.approx({".abc": 0.01, ".bin": 0.001}.get(suffix, 1.0), rel=1e-4)
     if suffix in (".data", ".bin"):
         x, y, z = (0.001 if suffix == ".bin" else 1.0) * found.points.T
-        np.testing.assert_allclose(np.stack([x, -z, y], axis=1), ExportClip(sequence, original).points(0), atol=1e-6)
+        points = ExportClip(sequence, original).points(0)
+        np.testing.assert_allclose(np.stack([x, -z, y], axis=1), points, atol=1e-6)
+        if suffix == ".bin":
+            np.testing.assert_array_equal(found.attributes.group, given.group)
+            assert found.attributes.group_names == ("label/0", "label/1")
+            assert_normals_lead_away(path, points, strands.counts)
         return
     np.testing.assert_allclose(metres * found.attributes.width, given.width, rtol=1e-5)
     np.testing.assert_allclose(found.attributes.colour, given.colour, rtol=1e-6)
@@ -211,6 +322,24 @@ def test_every_format_keeps_what_the_source_says(case: Case, tmp_path: Path, suf
         np.testing.assert_array_equal(found.attributes.group, given.group)
         names = ("group/0", "group/1") if suffix == ".ply" else given.group_names
         assert found.attributes.group_names == names
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".abc"])
+def test_guides_have_the_root_coordinates_of_their_strands(case: Case, tmp_path: Path, suffix: str) -> None:
+    """Those of the source's layout, as the strands: two layouts in one file would be of no use."""
+    pytest.importorskip({".usda": "pxr", ".abc": "alembic3d"}[suffix])
+    count = len(case.placed)
+    given = StrandAttributes(root_uv=np.stack([np.arange(count), -np.arange(count)], axis=1) / count)
+    original = original_strands(replace(case.placed, attributes=given), case.groom, case.body)
+    binding = groom_binding(case.groom, case.body, torch.zeros(10))
+    clip = ExportClip(still(case), original, binding, ExportSettings(guides=True))
+    assert clip.guide_root_uv is not None
+    own = np.flatnonzero(original.own_guide >= 0)
+    np.testing.assert_allclose(clip.guide_root_uv[original.own_guide[own]], given.root_uv[own], rtol=1e-6)
+    write_output(tmp_path / f"hair{suffix}", clip)
+    without = original_strands(case.placed, case.groom, case.body)
+    plain = ExportClip(still(case), without, binding)
+    np.testing.assert_array_equal(plain.guide_root_uv, binding.root_uv)
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ from quaffure.hair import Groom, distances_and_normals, inside_share, pushed_out
 from quaffure.hair.clearance import CLEARANCE, CLEARANCE_RAMP, arc_lengths
 from quaffure.procedural import HELD_OUT, STYLES, curl_arc_factor, make_groom
 from quaffure.procedural.generator import resample_evenly, vertex_in_band
+from tests.synthetic_drape import through_the_ear
 
 
 @pytest.fixture(scope="module")
@@ -175,6 +176,16 @@ def test_evenly_keeps_a_vertex_in_the_band() -> None:
 def test_unknown_styles_are_refused(body: BodyModel) -> None:
     with pytest.raises(InputError, match="bob"):
         make_groom("beehive", body)
+
+
+def test_a_strand_through_an_ear_is_not_caught_above_it(surface: Surface) -> None:
+    strand = torch.from_numpy(through_the_ear())[None]
+    assert float(distances_and_normals(strand, surface)[0].min()) < -5e-3
+    found = pushed_out(strand, surface)
+    edges = torch.nn.functional.normalize(found[0].diff(dim=0), dim=-1)
+    assert float((edges[1:] * edges[:-1]).sum(-1).min()) > -0.5  # one bend, where the other side of the ear is nearer
+    assert float((found - strand).norm(dim=-1).max()) < 0.015
+    assert inside_share(found, surface) == 0
 
 
 def test_pushed_out_keeps_roots_and_lengths(grooms: dict[str, Groom], body: BodyModel, surface: Surface) -> None:

@@ -7,7 +7,7 @@ from quaffure.config import HairMaterial
 from quaffure.geometry.polyline import integrate_directions_reference
 from quaffure.geometry.signed_distance import closest_points
 from quaffure.geometry.surface import Surface, posed_surface
-from quaffure.types import Bool, Float, Tensor
+from quaffure.types import Bool, Float, Int, Tensor
 
 # Grooms are laid out for the collision margins of hair as it is by default.
 CLEARANCE, CLEARANCE_RAMP = HairMaterial.collision_margin, HairMaterial.collision_ramp
@@ -17,6 +17,10 @@ LEAST_CLEARANCE = 1e-4
 # Share of a vertex's displacement that its successor and its predecessor take, so that the strand bends smoothly.
 TIPWARD_SHARE, ROOTWARD_SHARE = 0.8, 0.4
 FINAL_ROUNDS = 10
+CAUGHT_FOLDS = 2
+"""Folds of a strand that is caught."""
+LONGEST_MOVED = 1.1
+"""Largest length of a strand whose vertices are moved out by themselves, in lengths of before."""
 # Damping for displacements in opposite directions (hair between neck and shoulder).
 STEP = 0.9
 
@@ -63,8 +67,23 @@ def pushed_out(
 ) -> Float[Tensor, "s n 3"]:
     """Strands whose vertices keep `clearance` [m] from the body; roots stay, edges keep their lengths.
 
-    Vertices still inside after the rounds (in a fold of the skin) are moved out without regard to length.
+    Vertices still inside after the rounds (in a fold of the skin) are moved out without regard to length, and so are
+    those of a strand that was caught and folds back, as above an ear through which it leads.
     """
+    result = _pushed_keeping_lengths(strands, surface, clearance, rounds)
+    caught = (_folds(result) >= CAUGHT_FOLDS) & (_folds(strands) == 0)
+    if caught.any():
+        rows, own = caught.nonzero()[:, 0], strands[caught]
+        moved = _moved_out(own, required_clearance(own, clearance), surface)
+        # Deep in the body, vertices leave by several sides.
+        alike = arc_lengths(moved)[:, -1] < LONGEST_MOVED * arc_lengths(own)[:, -1]
+        result[rows[alike]] = moved[alike]
+    return result
+
+
+def _pushed_keeping_lengths(
+    strands: Float[Tensor, "s n 3"], surface: Surface, clearance: float, rounds: int
+) -> Float[Tensor, "s n 3"]:
     lengths = strands.diff(dim=1).norm(dim=-1)
     needed = required_clearance(strands, clearance)
     result = strands.clone()
@@ -76,12 +95,27 @@ def pushed_out(
             return result
         moved = result[active] + STEP * push
         result[active] = integrate_directions_reference(moved[None, :, 0], moved.diff(dim=1)[None], lengths[active])[0]
-    for _ in range(FINAL_ROUNDS):
-        distance, normal = distances_and_normals(result[active], surface)
-        short = (0.5 * needed[active] - distance).clamp(min=0)
-        short[:, 0] = 0
-        result[active] += short[..., None] * normal
+    result[active] = _moved_out(result[active], needed[active], surface)
     return result
+
+
+def _moved_out(
+    strands: Float[Tensor, "s n 3"], needed: Float[Tensor, "s n"], surface: Surface
+) -> Float[Tensor, "s n 3"]:
+    """Every vertex moved out by itself, to half of the distance that it needs."""
+    result = strands.clone()
+    for _ in range(FINAL_ROUNDS):
+        distance, normal = distances_and_normals(result, surface)
+        short = (0.5 * needed - distance).clamp(min=0)
+        short[:, 0] = 0
+        result += short[..., None] * normal
+    return result
+
+
+def _folds(strands: Float[Tensor, "s n 3"]) -> Int[Tensor, " s"]:
+    """How often each strand turns by more than a right angle from one edge to the next."""
+    edges = strands.diff(dim=1)
+    return ((edges[:, 1:] * edges[:, :-1]).sum(-1) < 0).sum(1)
 
 
 def _push(

@@ -94,13 +94,13 @@ def _with_details(
     """The alignment with single strands turned round that begin off the scalp and end on it, and with eyebrows."""
     target = scalp_target(body)
     placed = alignment.transform(polylines)
-    single = ~beard & begins_at_tip(placed[:, 0], placed[:, -1], body)
+    single = ~beard & _begins_at_tip(placed[:, 0], placed[:, -1], body)
     found = np.where(single[:, None, None], polylines[:, ::-1], polylines)
     eyebrow = ~beard & _is_eyebrow(np.where(single[:, None, None], placed[:, ::-1], placed), target, body)
     return GroomAlignment(alignment, found, turned, single, beard, eyebrow)
 
 
-def begins_at_tip(
+def _begins_at_tip(
     first: Float[np.ndarray, "s 3"], last: Float[np.ndarray, "s 3"], body: BodyModel
 ) -> Bool[np.ndarray, " s"]:
     """Whether strands begin off the scalp and end on it, by their first and last points [m]."""

@@ -13,6 +13,12 @@ CLEARANCE = np.float32(1.5e-3)
 """Distance that strands keep from the skin [m]."""
 CLEARANCE_RAMP = np.float32(0.25)  # increase of it per length of strand from the root, which lies on the skin
 CONTACT_PASSES = 4
+RETURN = np.float32(0.03)
+"""Length of strand in which it returns to its course by a factor of e after a contact [m]."""
+LARGEST_TURN = np.float32(0.7)  # of an edge on the way back, as the tangent of the angle
+CAUGHT_FOLDS = 2
+"""Folds of a strand that is caught."""
+LEAST_COSINE = np.float32(0.3)  # of an edge of such a strand and its course
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _LEAST = np.float32(1e-12)
 _FAR = np.float32(1e6)
@@ -85,7 +91,7 @@ def drive_strands(
             continue
         _follow(strand, strands, rotations, root_rotations[strand], out)
         if strands.weights[strand, 0] > _ZERO:
-            _leave_body(out[first : first + count], strands.points[first : first + count], body)
+            _leave_body(out[first : first + count], body)
 
 
 @njit(cache=True, fastmath=True)
@@ -163,32 +169,96 @@ def _turn(matrix: np.ndarray, vector: np.ndarray, weight: float, out: np.ndarray
 
 
 @njit(cache=True)
-def _leave_body(strand: np.ndarray, rest: np.ndarray, body: SurfaceArrays) -> None:
-    """Push vertices out from root to tip; what follows moves along, and edges keep their lengths."""
+def _leave_body(strand: np.ndarray, body: SurfaceArrays) -> None:
+    """Push vertices out from root to tip; edges keep their lengths, and after a contact the strand returns to its own
+    course. One that would get caught, as above an ear through which it leads, is turned less, and stays inside."""
+    course = strand.copy()
+    if _push_out(course, -_ONE, body, strand) >= CAUGHT_FOLDS:
+        _push_out(course, LEAST_COSINE, body, strand)
+
+
+@njit(cache=True)
+def _push_out(course: np.ndarray, least: float, body: SurfaceArrays, out: np.ndarray) -> int:
+    """Write a strand that is out of the body. Returns how often it folds back where its course does not.
+
+    Args:
+        course: the strand without contact.
+        least: cosine of the largest angle between an edge and its course.
+    """
     workspace = search_workspace()
-    step, shift, at = np.empty(3, np.float32), np.zeros(3, np.float32), np.empty(3, np.float32)
-    along, leaf = _ZERO, 0
-    for vertex in range(1, len(strand)):
-        length = _unit_edge(rest, vertex - 1, step)
+    edge, shift, at = np.empty(3, np.float32), np.zeros(3, np.float32), np.empty(3, np.float32)
+    along, leaf, folds = _ZERO, 0, 0
+    for vertex in range(1, len(course)):
+        for axis in range(3):
+            edge[axis] = course[vertex, axis] - course[vertex - 1, axis]
+        length = np.sqrt(_squared(edge))
         along += length
         needed = min(CLEARANCE_RAMP * along, CLEARANCE)
+        # Less than a right angle, so that no shift folds the strand.
+        share = length / max(RETURN + length, np.sqrt(_squared(shift)) / LARGEST_TURN)
         for axis in range(3):
-            at[axis] = strand[vertex, axis] + shift[axis]
+            at[axis] = out[vertex - 1, axis] + edge[axis] - share * shift[axis]
+        _at_length(out[vertex - 1], length, at)
         for _ in range(CONTACT_PASSES):
             if not abs(at[0]) + abs(at[1]) + abs(at[2]) < _FAR:  # a NaN has no cell in the grid
-                return
+                return 0
             distance, nx, ny, nz, face = distance_within(at[0], at[1], at[2], needed, leaf, body, workspace)
             leaf = face if face >= 0 else leaf
             if distance >= needed:
                 break
             push = needed - distance
-            x = at[0] + push * nx - strand[vertex - 1, 0]
-            y = at[1] + push * ny - strand[vertex - 1, 1]
-            z = at[2] + push * nz - strand[vertex - 1, 2]
-            scale = length / np.sqrt(x * x + y * y + z * z + _LEAST)
-            at[0] = strand[vertex - 1, 0] + scale * x
-            at[1] = strand[vertex - 1, 1] + scale * y
-            at[2] = strand[vertex - 1, 2] + scale * z
+            at[0] += push * nx
+            at[1] += push * ny
+            at[2] += push * nz
+            _at_length(out[vertex - 1], length, at)
+        if least > -_ONE:
+            _turn_towards(edge, out[vertex - 1], least, at)
         for axis in range(3):
-            shift[axis] = at[axis] - strand[vertex, axis]
-            strand[vertex, axis] = at[axis]
+            shift[axis] = at[axis] - course[vertex, axis]
+            out[vertex, axis] = at[axis]
+        if vertex > 1 and _cosine(out, vertex) < _ZERO and _cosine(course, vertex) > _HALF:
+            folds += 1
+    return folds
+
+
+@njit(cache=True, fastmath=True)
+def _turn_towards(edge: np.ndarray, start: np.ndarray, least: float, end: np.ndarray) -> None:
+    """Turn what leads from `start` to `end` towards an edge of the same length, until the cosine between them is
+    `least`."""
+    squared, along = _squared(edge), _ZERO
+    for axis in range(3):
+        along += (end[axis] - start[axis]) * edge[axis]
+    if squared <= _LEAST or along >= least * squared:
+        return
+    across = np.empty(3, np.float32)
+    for axis in range(3):
+        across[axis] = end[axis] - start[axis] - along / squared * edge[axis]
+    scale = np.sqrt((_ONE - least * least) * squared / (_squared(across) + _LEAST))
+    for axis in range(3):
+        end[axis] = start[axis] + least * edge[axis] + scale * across[axis]
+
+
+@njit(cache=True, fastmath=True)
+def _cosine(strand: np.ndarray, vertex: int) -> float:
+    """Cosine of the angle between the edge that ends at a vertex and the one before."""
+    product, before, after = _ZERO, _LEAST, _LEAST
+    for axis in range(3):
+        first = strand[vertex - 1, axis] - strand[vertex - 2, axis]
+        second = strand[vertex, axis] - strand[vertex - 1, axis]
+        product += first * second
+        before += first * first
+        after += second * second
+    return product / np.sqrt(before * after)
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _squared(vector: np.ndarray) -> float:
+    return vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def _at_length(start: np.ndarray, length: float, end: np.ndarray) -> None:
+    """Move the end of an edge along it."""
+    x, y, z = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    scale = length / np.sqrt(x * x + y * y + z * z + _LEAST)
+    end[0], end[1], end[2] = start[0] + scale * x, start[1] + scale * y, start[2] + scale * z

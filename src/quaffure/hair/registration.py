@@ -110,10 +110,24 @@ def register_groom(
     uv = body.scalp.uv_at(faces[kept], barycentric[kept])
     groom = Groom(name, rest, faces[kept], barycentric[kept], uv, licence, **held_parts)
     lost = strands.dropped + degenerate + int((~near).sum())
-    off_scalp = np.zeros(len(strands), dtype=bool)
-    off_scalp[has_length(strands)] = ~found.on_scalp
-    shares = off_scalp, inside, inside_share(rest, surface)
-    return groom, _report(strands.source, frame, found, alignment, 1e3 * residual[near], lost, shares)
+    decisions = _of_the_file(strands, found, near)
+    shares = inside, inside_share(rest, surface)
+    return groom, _report(strands.source, frame, found, alignment, 1e3 * residual[near], lost, (*decisions, *shares))
+
+
+def _of_the_file(
+    strands: Strands, found: GroomAlignment, near: Bool[np.ndarray, " k"]
+) -> tuple[Bool[np.ndarray, " s"], Bool[np.ndarray, " s"]]:
+    """Whether each strand of the file is stored from its tip, and whether it stands on the scalp.
+
+    Args:
+        near: of the strands that are no beard or eyebrow, whether they are near enough to it.
+    """
+    is_hair = has_length(strands)
+    from_tip, on_scalp = np.full(len(strands), found.turned), np.zeros(len(strands), dtype=bool)
+    from_tip[is_hair] ^= found.turned_strands
+    on_scalp[np.flatnonzero(is_hair)[found.on_scalp]] = near
+    return from_tip, on_scalp
 
 
 def _mirrored(strands: Strands, frame: FileFrame) -> Strands:
@@ -153,7 +167,7 @@ def _report(
     alignment: Alignment,
     residual: Float[np.ndarray, " k"],
     lost: int,
-    details: tuple[Bool[np.ndarray, " s"], float, float],
+    details: tuple[Bool[np.ndarray, " s"], Bool[np.ndarray, " s"], float, float],
 ) -> RegistrationReport:
     median, high, largest = np.quantile(residual, (0.5, 0.95, 1.0))
     rotation = alignment.transform.rotation @ (MIRROR if frame.mirror else np.eye(3))

@@ -25,7 +25,8 @@ class RegistrationReport:
         beard, eyebrows: strands left out because they grow on the lower face, or above the eyes.
         turned: whether the file stores strands from tip to root.
         turned_strands: strands that it stores the other way round than the others.
-        off_scalp: whether each strand of the file grows on the face.
+        from_tip: whether each strand of the file is stored from tip to root.
+        on_scalp: whether each strand of the file stands on the scalp, and is not left out or dropped.
         inside_before, inside_after: share of vertices, without the roots, inside the body: when aligned and at the end.
     """
 
@@ -46,7 +47,8 @@ class RegistrationReport:
     eyebrows: int
     turned: bool
     turned_strands: int
-    off_scalp: Bool[np.ndarray, " s"]
+    from_tip: Bool[np.ndarray, " s"]
+    on_scalp: Bool[np.ndarray, " s"]
     inside_before: float
     inside_after: float
 

@@ -1,8 +1,9 @@
-"""Every strand of a groom's source, as an artist made it, driven by the draped strands nearest to it.
+"""Every strand of a groom's source, as an artist made it, driven by draped strands near it.
 
 A draped groom has at most one strand in a texel of the scalp. Each strand of the source follows three of them: an edge
 is turned as theirs are at the same arc length, relative to rest, and edges keep their lengths and order. A strand that
-is itself draped is its drape. Strands off the scalp (a beard, eyebrows) move rigidly with the skin under their roots.
+is itself draped is the curve of its drape, at its own arc lengths. Strands off the scalp (a beard, eyebrows) move
+rigidly with the skin under their roots.
 """
 
 from dataclasses import dataclass
@@ -10,30 +11,23 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float32, Int
-from scipy.spatial import cKDTree
 
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.geometry.signed_distance import closest_points
 from quaffure.geometry.surface import posed_surface
 from quaffure.hair.clearance import rest_surface
+from quaffure.hair.driving_guides import driving_guides
 from quaffure.hair.groom import Groom
-from quaffure.hair.groom_alignment import begins_at_tip
 from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.hair.original_kernels import DrivenStrands, drive_strands, guide_rotations
 from quaffure.hair.posing import triangle_frames
-from quaffure.hair.registration import FARTHEST_ROOT, nearest_on_scalp
+from quaffure.hair.registration import nearest_on_scalp
 from quaffure.hair.registration_report import RegistrationReport
-from quaffure.hair.resample import arc_length_places, polyline_lengths, values_at_places
+from quaffure.hair.resample import arc_length_places, values_at_places
 from quaffure.hair.strand_attributes import NONE, StrandAttributes
 from quaffure.hair.strands import Strands
 from quaffure.types import Tensor
-
-NEAREST_GUIDES = 3
-SAME_ROOT = 2e-5
-"""Distance of a root from that of a draped strand that is the same one [m]."""
-SAME_LENGTH = 0.02  # relative
-ROOT_SOFTENING = 1e-3  # m: distance below which a nearer guide gains nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,20 +169,14 @@ def place_strands(strands: Strands, report: RegistrationReport, body: BodyModel)
         strands: as read.
         report: of their registration.
     """
-    placed = report.scale * strands.points.astype(np.float64) @ report.rotation.T + report.translation
-    from_tip = np.full(len(strands), report.turned)
-    placed = placed[_order(strands.counts, from_tip)]
-    first, last = placed[strands.starts], placed[strands.starts + strands.counts - 1]
-    single = begins_at_tip(first, last, body) & ~report.off_scalp
-    placed = placed[_order(strands.counts, single)]
-    roots = placed[strands.starts]
-    closest = nearest_on_scalp(torch.from_numpy(roots).float(), body)[2].double().numpy()
-    on_scalp = (np.linalg.norm(closest - roots, axis=1) <= FARTHEST_ROOT) & ~report.off_scalp
+    order = _order(strands.counts, report.from_tip)
+    placed = (report.scale * strands.points.astype(np.float64) @ report.rotation.T + report.translation)[order]
     if not report.frame.registered:
-        placed += np.repeat(np.where(on_scalp[:, None], closest - roots, 0.0), strands.counts, axis=0)
-    points, from_tip = placed.astype(np.float32), from_tip ^ single
-    attributes = strands.attributes.scaled(report.scale).rearranged(_order(strands.counts, from_tip))
-    return PlacedStrands(points, strands.counts, from_tip, on_scalp, attributes)
+        roots = placed[strands.starts]
+        closest = nearest_on_scalp(torch.from_numpy(roots).float(), body)[2].double().numpy()
+        placed += np.repeat(np.where(report.on_scalp[:, None], closest - roots, 0.0), strands.counts, axis=0)
+    attributes = strands.attributes.scaled(report.scale).rearranged(order)
+    return PlacedStrands(placed.astype(np.float32), strands.counts, report.from_tip, report.on_scalp, attributes)
 
 
 def original_strands(placed: PlacedStrands, groom: Groom, body: BodyModel) -> OriginalStrands:
@@ -198,14 +186,14 @@ def original_strands(placed: PlacedStrands, groom: Groom, body: BodyModel) -> Or
         groom: registered from the same source, all of it or the part that is draped; its rest drives the strands.
     """
     faces, weights, offset = _roots(placed, body)
-    guides, shares, own = _guides_of(placed, groom)
+    found = driving_guides(Strands(placed.points, placed.counts, "strands"), groom)
     return OriginalStrands(
         guide_lengths=groom.strand_lengths.numpy().astype(np.float32),
         vertex_count=int(placed.counts.max()),
         placed=placed,
-        guides=guides.astype(np.int32),
-        weights=shares.astype(np.float32),
-        own_guide=own,
+        guides=found.guides.astype(np.int32),
+        weights=np.where(placed.on_scalp[:, None], found.shares, 0.0).astype(np.float32),
+        own_guide=np.where(placed.on_scalp, found.own, -1),
         carriers=body.faces[faces].numpy().astype(np.int32),
         root_weights=weights.numpy().astype(np.float32),
         root_offset=offset.astype(np.float32),
@@ -227,31 +215,6 @@ def _roots(
     triangles = body.rest_vertices[body.faces[faces]]
     local = roots - (weights[..., None] * triangles).sum(1)
     return faces, weights, (triangle_frames(triangles).mT @ local[..., None])[..., 0].numpy()
-
-
-def _guides_of(
-    placed: PlacedStrands, groom: Groom
-) -> tuple[Int[np.ndarray, "s 3"], Float[np.ndarray, "s 3"], Int[np.ndarray, " s"]]:
-    """The nearest guides, their shares, and the guide that a strand is itself."""
-    rest = groom.rest_strands.numpy()
-    roots, count = placed.points[placed.starts], min(NEAREST_GUIDES, len(rest))
-    distance, guides = cKDTree(rest[:, 0]).query(roots, k=[*range(1, count + 1)])
-    missing = ((0, 0), (0, NEAREST_GUIDES - count))
-    distance, guides = np.pad(distance, missing, mode="edge"), np.pad(guides, missing, mode="edge")
-    shares = 1 / (distance + ROOT_SOFTENING) ** 2
-    shares[:, count:] = 0.0
-    towards = placed.points[placed.starts + placed.counts - 1] - roots
-    along = rest[guides, -1] - rest[guides, 0]
-    norms = np.linalg.norm(towards, axis=1)[:, None] * np.linalg.norm(along, axis=2)
-    agreement = (towards[:, None] * along).sum(2) / np.maximum(norms, np.finfo(float).tiny)
-    # Across a parting at rest; the nearest one stays in any case.
-    shares[:, 1:] *= agreement[:, 1:].clip(min=0.0) ** 2
-    shares /= shares.sum(1, keepdims=True)
-    shares[~placed.on_scalp] = 0.0
-    lengths = np.asarray(polyline_lengths(Strands(placed.points, placed.counts, "strands")))
-    of_guides = groom.strand_lengths.numpy()[guides[:, 0]]
-    same = (distance[:, 0] < SAME_ROOT) & (np.abs(lengths / of_guides - 1) < SAME_LENGTH) & placed.on_scalp
-    return guides.astype(np.int64), shares, np.where(same, guides[:, 0], -1).astype(np.int64)
 
 
 def _turns(

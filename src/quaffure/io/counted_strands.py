@@ -8,7 +8,9 @@ and its label.
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float32, Int
 
+from quaffure.hair.strand_attributes import NONE, StrandAttributes, groups_of
 from quaffure.hair.strands import Strands, checked_strands
 from quaffure.io.binary import BinaryCursor
 
@@ -19,19 +21,32 @@ def read_hairsalon(path: Path) -> Strands:
     Raises:
         InputError: the file is cut short, goes on after its last strand, or holds no strand.
     """
-    return _read_strands(path, 3)
+    rows, counts = _read_rows(path, 3)
+    return checked_strands(rows, counts, path)
 
 
 def read_ct2hair(path: Path) -> Strands:
-    """Strands of a `.bin` file, still in the file's millimetres and axes; normals and labels are not kept.
+    """Strands of a `.bin` file, still in the file's millimetres and axes, in groups by the label of their first point
+    where there are several. Normals are not kept: they follow from the hair.
 
     Raises:
         InputError: the file is cut short, goes on after its last strand, or holds no strand.
     """
-    return _read_strands(path, 7)
+    rows, counts = _read_rows(path, 7)
+    return checked_strands(rows[:, :3], counts, path, attributes=_groups(rows[:, 6], counts))
 
 
-def _read_strands(path: Path, columns: int) -> Strands:
+def _groups(labels: Float32[np.ndarray, " p"], counts: Int[np.ndarray, " s"]) -> StrandAttributes:
+    first = (np.cumsum(counts) - counts)[counts > 0]
+    own = np.zeros(len(counts))
+    own[counts > 0] = labels[first]
+    if not np.isfinite(own).all() or len(np.unique(own[counts > 0])) < 2:
+        return NONE
+    return groups_of(own, None, len(counts), "label")
+
+
+def _read_rows(path: Path, columns: int) -> tuple[Float32[np.ndarray, "p c"], Int[np.ndarray, " s"]]:
+    """Numbers of every point, and points of every strand."""
     cursor = BinaryCursor(path)
     # Without signs, so that a negative number is one that no file is long enough for.
     (strands,) = cursor.integers("<u4", 1, "number of strands")
@@ -42,4 +57,4 @@ def _read_strands(path: Path, columns: int) -> Strands:
         points.append(cursor.array("<f4", count * columns, f"strand {strand} of {strands}, of {count} points"))
         counts.append(count)
     cursor.finish()
-    return checked_strands(np.concatenate(points).reshape(-1, columns)[:, :3], np.array(counts, dtype=np.int64), path)
+    return np.concatenate(points).reshape(-1, columns), np.array(counts, dtype=np.int64)

@@ -1,4 +1,4 @@
-# make demo: drapes a bundled groom on a bundled motion, into out/.   make test: all checks, as in CI; WORKERS processes.
+# make demo: drapes a bundled groom on a bundled motion, into out/.   make test: all checks, as in CI; WORKERS=2 in two processes.
 # make docs: the documentation site, into out/docs.
 # make fuzz: damaged files against every reader; MUTANTS of each format, SEED.
 # All make .venv first: some minutes and 2 GB the first time, nothing after that.
@@ -8,7 +8,7 @@ SHELL := bash
 BIN := .venv/bin
 MUTANTS ?= 1000
 SEED ?= 0
-WORKERS ?= 2
+WORKERS ?= 0
 SETUP := .venv/setup-done
 
 .PHONY: demo test docs fuzz setup clean

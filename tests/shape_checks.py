@@ -4,18 +4,46 @@ A compiled function cannot be wrapped: numba compiles what the decorator returns
 """
 
 import ast
+from collections.abc import Callable
+from functools import wraps
+from inspect import isfunction
+from itertools import count
+from typing import Any
 
+import jaxtyping
 from beartype import BeartypeConf, beartype
 from jaxtyping import _import_hook, install_import_hook
 
 import quaffure.config  # noqa: F401  its numbers may be tensors, where derivatives by them are wanted: not checked
 
+CHECKED_CALLS = 200
+"""Of each function in a process: all calls of small functions in long loops would take a third of the tests' time."""
 check_types = beartype(conf=BeartypeConf(is_pep484_tower=True))
 """An int may stand for a float."""
+_check_shapes = jaxtyping.jaxtyped
 
 
 def install() -> None:
     """Check every module of the package that is imported from here on."""
     skips = _import_hook._is_no_type_check
     _import_hook._is_no_type_check = lambda node: skips(node) or "njit" in ast.unparse(node)
+    jaxtyping.jaxtyped = _checked  # what the hook decorates functions and classes with
     install_import_hook("quaffure", "tests.shape_checks.check_types")
+
+
+def _checked(typechecker: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A decorator that checks the first calls of a function, and all of a class' constructor."""
+
+    def decorate(annotated: Any) -> Any:
+        checked = _check_shapes(annotated, typechecker=typechecker)
+        if not isfunction(annotated):
+            return checked
+        calls = count()
+
+        @wraps(annotated)
+        def call(*arguments: Any, **named: Any) -> Any:
+            return (checked if next(calls) < CHECKED_CALLS else annotated)(*arguments, **named)
+
+        return call
+
+    return decorate

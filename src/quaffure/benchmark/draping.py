@@ -8,7 +8,7 @@ import torch
 from quaffure.benchmark.drape_cache import DrapeCache, TimedDrape
 from quaffure.benchmark.drape_key import drape_key, draper_key
 from quaffure.benchmark.evaluation_set import EvaluationCase
-from quaffure.benchmark.machine_facts import is_one_threaded, machine
+from quaffure.benchmark.machine_facts import machine, times_the_processor
 from quaffure.benchmark.methods import Method
 from quaffure.body.body_model import BodyModel
 from quaffure.digest import array_digest
@@ -91,8 +91,7 @@ class CaseDraper:
         return TimedDrape(strands, 1000 * seconds, machine())
 
     def _once(self, draper: Draper, case: EvaluationCase, frame: int) -> tuple[Float[Tensor, "s n 3"], float]:
-        # On one thread processor time is wall time without the waits that other programs cause.
-        clock = time.process_time if is_one_threaded() else time.perf_counter
+        clock = time.process_time if times_the_processor() else time.perf_counter
         begin = clock()
         strands = draper.drape(Scene(case.groom, case.bodies(self.body, frame)))[0].detach()
         return strands, clock() - begin

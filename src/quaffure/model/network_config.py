@@ -5,6 +5,7 @@ The keys of a file are the names of the command line's options, which do not cha
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import torch
@@ -132,7 +133,7 @@ class NetworkConfig:
     density_grid: DensityGridConfig = field(default_factory=DensityGridConfig)
     projection: ProjectionConfig = field(default_factory=ProjectionConfig)
 
-    @property
+    @cached_property
     def predicts_directions(self) -> bool:
         """Whether this is our configuration, which reads a loading; the paper's predicts displacements and knows human
         hair under gravity alone."""

@@ -14,10 +14,9 @@ from statistics import mean, median
 import torch
 import tyro
 
-from quaffure.benchmark.metrics import intersection_percent
 from quaffure.body import BodyModel, load_body
 from quaffure.energies import HairEnergy
-from quaffure.energies.body_collision import BodyCollision
+from quaffure.energies.body_collision import BodyCollision, intersection_percent
 from quaffure.energies.cohesion import Cohesion
 from quaffure.energies.self_collision import SelfCollision
 from quaffure.hair import Groom

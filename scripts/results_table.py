@@ -66,6 +66,8 @@ def tables() -> dict[str, str]:
 
 def with_table(readme: str, mark: str, text: str) -> str:
     begin, end = f"<!-- {mark}: python scripts/results_table.py --write -->\n", f"<!-- end of {mark} -->\n"
+    assert begin in readme, begin
+    assert end in readme, end
     before, _, rest = readme.partition(begin)
     return before + begin + text + end + rest.partition(end)[2]
 

@@ -1,4 +1,5 @@
 import importlib.util
+import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +28,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(no_data)
         if "cuda" in item.keywords and not torch.cuda.is_available():
             item.add_marker(no_cuda)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _shapes_are_checked_in_every_file() -> None:
+    if "tests.shape_checks" in sys.modules:
+        sys.modules["tests.shape_checks"].restart()
 
 
 @pytest.fixture(scope="session")

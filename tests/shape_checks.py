@@ -4,10 +4,10 @@ A compiled function cannot be wrapped: numba compiles what the decorator returns
 """
 
 import ast
+from collections import Counter
 from collections.abc import Callable
 from functools import wraps
 from inspect import isfunction
-from itertools import count
 from typing import Any
 
 import jaxtyping
@@ -17,10 +17,12 @@ from jaxtyping import _import_hook, install_import_hook
 import quaffure.config  # noqa: F401  its numbers may be tensors, where derivatives by them are wanted: not checked
 
 CHECKED_CALLS = 200
-"""Of each function in a process: all calls of small functions in long loops would take a third of the tests' time."""
+"""Calls of a function that are checked in each test file. To check every one takes a fifth of the tests' time: small
+functions are called in long loops."""
 check_types = beartype(conf=BeartypeConf(is_pep484_tower=True))
 """An int may stand for a float."""
 _check_shapes = jaxtyping.jaxtyped
+_calls: Counter[Callable[..., Any]] = Counter()
 
 
 def install() -> None:
@@ -31,6 +33,11 @@ def install() -> None:
     install_import_hook("quaffure", "tests.shape_checks.check_types")
 
 
+def restart() -> None:
+    """Check the next calls of every function again."""
+    _calls.clear()
+
+
 def _checked(typechecker: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """A decorator that checks the first calls of a function, and all of a class' constructor."""
 
@@ -38,11 +45,11 @@ def _checked(typechecker: Callable[[Any], Any]) -> Callable[[Any], Any]:
         checked = _check_shapes(annotated, typechecker=typechecker)
         if not isfunction(annotated):
             return checked
-        calls = count()
 
         @wraps(annotated)
         def call(*arguments: Any, **named: Any) -> Any:
-            return (checked if next(calls) < CHECKED_CALLS else annotated)(*arguments, **named)
+            _calls[annotated] += 1
+            return (checked if _calls[annotated] <= CHECKED_CALLS else annotated)(*arguments, **named)
 
         return call
 

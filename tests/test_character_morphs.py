@@ -9,6 +9,7 @@ import torch
 
 import quaffure as qf
 from quaffure.body import BodyModel, MlsBodyConfig, Motion, head_frame_body, head_frame_body_reference, resample
+from quaffure.body.body_model import check_offsets
 from quaffure.body.character import AnimationChannel, Character, CharacterAnimation
 from quaffure.body.character_animation import poses_at
 from quaffure.body.own_motion import own_motion
@@ -165,3 +166,22 @@ def test_what_moves_no_skin_of_the_head_is_left_out(swollen: tuple[BodyModel, Ch
         surface_morphs(replace(moved, meshes=(huge,)), clip, own, motion.times)
     with pytest.raises(InputError, match="found nan"):
         SurfaceMorphs(torch.full((1, 2, 3), torch.nan), torch.ones(3, 1)).check("a.glb")
+
+
+def test_a_bound_on_changes_is_of_each_frame(swollen: tuple[BodyModel, Character, Motion]) -> None:
+    """Many targets, one at a time: together they would move the skin by more than a head."""
+    step = torch.zeros(60, 4, 3)
+    step[:, 0, 0] = SWELLING
+    SurfaceMorphs(step, torch.eye(60)).check("a clip")
+    for weight in (60.0, float("nan")):
+        with pytest.raises(InputError, match="a clip: expected morph targets that move skin by at most 1 m"):
+            SurfaceMorphs(step, weight * torch.eye(60)).check("a clip")
+
+
+def test_offsets_of_other_bodies_are_refused(swollen: tuple[BodyModel, Character, Motion]) -> None:
+    batch = bodies(swollen, slice(0, 2))
+    assert batch.offsets is not None
+    check_offsets(batch.offsets, batch.body, 2)
+    for wrong in (batch.offsets[:1], batch.offsets[:, 1:]):
+        with pytest.raises(InputError, match=r"offsets: expected \[2, "):
+            check_offsets(wrong, batch.body, 2)

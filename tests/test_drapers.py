@@ -117,6 +117,10 @@ def test_every_name_of_the_list_makes_its_draper() -> None:
     assert {*LIVE} < {*DRAPERS}
     with pytest.raises(InputError, match="draper: expected one of"):
         make_draper("comb")
+    with pytest.raises(InputError, match="draper neural: expected no material"):
+        make_draper("neural", HairMaterial())
+    with pytest.raises(InputError, match="draper groomgen: expected the file of its weights"):
+        make_draper(GROOMGEN)
 
 
 def test_the_elastic_model_is_the_papers_for_what_the_paper_has_and_the_rod_for_all_others() -> None:

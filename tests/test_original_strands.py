@@ -154,6 +154,11 @@ def test_one_strand_of_several_at_a_root_is_the_draped_one(case: Case) -> None:
     found = original_strands(twice, case.groom, case.body).own_guide
     assert (found[: len(own)] == -1).all()
     np.testing.assert_array_equal(found[len(own) :], case.original.own_guide[own])
+    # Of two that are alike, the one on the scalp.
+    alike = replace(twice, points=np.concatenate([lines, lines]).reshape(-1, 3).astype(np.float32))
+    alike.on_scalp[: len(own)] = False
+    found = original_strands(alike, case.groom, case.body).own_guide
+    np.testing.assert_array_equal(found[len(own) :], case.original.own_guide[own])
 
 
 def test_upright_a_strand_that_enters_the_skin_comes_back_to_its_course(case: Case) -> None:

@@ -13,7 +13,7 @@ from quaffure.energies.rest_state import rest_state
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.model import NetworkConfig, NeuralDraper, ProjectionConfig, build_network, load_model, project
 from quaffure.model.neural import drape
-from quaffure.model.prepared_groom import approaching, prepare_groom
+from quaffure.model.prepared_groom import prepare_groom, raised_before_supports
 from quaffure.model.projection import project_reference
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
@@ -191,7 +191,7 @@ def test_margins_of_five_centimetres_are_kept(scene: Scene, rest: RestState) -> 
 def test_distances_to_keep_grow_towards_the_vertex_that_needs_most() -> None:
     clearance = torch.tensor([[0.0, 0.003, 0.003, 0.003, 0.020, 0.003]])
     at_rest = torch.tensor([[0.0, 0.004, 0.009, 0.030, 0.024, 0.026]])
-    found = approaching(clearance, torch.full((1, 5), 0.01), at_rest, slope=0.5)
+    found = raised_before_supports(clearance, torch.full((1, 5), 0.01), at_rest, slope=0.5)
     # 15 mm a centimetre before it; 10 mm another one before, but no more than in the design.
     torch.testing.assert_close(found, torch.tensor([[0.0, 0.004, 0.009, 0.015, 0.020, 0.003]]))
 

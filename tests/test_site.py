@@ -22,6 +22,8 @@ def test_the_tables_of_results_are_those_of_the_files() -> None:
     for mark, table in tables().items():
         assert table in readme, "python scripts/results_table.py --write"
         assert with_table(readme, mark, "| new |\n").count("| new |") == 1
+    with pytest.raises(AssertionError, match="solvers"):
+        with_table("no marks", "solvers", "")
 
 
 def test_every_equation_of_the_notes_stands_beside_its_function() -> None:

@@ -11,6 +11,7 @@ from quaffure.config import HairMaterial
 from quaffure.draper import Draper
 from quaffure.energies.by_name import MODIFIED_COSSERAT, ROD
 from quaffure.energies.energy_term import Terms
+from quaffure.errors import InputError
 from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_model import PAPER, load_model
 from quaffure.solvers.by_name import PAPER_XPBD, SOLVERS, solver
@@ -45,7 +46,9 @@ def load_trained(name: str, weights: str | Path | None = None) -> tuple[Draper, 
     Raises:
         InputError: `weights` holds no such draper.
     """
-    if name == GROOMGEN and weights is not None:
+    if name == GROOMGEN:
+        if weights is None:
+            raise InputError(f"draper {name}", "the file of its weights: none are shipped", "none")
         return load_groomgen(weights)
     model = load_model(weights)
     return model.draper, model.notes
@@ -56,16 +59,18 @@ def make_draper(name: str, material: HairMaterial | None = None, terms: Terms | 
 
     Args:
         name: one of `DRAPERS`.
-        material, terms: see `quaffure.solvers.solver`; the network has its own.
+        material, terms: see `quaffure.solvers.solver`. A trained draper has its own.
 
     Raises:
-        InputError: no such draper, or one that does not accept these terms.
+        InputError: no such draper, one whose weights are the user's, or one that does not accept these terms.
     """
-    if name == NEURAL:
+    if name in (NEURAL, GROOMGEN):
+        if material is not None or terms is not None:
+            raise InputError(f"draper {name}", "no material and no terms: it has those of its training", "some")
         return load_trained(name)[0]
     return solver(name, material, terms)
 
 
-def followed(draper: Draper) -> Draper:
+def with_coherence(draper: Draper) -> Draper:
     """The draper whose frames follow from the last one, where it can do that; else the same."""
     return CoherentDraper(draper) if isinstance(draper, StrandNewtonDraper) else draper

@@ -16,7 +16,7 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.clips import CLIP_NAMES
 from quaffure.body.motion import Motion
 from quaffure.draper import Draper, LoadedDraper
-from quaffure.drapers import NEURAL, STRAND_NEWTON, followed, make_draper
+from quaffure.drapers import NEURAL, STRAND_NEWTON, make_draper, with_coherence
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError, refused
 from quaffure.hair.groom import Groom
@@ -143,7 +143,7 @@ def _motion(name: str, body: str) -> Motion:
 def _draper(name: str, stiffness: float) -> Draper:
     loading = Loading(stiffness=stiffness)
     loading.check()
-    return followed(_standard_draper(name).under(loading))
+    return with_coherence(_standard_draper(name).under(loading))
 
 
 @lru_cache(len(CLIP_DRAPERS))

@@ -27,8 +27,8 @@ class TimedDrape:
 
     Attributes:
         strands: draped vertices [m, world].
-        milliseconds: wall time of this drape, from pose in to strands out; None where it is unknown.
-        machine: on which it was measured.
+        milliseconds: time of this drape, from pose in to strands out; None where it is unknown.
+        machine: on which it was measured, and by which clock.
     """
 
     strands: Float[Tensor, "s n 3"]

@@ -30,8 +30,8 @@ def machine() -> str:
 
 
 def times_the_processor() -> bool:
-    """Whether drapes are timed by processor time: where torch and numba compute on one thread and no card is waited for,
-    it is wall time without the waits that other programs cause."""
+    """Whether drapes are timed by processor time. Where torch and numba compute on one thread, and no card is waited
+    for, it is wall time without the waits that other programs cause."""
     return torch.get_num_threads() == get_num_threads() == 1 and not torch.cuda.is_available()
 
 

@@ -161,11 +161,12 @@ class BodyModel:
         """
         rest_vertices, rest_joints = self.rest(body_shape)
         if offsets is not None:
+            check_offsets(offsets, self, len(rotations))
             rest_vertices = rest_vertices + offsets
         # x -> G_j (x - J_j) + p_j as one 3x4 matrix a joint, blended by the skin weights; vertices go last, where
         # products over them run through contiguous memory.
-        offsets = positions[..., None] - rotations @ rest_joints[..., None]
-        transforms = torch.cat([rotations, offsets], dim=-1).flatten(2)
+        translations = positions[..., None] - rotations @ rest_joints[..., None]
+        transforms = torch.cat([rotations, translations], dim=-1).flatten(2)
         blended = (transforms.transpose(1, 2) @ self.dense_skin_weights.T).unflatten(1, (3, 4))
         turned = (blended[:, :, :3] * rest_vertices.transpose(1, 2)[:, None]).sum(2)
         return PosedBody((turned + blended[:, :, 3]).transpose(1, 2).contiguous(), rotations, positions)
@@ -202,6 +203,17 @@ class BodyModel:
         """
         dense = self.skin_weights.new_zeros(len(self.skin_weights), JOINT_COUNT)
         return dense.scatter_add_(1, self.skin_joints, self.skin_weights)
+
+
+def check_offsets(offsets: Float[Tensor, "b v 3"], body: BodyModel, batch: int) -> None:
+    """Refuse changes of a surface that is not that of these bodies: arrays of one body would be added to all.
+
+    Raises:
+        InputError: another number of bodies or of vertices.
+    """
+    expected = [batch, len(body.rest_vertices), 3]
+    if list(offsets.shape) != expected:
+        raise InputError("offsets", f"{expected}", f"{list(offsets.shape)}")
 
 
 def load_body(path: str | Path | None = None) -> BodyModel:

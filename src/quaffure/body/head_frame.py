@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from quaffure.body.body_model import BodyModel, PosedBody
+from quaffure.body.body_model import BodyModel, PosedBody, check_offsets
 from quaffure.body.collision_skin import collision_skin
 from quaffure.body.head_frame_kernels import NO_OFFSETS, Skin, WorldJoints, pose_bodies
 from quaffure.body.kinematics import PosedJoints
@@ -88,11 +88,16 @@ def head_frame_body(
         joints: of these bodies.
         collides: pose the collision skin too.
         offsets: added to the vertices of the body at rest [m].
+
+    Raises:
+        InputError: offsets of another number of bodies or of vertices.
     """
     skin = skin_to_pose(body, config.leaves, collides)
     pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
     rest, rotations, centres = joints.rest.double(), joints.rotations.double(), joints.positions.double()
     world = WorldJoints(pose.numpy(), shape.numpy(), rest.numpy(), rotations.numpy(), centres.numpy(), near_hair(body))
+    if offsets is not None:
+        check_offsets(offsets, body, len(body_pose))
     moved = None if offsets is None else offsets[:, posed_vertices(body, config.leaves, collides)].detach().float()
     frame, *vertices = pose_bodies(world, skin, NO_OFFSETS if moved is None else moved.contiguous().numpy())
     (rotation, head, code), (positions, normals) = map(torch.from_numpy, frame), map(torch.from_numpy, vertices)

@@ -2,7 +2,7 @@
 
 Every strand is moved by a similarity from the body's space, and then so that its root is where the file's own skin has
 it: at rest the root is bound to the nearest triangle of the skin, whose joints and morph targets move it. So hair stays
-on stretched bones and morphed heads, which the body does not have.
+on morphed heads, and on stretched bones, which the body does not have.
 """
 
 from dataclasses import dataclass, field

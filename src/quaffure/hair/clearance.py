@@ -18,8 +18,8 @@ LEAST_CLEARANCE = 1e-4
 TIPWARD_SHARE, ROOTWARD_SHARE = 0.8, 0.4
 FINAL_ROUNDS = 10
 CAUGHT_FOLDS = 2
-"""Folds of a strand that is caught."""
-LONGEST_MOVED = 1.1
+"""A strand that turns by more than a right angle at as many vertices hangs on something, such as an ear."""
+LONGEST_MOVED = 1.03
 """Largest length of a strand whose vertices are moved out by themselves, in lengths of before."""
 # Damping for displacements in opposite directions (hair between neck and shoulder).
 STEP = 0.9
@@ -68,7 +68,8 @@ def pushed_out(
     """Strands whose vertices keep `clearance` [m] from the body; roots stay, edges keep their lengths.
 
     Vertices still inside after the rounds (in a fold of the skin) are moved out without regard to length, and so are
-    those of a strand that was caught and folds back, as above an ear through which it leads.
+    those of a strand that was caught and folds back, as above an ear through which it leads, where that lengthens it
+    by little (`LONGEST_MOVED`).
     """
     result = _pushed_keeping_lengths(strands, surface, clearance, rounds)
     caught = (_folds(result) >= CAUGHT_FOLDS) & (_folds(strands) == 0)

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from quaffure.hair.groom import Groom
@@ -36,7 +36,7 @@ class DrivingGuides(NamedTuple):
     own: Int[np.ndarray, " s"]
 
 
-def driving_guides(strands: Strands, groom: Groom) -> DrivingGuides:
+def driving_guides(strands: Strands, groom: Groom, on_scalp: Bool[np.ndarray, " s"]) -> DrivingGuides:
     """Three of the guides with near roots: a guide's share is the inverse square of the distance between the roots and
     the mean distance between the shapes together, without the root.
 
@@ -45,6 +45,7 @@ def driving_guides(strands: Strands, groom: Groom) -> DrivingGuides:
 
     Args:
         strands: on the body at rest, roots first [m].
+        on_scalp: no guide is a strand elsewhere.
     """
     rest = groom.rest_strands.numpy()
     count = min(CANDIDATES, len(rest))
@@ -59,7 +60,7 @@ def driving_guides(strands: Strands, groom: Groom) -> DrivingGuides:
     shares[:, 1:] *= _agreement(shape[:, -1], (rest[:, -1] - rest[:, 0])[chosen[:, 1:]]) ** 2
     missing = ((0, 0), (0, DRIVING - chosen.shape[1]))
     chosen, shares = np.pad(chosen, missing, mode="edge"), np.pad(shares, missing)
-    own = _own(strands, groom, guides[:, 0], distance[:, 0], deviation[:, 0])
+    own = _own(strands, groom, guides[:, 0], np.where(on_scalp, distance[:, 0], np.inf), deviation[:, 0])
     return DrivingGuides(chosen, shares / shares.sum(1, keepdims=True), own)
 
 

@@ -8,6 +8,7 @@ from numba import njit, prange
 from quaffure.geometry.bvh import search_workspace
 from quaffure.geometry.surface import SurfaceArrays
 from quaffure.geometry.surface_distance import distance_within
+from quaffure.hair.clearance import CAUGHT_FOLDS
 
 CLEARANCE = np.float32(1.5e-3)
 """Distance that strands keep from the skin [m]."""
@@ -16,8 +17,6 @@ CONTACT_PASSES = 4
 RETURN = np.float32(0.03)
 """Length of strand in which it returns to its course by a factor of e after a contact [m]."""
 LARGEST_TURN = np.float32(0.7)  # of an edge on the way back, as the tangent of the angle
-CAUGHT_FOLDS = 2
-"""Folds of a strand that is caught."""
 LEAST_COSINE = np.float32(0.3)  # of an edge of such a strand and its course
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _LEAST = np.float32(1e-12)

@@ -186,14 +186,14 @@ def original_strands(placed: PlacedStrands, groom: Groom, body: BodyModel) -> Or
         groom: registered from the same source, all of it or the part that is draped; its rest drives the strands.
     """
     faces, weights, offset = _roots(placed, body)
-    found = driving_guides(Strands(placed.points, placed.counts, "strands"), groom)
+    found = driving_guides(Strands(placed.points, placed.counts, "strands"), groom, placed.on_scalp)
     return OriginalStrands(
         guide_lengths=groom.strand_lengths.numpy().astype(np.float32),
         vertex_count=int(placed.counts.max()),
         placed=placed,
         guides=found.guides.astype(np.int32),
         weights=np.where(placed.on_scalp[:, None], found.shares, 0.0).astype(np.float32),
-        own_guide=np.where(placed.on_scalp, found.own, -1),
+        own_guide=found.own,
         carriers=body.faces[faces].numpy().astype(np.int32),
         root_weights=weights.numpy().astype(np.float32),
         root_offset=offset.astype(np.float32),

@@ -38,10 +38,10 @@ def read_ct2hair(path: Path) -> Strands:
 
 def _groups(labels: Float32[np.ndarray, " p"], counts: Int[np.ndarray, " s"]) -> StrandAttributes:
     first = (np.cumsum(counts) - counts)[counts > 0]
-    own = np.zeros(len(counts))
-    own[counts > 0] = labels[first]
-    if not np.isfinite(own).all() or len(np.unique(own[counts > 0])) < 2:
+    if not np.isfinite(labels[first]).all() or len(np.unique(labels[first])) < 2:
         return NONE
+    own = np.full(len(counts), labels[first[0]])  # strands without points are dropped
+    own[counts > 0] = labels[first]
     return groups_of(own, None, len(counts), "label")
 
 

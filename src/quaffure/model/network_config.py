@@ -3,6 +3,7 @@
 The keys of a file are the names of the command line's options, which do not change; `FILE_KEYS` maps them to fields.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
@@ -92,7 +93,7 @@ class ProjectionConfig:
 
     def __post_init__(self) -> None:
         least = min(self.clearance_share, self.clearance_slope, self.max_push, self.depth, self.most)
-        if self.spacing <= 0 or not least >= 0:
+        if self.spacing <= 0 or not least >= 0 or not math.isfinite(self.clearance_slope):
             raise ValueError(f"expected a spacing above 0, no share, slope, push or distance below it, found {self}")
 
     def clearance(self, margin: Float[Tensor, "s n"], depth: Float[Tensor, "s 1"]) -> Float[Tensor, "s n"]:

@@ -152,7 +152,7 @@ def prepare_groom(
         margin = rising(torch.where(held, NO_CONTACT, margin), groom.rest_lengths, shape.margin_slope)
         at_rest, _ = distances_and_normals(groom.rest_strands, rest_surface(body))
         clearance = config.projection.clearance(design_margin, depth)
-        clearance = approaching(clearance, groom.rest_lengths, at_rest, config.projection.clearance_slope)
+        clearance = raised_before_supports(clearance, groom.rest_lengths, at_rest, config.projection.clearance_slope)
         clearance = torch.where(held, NO_CONTACT, clearance)
     # Roots count most, for there the skin is.
     roots, middles, tips = groom.rest_strands[:, [0, VERTICES_PER_STRAND // 2, -1]].unbind(1)
@@ -256,10 +256,10 @@ def rising(margin: Float[Tensor, "s n"], rest_length: RestLengths, slope: float)
     return torch.stack(kept, dim=1)
 
 
-def approaching(
+def raised_before_supports(
     clearance: Float[Tensor, "s n"], rest_length: RestLengths, at_rest: Float[Tensor, "s n"], slope: float
 ) -> Float[Tensor, "s n"]:
-    """Distances to keep from the body that grow, from the root to each vertex, by a share of the way at most [m].
+    """Distances to keep from the body, raised before vertices that need more, up to their distance in the design [m].
 
     The body supports a design at single vertices, which keep 2 cm where others of their strand keep 3 mm. Where a
     shoulder comes near, a strand would go straight down to the skin and fold there.
@@ -267,7 +267,7 @@ def approaching(
     Args:
         clearance: distance that each vertex needs by itself [m].
         at_rest: distance of each vertex in the design, which is the most that those before others get [m].
-        slope: growth for each length along a strand.
+        slope: what they may be less than at the next vertex, for each length between the two.
     """
     kept = [clearance[:, -1]]
     for vertex in range(clearance.shape[1] - 2, -1, -1):

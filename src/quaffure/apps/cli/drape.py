@@ -25,7 +25,7 @@ from quaffure.config import HairMaterial
 from quaffure.digest import array_digest, file_digest
 from quaffure.drape_motion import drape_motion
 from quaffure.draper import Draper
-from quaffure.drapers import DRAPERS, GROOMGEN, NEURAL, elastic_model_of, followed, load_trained
+from quaffure.drapers import DRAPERS, GROOMGEN, NEURAL, elastic_model_of, load_trained, with_coherence
 from quaffure.energies.by_name import ELASTIC_MODELS, MODIFIED_COSSERAT, ROD, hair_terms
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.gravity import GRAVITY, Acceleration
@@ -297,7 +297,7 @@ class DrapeCommand:
             draper = solver(self._name, material, terms if is_of_terms else hair_terms(acceleration=self._acceleration))
         if self.settle:
             draper = SettledDraper(draper, StrandNewtonDraper(material, terms=terms), self.settle)
-        return followed(draper) if self.coherent else draper, terms
+        return with_coherence(draper) if self.coherent else draper, terms
 
     @property
     def _acceleration(self) -> Acceleration:

@@ -7,7 +7,7 @@ from quaffure.apps.viewer.view_state import ViewState
 from quaffure.body.clips import CLIP_FPS, CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion
 from quaffure.draper import Draper
-from quaffure.drapers import LIVE, NEURAL, followed, make_draper
+from quaffure.drapers import LIVE, NEURAL, make_draper, with_coherence
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of
@@ -68,7 +68,7 @@ class Catalogue:
         """
         if name == NEURAL:
             return self._model.draper
-        return followed(make_draper(name, self._model.draper.material))
+        return with_coherence(make_draper(name, self._model.draper.material))
 
     def state(self, settings: Settings) -> ViewState:
         """What the widgets of the page describe.

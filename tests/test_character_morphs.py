@@ -30,7 +30,7 @@ from tests.characters import character
 from tests.test_own_motion import FPS, moving, own_body
 
 SWELLING = 0.02
-"""Of the head [m]."""
+"""Largest displacement of the head's skin by the target [m]."""
 FRAMES = 9
 
 

@@ -31,7 +31,7 @@ from tests.training_runs import tiny_groom
 
 SECONDS = 30.0
 MOST_GROWTH = 1.5e5
-"""Of the resident memory by an interaction, in the mean of the later half of them [bytes]."""
+"""Growth of the resident memory by an interaction, in the mean of the later half of them [bytes]."""
 CAMERA = {
     **{"type": "ViewerCameraMessage", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.0, -2.0, 1.0], "fov": 0.5},
     **{"near": 0.02, "far": 100.0, "image_height": 300, "image_width": 400},

@@ -197,7 +197,7 @@ def test_distances_to_keep_grow_towards_the_vertex_that_needs_most() -> None:
 
 
 def test_hair_does_not_fold_over_a_shoulder(body: BodyModel) -> None:
-    """Of strands whose tips are to keep far from the skin, the middles leave a shoulder that comes near as well."""
+    """Where tips are to keep far from the skin, the middles of the strands leave a near shoulder as well."""
     groom, draper = make_groom("bob", body).select(torch.arange(0, 2400, 9)), load_model().draper
     pose = torch.zeros(1, 27, 3)
     for joint, angle in {"Neck": -0.4, "Head": -0.4, "LeftShoulder": -0.5, "RightShoulder": 0.5}.items():

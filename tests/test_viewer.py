@@ -54,7 +54,7 @@ FLAGS = [
 ]
 WIDTH, HEIGHT, PANEL_WIDTH = 640, 360, 330
 MOST_GROWTH = 1e5
-"""Of the memory of a tab by an interaction, in the mean of the later half of them [bytes]."""
+"""Growth of the memory of a tab by an interaction, in the mean of the later half of them [bytes]."""
 
 
 @pytest.fixture(scope="module")

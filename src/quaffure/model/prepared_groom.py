@@ -144,12 +144,12 @@ def prepare_groom(
     """
     strands, design = rest_strands(groom, body), design_of(groom, body, material)
     shape, design_margin = config.initial_shape, design.collision_margin.to(groom.rest_strands)
-    margin = clearance = torch.full_like(design_margin, NO_CONTACT)
+    start = clearance = torch.full_like(design_margin, NO_CONTACT)
     if config.contact:
         held = torch.nn.functional.pad(design.rod.goal_weight > 0, (1, 0)).to(groom.rest_strands.device)
         depth = balanced_depth(design, groom.rest_lengths, material, shape)
-        margin = initial_clearance(groom, design_margin, body, shape) - depth
-        margin = rising(torch.where(held, NO_CONTACT, margin), groom.rest_lengths, shape.margin_slope)
+        start = initial_clearance(groom, design_margin, body, shape) - depth
+        start = rising(torch.where(held, NO_CONTACT, start), groom.rest_lengths, shape.margin_slope)
         at_rest, _ = distances_and_normals(groom.rest_strands, rest_surface(body))
         clearance = config.projection.clearance(design_margin, depth)
         clearance = raised_before_supports(clearance, groom.rest_lengths, at_rest, config.projection.clearance_slope)
@@ -163,7 +163,7 @@ def prepare_groom(
         strands,
         design_rods(groom, body, design, material, shape.load_share),
         groom.rest_lengths,
-        margin,
+        start,
         clearance,
         surroundings_of(groom, body, material, design_margin, config.density_grid),
         neighbours_together(positions, LANES),

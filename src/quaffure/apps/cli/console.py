@@ -24,8 +24,10 @@ from quaffure.training.loop import LAST, Training, train
 console = Console() if sys.stdout.isatty() else Console(width=140)
 Update = Callable[..., None]
 Text = Callable[[dict[str, float]], str]
-SECONDS_PER_LINE, SHARE_PER_LINE = (1.0, 20.0), 0.1
-"""Between two lines about a work: at least and at most [s], and in between a share of the time that it has taken."""
+LEAST_SECONDS, MOST_SECONDS = 1.0, 20.0
+"""Bounds of the time between two lines of progress [s]."""
+SHARE_PER_LINE = 0.1
+"""That time as a share of what the work has taken, within the bounds."""
 
 
 @contextmanager
@@ -78,7 +80,7 @@ class ProgressLines:
         self._done = advance + (self._done if completed is None else completed)
         self._description, self._total = description or self._description, total or self._total
         now = time.monotonic()
-        interval = min(max(SHARE_PER_LINE * (now - self._clock[0]), SECONDS_PER_LINE[0]), SECONDS_PER_LINE[1])
+        interval = min(max(SHARE_PER_LINE * (now - self._clock[0]), LEAST_SECONDS), MOST_SECONDS)
         if self._done > before and self._done != self._total and now - self._printed >= interval:
             self._printed = now
             line = f"{self._done}{self._rest(now)}: {self._description}"

@@ -236,7 +236,7 @@ def test_a_flood_is_slowed_down(server: ViserServer, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="resident memory is read from /proc")
-@pytest.mark.parametrize("interactions", [60, pytest.param(400, marks=pytest.mark.long)])
+@pytest.mark.parametrize("interactions", [100, pytest.param(400, marks=pytest.mark.long)])
 def test_memory_stays_flat_over_many_interactions(
     page: Page, monkeypatch: pytest.MonkeyPatch, interactions: int
 ) -> None:

@@ -105,7 +105,12 @@ class HairEnergy:
         hair = self._state(positions, scene, variables)
         if self._on_rod:
             energies.append(hair.prepared[Rod.name].fused_energy(positions))
-        energies += [term.energy(hair, scene) for term in self._in_torch]
+        for term in self._in_torch:
+            energies.append(term.energy(hair, scene))
+            if energies[-1].shape != (len(positions),):
+                raise ValueError(
+                    f"energy term {term.name}: expected energies [{len(positions)}], found {list(energies[-1].shape)}"
+                )
         return torch.stack(energies).sum(dim=0) if energies else positions.new_zeros(len(positions))
 
     @torch.no_grad()

@@ -1,18 +1,14 @@
 """Whether numba has compiled kernels before, on this machine and for these sources."""
 
-from pathlib import Path
 from typing import Any
 
 
 def is_cached(kernel: Any) -> bool:
-    """Whether numba's cache has an index for the file of a kernel, younger than the file; True where numba compiles
-    nothing.
+    """Whether numba's cache holds the kernel, compiled from the source as it is; True where numba compiles nothing.
 
-    numba itself says where its cache is: `NUMBA_CACHE_DIR`, the `__pycache__` beside the source, or a folder of the
-    user where that cannot be written.
+    numba itself decides whether a source is the one of before: by its time, and by its content from numba 0.62 on.
     """
     if not hasattr(kernel, "stats"):
         return True
-    source, cache = Path(kernel.py_func.__code__.co_filename), Path(kernel.stats.cache_path)
-    changed = source.stat().st_mtime
-    return any(index.stat().st_mtime >= changed for index in cache.glob(f"{source.stem}.*.nbi"))
+    # No public name says it. `_load_index` returns nothing where the index is of another source or another numba.
+    return bool(kernel._cache._cache_file._load_index())

@@ -4,11 +4,11 @@ A compiled function cannot be wrapped: numba compiles what the decorator returns
 """
 
 import ast
-from collections import Counter
 from collections.abc import Callable
 from functools import wraps
 from inspect import isfunction
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import jaxtyping
 from beartype import BeartypeConf, beartype
@@ -22,7 +22,7 @@ functions are called in long loops."""
 check_types = beartype(conf=BeartypeConf(is_pep484_tower=True))
 """An int may stand for a float."""
 _check_shapes = jaxtyping.jaxtyped
-_calls: Counter[Callable[..., Any]] = Counter()
+_calls: WeakKeyDictionary[Callable[..., Any], int] = WeakKeyDictionary()  # functions in functions come and go
 
 
 def install() -> None:
@@ -48,8 +48,8 @@ def _checked(typechecker: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
         @wraps(annotated)
         def call(*arguments: Any, **named: Any) -> Any:
-            _calls[annotated] += 1
-            return (checked if _calls[annotated] <= CHECKED_CALLS else annotated)(*arguments, **named)
+            calls = _calls[annotated] = _calls.get(annotated, 0) + 1
+            return (checked if calls <= CHECKED_CALLS else annotated)(*arguments, **named)
 
         return call
 

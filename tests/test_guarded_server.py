@@ -30,8 +30,8 @@ from quaffure.model import load_model
 from tests.training_runs import tiny_groom
 
 SECONDS = 30.0
-MOST_GROWTH = 1.5e5
-"""Growth of the resident memory by an interaction, in the mean of the later half of them [bytes]."""
+MOST_GROWTH = 30e6
+"""Growth of the resident memory over the later half of the interactions [bytes]; the allocator's own is about that."""
 CAMERA = {
     **{"type": "ViewerCameraMessage", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [0.0, -2.0, 1.0], "fov": 0.5},
     **{"near": 0.02, "far": 100.0, "image_height": 300, "image_width": 400},
@@ -271,7 +271,7 @@ def test_memory_stays_flat_over_many_interactions(
                 gc.collect()
                 resident.append(resident_bytes())
     print("resident memory after every quarter of the interactions [MB]:", *(round(size / 1e6) for size in resident))
-    assert resident[-1] - resident[len(resident) // 2 - 1] < MOST_GROWTH * interactions / 2
+    assert resident[-1] - resident[len(resident) // 2 - 1] < MOST_GROWTH
 
 
 def has_value(widget: GuiInputHandle[Any], value: object) -> bool:

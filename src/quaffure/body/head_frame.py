@@ -96,10 +96,11 @@ def head_frame_body(
     pose, shape = body_pose.detach().float().contiguous(), body_shape.detach().float().contiguous()
     rest, rotations, centres = joints.rest.double(), joints.rotations.double(), joints.positions.double()
     world = WorldJoints(pose.numpy(), shape.numpy(), rest.numpy(), rotations.numpy(), centres.numpy(), near_hair(body))
+    moved = NO_OFFSETS
     if offsets is not None:
         check_offsets(offsets, body, len(body_pose))
-    moved = None if offsets is None else offsets[:, posed_vertices(body, config.leaves, collides)].detach().float()
-    frame, *vertices = pose_bodies(world, skin, NO_OFFSETS if moved is None else moved.contiguous().numpy())
+        moved = offsets[:, posed_vertices(body, config.leaves, collides)].detach().float().contiguous().numpy()
+    frame, *vertices = pose_bodies(world, skin, moved)
     (rotation, head, code), (positions, normals) = map(torch.from_numpy, frame), map(torch.from_numpy, vertices)
     count, rest_count = len(skin.normals), len(scalp_vertices(body))
     points = positions[:, :count].unflatten(1, (-1, LEAF))

@@ -213,6 +213,13 @@ def test_registration_alone_says_where_a_strand_begins_and_stands(
     assert original.own_guide[placed.on_scalp].tolist() == [*range(len(groom))]
 
 
+def test_the_most_similar_guide_has_the_largest_share(case: Case) -> None:
+    shares = case.original.weights[case.placed.on_scalp]
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0, atol=1e-6)
+    assert (shares[:, :1] >= shares - 1e-7).all()
+    assert np.median(shares[:, 0] / shares[:, 1].clip(min=1e-6)) > 1.05
+
+
 def test_others_hang_as_their_guides_do(case: Case) -> None:
     """Straight hair that hangs straight down: so do the strands between, whatever their rest."""
     found = hair_of(case.original.points(settled(case, 1), case.vertices[1]))

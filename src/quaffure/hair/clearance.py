@@ -19,7 +19,7 @@ TIPWARD_SHARE, ROOTWARD_SHARE = 0.8, 0.4
 FINAL_ROUNDS = 10
 CAUGHT_FOLDS = 2
 """A strand that turns by more than a right angle at as many vertices hangs on something, such as an ear."""
-LONGEST_MOVED = 1.03
+LONGEST_MOVED = 1.08
 """Largest length of a strand whose vertices are moved out by themselves, in lengths of before."""
 # Damping for displacements in opposite directions (hair between neck and shoulder).
 STEP = 0.9

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from quaffure.hair.clearance import arc_lengths
+from quaffure.geometry.polyline import arc_lengths
 from tests import shape_checks
 
 pytest.importorskip("beartype")

@@ -18,6 +18,21 @@ def directors(posed: Float[Tensor, "*batch n 3"]) -> Float[Tensor, "*batch e 3"]
     return torch.nn.functional.normalize(edges(posed), dim=-1)
 
 
+def arc_lengths(strands: Float[Tensor, "s n 3"]) -> Float[Tensor, "s n"]:
+    """Length of each strand from its root to each vertex [m]."""
+    return torch.nn.functional.pad(strands.diff(dim=1).norm(dim=-1).cumsum(1), (1, 0))
+
+
+def points_along(polylines: Float[Tensor, "s n 3"], arc_length: Float[Tensor, "s m"]) -> Float[Tensor, "s m 3"]:
+    """Points of polylines at arc lengths from their first vertices [m]; beyond the end, the end."""
+    lengths = arc_lengths(polylines)
+    right = torch.searchsorted(lengths, arc_length.contiguous()).clamp(1, polylines.shape[1] - 1)
+    start, end = lengths.gather(1, right - 1), lengths.gather(1, right)
+    share = ((arc_length - start) / (end - start).clamp(min=1e-9)).clamp(0, 1)[..., None]
+    before, after = (polylines.gather(1, index[..., None].expand(-1, -1, 3)) for index in (right - 1, right))
+    return (1 - share) * before + share * after
+
+
 def integrate_directions_reference(
     root: Float[Tensor, "b s 3"], vectors: EdgeVectors, rest_length: RestLengths
 ) -> Positions:

@@ -4,7 +4,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
-from quaffure.geometry.polyline import integrate_directions_reference
+from quaffure.geometry.polyline import arc_lengths, integrate_directions_reference, points_along
 from quaffure.geometry.signed_distance import closest_points
 from quaffure.geometry.surface import Surface, posed_surface
 from quaffure.types import Bool, Float, Int, Tensor
@@ -19,8 +19,8 @@ TIPWARD_SHARE, ROOTWARD_SHARE = 0.8, 0.4
 FINAL_ROUNDS = 10
 CAUGHT_FOLDS = 2
 """A strand that turns by more than a right angle at as many vertices hangs on something, such as an ear."""
-LONGEST_MOVED = 1.08
-"""Largest length of a strand whose vertices are moved out by themselves, in lengths of before."""
+LONGEST_MOVED = 1.03
+"""Largest length of the course of a strand whose vertices are moved out by themselves, in lengths of before."""
 # Damping for displacements in opposite directions (hair between neck and shoulder).
 STEP = 0.9
 
@@ -45,11 +45,6 @@ def distances_and_normals(
     return (sign * length).reshape(points.shape[:-1]), normal.reshape(points.shape)
 
 
-def arc_lengths(strands: Float[Tensor, "s n 3"]) -> Float[Tensor, "s n"]:
-    """Length of each strand from its root to each vertex [m]."""
-    return torch.nn.functional.pad(strands.diff(dim=1).norm(dim=-1).cumsum(1), (1, 0))
-
-
 def inside_share(strands: Float[Tensor, "s n 3"], surface: Surface) -> float:
     """Share of vertices, without the roots, strictly inside the body."""
     return float((distances_and_normals(strands[:, 1:], surface)[0] < 0).float().mean())
@@ -67,9 +62,9 @@ def pushed_out(
 ) -> Float[Tensor, "s n 3"]:
     """Strands whose vertices keep `clearance` [m] from the body; roots stay, edges keep their lengths.
 
-    Vertices still inside after the rounds (in a fold of the skin) are moved out without regard to length, and so are
-    those of a strand that was caught and folds back, as above an ear through which it leads, where that lengthens it
-    by little (`LONGEST_MOVED`).
+    Vertices still inside after the rounds (in a fold of the skin) are moved out without regard to length. A strand that
+    was caught and folds back, as above an ear through which it leads, is laid along the course that its vertices take
+    when each leaves the body by itself, where that course is not much longer (`LONGEST_MOVED`).
     """
     result = _pushed_keeping_lengths(strands, surface, clearance, rounds)
     caught = (_folds(result) >= CAUGHT_FOLDS) & (_folds(strands) == 0)
@@ -78,7 +73,8 @@ def pushed_out(
         moved = _moved_out(own, required_clearance(own, clearance), surface)
         # Deep in the body, vertices leave by several sides.
         alike = arc_lengths(moved)[:, -1] < LONGEST_MOVED * arc_lengths(own)[:, -1]
-        result[rows[alike]] = moved[alike]
+        along = points_along(moved[alike], arc_lengths(own[alike]))
+        result[rows[alike]] = _moved_out(along, required_clearance(along, clearance), surface)
     return result
 
 

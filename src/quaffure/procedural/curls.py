@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch.nn.functional import normalize
 
-from quaffure.hair.clearance import arc_lengths
+from quaffure.geometry.polyline import arc_lengths
 from quaffure.procedural.hair_style import HairStyle
 from quaffure.types import Float, Int, Tensor
 

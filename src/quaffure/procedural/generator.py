@@ -6,8 +6,9 @@ from quaffure.body.body_model import BodyModel
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.energies.held_parts import with_ties
 from quaffure.errors import InputError
+from quaffure.geometry.polyline import arc_lengths, points_along
 from quaffure.geometry.surface import Surface
-from quaffure.hair.clearance import arc_lengths, pushed_out, rest_surface
+from quaffure.hair.clearance import pushed_out, rest_surface
 from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
 from quaffure.hair.scalp_roots import ScalpRoots, spread_roots
@@ -114,8 +115,4 @@ def resample_evenly(
     rest = tied[:, None] + (length[:, -1:] - tied[:, None]) * (index - before) / (edges - before)
     position = torch.where(index <= before, first, rest)
     position = torch.where(before > 0, position, length[:, -1:] * index / edges)
-    right = torch.searchsorted(length, position).clamp(1, fine.shape[1] - 1)
-    start, end = length.gather(1, right - 1), length.gather(1, right)
-    return trimming.interpolate_vertices(
-        fine, right - 1, ((position - start) / (end - start).clamp(min=1e-9)).clamp(0, 1)
-    )
+    return points_along(fine, position)

@@ -187,7 +187,7 @@ def test_a_strand_through_an_ear_is_not_caught_above_it(surface: Surface) -> Non
     edges = torch.nn.functional.normalize(found[0].diff(dim=0), dim=-1)
     assert float((edges[1:] * edges[:-1]).sum(-1).min()) > 0
     lengths = (float(strands.diff(dim=1).norm(dim=-1).sum()) for strands in (strand, found))
-    assert next(lengths) == pytest.approx(next(lengths), rel=0.01)
+    assert next(lengths) == pytest.approx(next(lengths), rel=0.03)
     assert float((found - strand).norm(dim=-1).max()) < 0.015
     assert inside_share(found, surface) == 0
 

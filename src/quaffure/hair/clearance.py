@@ -4,7 +4,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
-from quaffure.geometry.polyline import arc_lengths, integrate_directions_reference, points_along
+from quaffure.geometry.polyline import arc_lengths, integrate_directions_reference
 from quaffure.geometry.signed_distance import closest_points
 from quaffure.geometry.surface import Surface, posed_surface
 from quaffure.types import Bool, Float, Int, Tensor
@@ -20,7 +20,7 @@ FINAL_ROUNDS = 10
 CAUGHT_FOLDS = 2
 """A strand that turns by more than a right angle at as many vertices hangs on something, such as an ear."""
 LONGEST_MOVED = 1.03
-"""Largest length of the course of a strand whose vertices are moved out by themselves, in lengths of before."""
+"""Largest length of a strand whose vertices are moved out by themselves, in lengths of before."""
 # Damping for displacements in opposite directions (hair between neck and shoulder).
 STEP = 0.9
 
@@ -62,19 +62,17 @@ def pushed_out(
 ) -> Float[Tensor, "s n 3"]:
     """Strands whose vertices keep `clearance` [m] from the body; roots stay, edges keep their lengths.
 
-    Vertices still inside after the rounds (in a fold of the skin) are moved out without regard to length. A strand that
-    was caught and folds back, as above an ear through which it leads, is laid along the course that its vertices take
-    when each leaves the body by itself, where that course is not much longer (`LONGEST_MOVED`).
+    Vertices still inside after the rounds (in a fold of the skin) are moved out without regard to length, and so are
+    those of a strand that was caught and folds back, as above an ear through which it leads, where that lengthens it
+    by little (`LONGEST_MOVED`): deep in the body neighbours leave by several sides, and strands between them cross it.
     """
     result = _pushed_keeping_lengths(strands, surface, clearance, rounds)
     caught = (_folds(result) >= CAUGHT_FOLDS) & (_folds(strands) == 0)
     if caught.any():
         rows, own = caught.nonzero()[:, 0], strands[caught]
         moved = _moved_out(own, required_clearance(own, clearance), surface)
-        # Deep in the body, vertices leave by several sides.
         alike = arc_lengths(moved)[:, -1] < LONGEST_MOVED * arc_lengths(own)[:, -1]
-        along = points_along(moved[alike], arc_lengths(own[alike]))
-        result[rows[alike]] = _moved_out(along, required_clearance(along, clearance), surface)
+        result[rows[alike]] = moved[alike]
     return result
 
 

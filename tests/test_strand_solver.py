@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure.benchmark.appearance import jumps
 from quaffure.body import BodyModel, bundled_clip
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
 from quaffure.drape_motion import drape_motion
@@ -17,7 +18,7 @@ from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import Groom
-from quaffure.scene import PosedScene, Scene
+from quaffure.scene import BodyBatch, PosedScene, Scene
 from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, energy_and_gradient, solver
 from quaffure.solvers.by_name import DesignSolver
 from quaffure.solvers.coherent_clip import CoherentSetting
@@ -268,6 +269,19 @@ def test_clips_follow_the_last_frame(body: BodyModel, surface: Surface) -> None:
     assert float(energy.per_vertex(energy.total(draped, scene)).max()) < 0.0
     together = CoherentDraper(setting=setting).drape(scene)
     assert torch.equal(together, draped)
+
+
+def test_hair_does_not_sweep_around_a_head_that_turns_fast(body: BodyModel, surface: Surface) -> None:
+    """Hanging from a bowed head that is shaken: far from where it was posed, so the head's rotation moves it farther."""
+    pose = bundled_clip("bow", body).body_pose[60]
+    poses = pose.repeat(5, 1)
+    poses[:, 3 * body.joint_names.index("Head") + 2] += 0.3 * torch.arange(5)
+    scene = Scene(few_strands(body, surface), BodyBatch(body, poses, torch.zeros(5, 10)))
+    limited, unlimited = (
+        float(jumps(CoherentDraper(setting=setting).drape(scene), scene.posed).max())
+        for setting in (CoherentSetting(), CoherentSetting(most_carried=1.0))
+    )
+    assert limited < 0.05 < unlimited
 
 
 def _part(scene: Scene, frame: int) -> Scene:

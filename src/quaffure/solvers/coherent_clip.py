@@ -10,14 +10,17 @@ import torch
 
 from quaffure.config import HairMaterial
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from quaffure.hair.groom_cache import GroomCopy
 from quaffure.scene import PosedScene, Scene
 from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.strand_newton import StrandNewtonDraper
-from quaffure.types import Float, Positions, Tensor
+from quaffure.types import Float, Positions, RestLengths, Tensor
 
 FRAME_SECONDS = 1 / 30
 """Time between frames that settings are meant for [s]."""
+CARRIED_EDGES = 6
+"""Edges from the root over which a strand that the head carries less far goes over to the smaller angle."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,8 @@ class CoherentSetting:
         most_passes: of a frame in which strands still move.
         most_move, most_moved: displacement of a vertex in a pass and in a frame, on top of the head's and of what a
             limb pushes, to first order [m].
+        most_carried: displacement of a tip with the head, on top of what its root and its posed tip move [m]. Hair that
+            hangs far from where it was posed would otherwise sweep around a head that turns fast.
         still: displacement in the last pass below which a strand is at rest [m].
         moving_share: of the strands above which further passes follow.
         cut_distance, cut_angle: mean displacement [m] and rotation [rad] of the roots in one frame from which on the
@@ -40,6 +45,7 @@ class CoherentSetting:
     most_passes: int = 6
     most_move: float = 0.01
     most_moved: float = 0.038
+    most_carried: float = 0.012
     still: float = 0.004
     moving_share: float = 0.1
     cut_distance: float = 0.25
@@ -55,6 +61,7 @@ class CoherentSetting:
             passes=max(1, round(frames * self.passes)),
             most_passes=max(1, round(frames * self.most_passes)),
             most_moved=frames * self.most_moved,
+            most_carried=frames * self.most_carried,
             cut_distance=frames * self.cut_distance,
             cut_angle=frames * self.cut_angle,
         )
@@ -98,7 +105,7 @@ class CoherentDraper:
     def follow(self, scene: Scene, direction: Float[Tensor, "s e 3"]) -> None:
         """Continue from the last of these frames, whose edges have these directions, as if it had been draped here."""
         last = scene.sample(len(scene.posed) - 1)
-        self._last = _Frame(GroomCopy(scene.groom), last.posed[0, :, 0], last.root_rotation[0], direction)
+        self._last = _frame(last, direction)
 
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of the next frames, which follow those of the last call [m, world]."""
@@ -107,12 +114,12 @@ class CoherentDraper:
 
     def _step(self, energy: HairEnergy, scene: PosedScene) -> Positions:
         last = self._last
-        root, rotation = scene.posed[0, :, 0], scene.root_rotation[0]
-        frame = _Frame(GroomCopy(scene.groom), root, rotation, scene.director[0])
+        frame = _frame(scene, scene.director[0])
         if last is None or not last.groom.is_of(scene.groom) or self._is_cut(last, frame):
             descent, self.is_moving = self.draper.descend(energy, scene), False
         else:
-            descent = self._followed(energy, scene, last.rotated_to(frame))
+            most_carried = self.setting.over(self.frame_seconds).most_carried
+            descent = self._followed(energy, scene, last.carried_to(frame, scene.groom.rest_lengths, most_carried))
             self.is_moving = self._moves(descent)
         self._last = replace(frame, direction=torch.from_numpy(descent.direction.copy()))
         return descent.positions
@@ -145,17 +152,36 @@ class _Frame:
 
     Attributes:
         groom: which one it was, and its arrays, which may change in place.
-        root: positions [m].
+        root, posed_tip: positions [m].
         rotation: of the scalp triangles from rest.
         direction: unit direction of every edge.
     """
 
     groom: GroomCopy
     root: Float[Tensor, "s 3"]
+    posed_tip: Float[Tensor, "s 3"]
     rotation: Float[Tensor, "s 3 3"]
     direction: Float[Tensor, "s e 3"]
 
-    def rotated_to(self, frame: "_Frame") -> Float[Tensor, "s e 3"]:
-        """The directions of the edges, rotated as the scalp has rotated."""
+    def carried_to(self, frame: "_Frame", lengths: RestLengths, most_carried: float) -> Float[Tensor, "s e 3"]:
+        """The directions of the edges, rotated as the scalp has rotated.
+
+        Where that would move a tip by `most_carried` [m] more than its root and its posed tip move, edges beyond the
+        first ones rotate by a smaller angle.
+        """
         turn = frame.rotation @ self.rotation.transpose(-1, -2)
-        return torch.einsum("sij,sej->sei", turn, self.direction.to(turn))
+        direction = self.direction.to(turn)
+        shift, to_tip = frame.root - self.root, (lengths[..., None] * direction).sum(1)
+        moved = (shift + torch.einsum("sij,sj->si", turn, to_tip) - to_tip).norm(dim=-1)
+        allowed = torch.maximum(shift.norm(dim=-1), (frame.posed_tip - self.posed_tip).norm(dim=-1)) + most_carried
+        share = (allowed / moved.clamp(min=1e-6)).clamp(max=1.0)
+        edge = torch.arange(1, direction.shape[1] + 1, device=turn.device)
+        shares = 1 - (1 - share[:, None]) * (edge / CARRIED_EDGES).clamp(max=1.0)
+        turns = matrix_from_axis_angle(shares[..., None] * axis_angle_from_matrix(turn)[:, None])
+        return torch.einsum("seij,sej->sei", turns, direction)
+
+
+def _frame(scene: PosedScene, direction: Float[Tensor, "s e 3"]) -> _Frame:
+    """The first frame of a scene, with hair of these directions."""
+    posed = scene.posed[0]
+    return _Frame(GroomCopy(scene.groom), posed[:, 0], posed[:, -1], scene.root_rotation[0], direction)

@@ -47,12 +47,12 @@ STYLES_HERE = ("long_straight", "bob", "afro", HELD_OUT[0])
 
 @pytest.fixture(scope="module")
 def grooms(body: BodyModel, surface: Surface) -> dict[str, Groom]:
-    return {name: make_groom(name, body, surface=surface) for name in STYLES_HERE}
+    return {name: make_groom(name, body) for name in STYLES_HERE}
 
 
 @pytest.fixture(scope="module")
 def anew(body: BodyModel, surface: Surface) -> dict[str, Groom]:
-    return {name: make_groom(name, body, seed=77, surface=surface) for name in STYLES_HERE}
+    return {name: make_groom(name, body, seed=77) for name in STYLES_HERE}
 
 
 @pytest.fixture(scope="module")

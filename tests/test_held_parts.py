@@ -40,7 +40,7 @@ LAST = 23
 
 @pytest.fixture(scope="module")
 def tied(body: BodyModel, surface: Surface) -> dict[str, Groom]:
-    return {name: make_groom(replace(STYLES[name], root_rows=16), body, surface=surface) for name in TIED}
+    return {name: make_groom(replace(STYLES[name], root_rows=16), body) for name in TIED}
 
 
 # --- made by the generator --------------------------------------------------------------------------------------------
@@ -77,7 +77,7 @@ def test_goals_of_a_tie_weigh_fifty_bending_stiffnesses_and_nothing_beyond(tied:
 
 
 def test_free_styles_hold_nothing(body: BodyModel, surface: Surface) -> None:
-    groom = make_groom(replace(STYLES["bob"], root_rows=14), body, surface=surface)
+    groom = make_groom(replace(STYLES["bob"], root_rows=14), body)
     assert (groom.tie_vertex, groom.goal_weight, groom.stiffness_scale) == (None, None, None)
     assert not groom.held_edges.any()
 
@@ -292,7 +292,7 @@ def test_registration_carries_held_parts(tied: dict[str, Groom], body: BodyModel
     points = 100 * groom.rest_strands.numpy().reshape(-1, 3)
     assert groom.tie_vertex is not None
     strands = Strands(points, np.full(len(groom), 24), "file", tie_vertex=groom.tie_vertex.numpy(), **flat)
-    again, _ = register_groom(strands, body, "again", surface=surface)
+    again, _ = register_groom(strands, body, "again")
     assert len(again) == len(groom)
     assert again.tie_vertex is not None
     assert torch.equal(again.tie_vertex >= 0, groom.tie_vertex >= 0)

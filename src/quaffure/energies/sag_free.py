@@ -30,8 +30,7 @@ from quaffure.energies.rod_kernels import rod_arrays, rod_energies_and_gradient
 from quaffure.energies.stability import Design, stable_factors
 from quaffure.energies.support import StrandForces, solve_support, transmitted_moments
 from quaffure.geometry.polyline import directors
-from quaffure.geometry.surface import Surface
-from quaffure.hair.clearance import distances_and_normals, rest_surface
+from quaffure.hair.clearance import distances_and_normals
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_cache import GroomCache
 from quaffure.types import Bool, Float, Tensor
@@ -113,7 +112,6 @@ def sag_free_rest(
     body: BodyModel,
     material: HairMaterial | None = None,
     held: Bool[Tensor, "s e"] | None = None,
-    surface: Surface | None = None,
 ) -> SagFreeRest:
     """The rest shape that keeps a groom as it was designed.
 
@@ -122,7 +120,6 @@ def sag_free_rest(
         material: weight and contact of the strands.
         held: edges that a tie or a clip holds to the direction of the design; the groom's own (`Groom.held_edges`)
             without. The weight of their goals is at least the groom's, its `stiffness_scale` multiplies B and C.
-        surface: of the body at rest, when at hand (`rest_surface`).
 
     Raises:
         InputError: a strand folds back (`previous_frames`).
@@ -133,7 +130,7 @@ def sag_free_rest(
     own = groom.to("cpu")
     held = own.held_edges if held is None else held.cpu()
     own_scale = stiffness_scale_of(own).double()
-    distance, normal = distances_and_normals(strands, surface or rest_surface(body.to("cpu")))
+    distance, normal = distances_and_normals(strands, body.to("cpu").rest_surface)
     weight = STANDARD_GRAVITY * state.mass
     forces = StrandForces.of(strands, weight, normal, held, *joint_stiffness(state.rest_length, own_scale))
     available = (1 - (distance - SUPPORT_DISTANCE).clamp(min=0) / SUPPORT_FADE).clamp(0, 1)

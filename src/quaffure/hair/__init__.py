@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from quaffure._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from quaffure.hair.clearance import distances_and_normals, inside_share, pushed_out, rest_surface
+    from quaffure.hair.clearance import distances_and_normals, inside_share, pushed_out
     from quaffure.hair.drape_sequence import DrapeSequence
     from quaffure.hair.file_frame import FileFrame
     from quaffure.hair.groom import Groom

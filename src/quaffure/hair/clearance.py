@@ -2,11 +2,10 @@
 
 import torch
 
-from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.geometry.polyline import arc_lengths, integrate_directions_reference
 from quaffure.geometry.signed_distance import closest_points
-from quaffure.geometry.surface import Surface, posed_surface
+from quaffure.geometry.surface import Surface
 from quaffure.types import Bool, Float, Int, Tensor
 
 # Grooms are laid out for the collision margins of hair as it is by default.
@@ -23,11 +22,6 @@ LONGEST_MOVED = 1.03
 """Largest length of a strand whose vertices are moved out by themselves, in lengths of before."""
 # Damping for displacements in opposite directions (hair between neck and shoulder).
 STEP = 0.9
-
-
-def rest_surface(body: BodyModel) -> Surface:
-    """The mean body in its rest pose, ready for nearest-face searches."""
-    return posed_surface(body.surface_topology, body.rest_vertices[None])
 
 
 def distances_and_normals(

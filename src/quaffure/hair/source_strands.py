@@ -16,7 +16,6 @@ from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.geometry.signed_distance import closest_points
 from quaffure.geometry.surface import posed_surface
-from quaffure.hair.clearance import rest_surface
 from quaffure.hair.driving_guides import driving_guides
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import GuideInterpolation
@@ -210,7 +209,7 @@ def _roots(
     faces, weights, _ = nearest_on_scalp(roots, body)
     off = torch.from_numpy(np.flatnonzero(~placed.on_scalp))
     if len(off):
-        found = closest_points(roots[off][None], rest_surface(body))
+        found = closest_points(roots[off][None], body.rest_surface)
         faces[off], weights[off] = found.faces[0], found.barycentric[0]
     triangles = body.rest_vertices[body.faces[faces]]
     local = roots - (weights[..., None] * triangles).sum(1)

@@ -8,7 +8,7 @@ from quaffure.energies.held_parts import with_ties
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import arc_lengths, points_along
 from quaffure.geometry.surface import Surface
-from quaffure.hair.clearance import pushed_out, rest_surface
+from quaffure.hair.clearance import pushed_out
 from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
 from quaffure.hair.scalp_roots import ScalpRoots, spread_roots
@@ -28,12 +28,11 @@ STEPS = STEPS_PER_EDGE * (VERTICES_PER_STRAND - 1)
 LEAST_EDGES = 3
 
 
-def make_groom(style: str | HairStyle, body: BodyModel, seed: int = 0, surface: Surface | None = None) -> Groom:
+def make_groom(style: str | HairStyle, body: BodyModel, seed: int = 0) -> Groom:
     """A groom in a style: the same for the same style, body and seed, on machines of one kind.
 
     Args:
         style: a name in `STYLES`, or controls.
-        surface: of the body at rest, if available (`rest_surface`).
 
     Raises:
         InputError: no style of that name.
@@ -41,8 +40,7 @@ def make_groom(style: str | HairStyle, body: BodyModel, seed: int = 0, surface: 
     if isinstance(style, str) and style not in STYLES:
         raise InputError("style", f"one of {', '.join(sorted(STYLES))}", repr(style))
     name, controls = (style, STYLES[style]) if isinstance(style, str) else ("procedural", style)
-    surface = surface or rest_surface(body)
-    generator = torch.Generator().manual_seed(seed)
+    surface, generator = body.rest_surface, torch.Generator().manual_seed(seed)
     roots = spread_roots(body, controls.root_rows, generator)
     axes, tied = _axes(controls, roots, body, surface, generator)
     axes = clumped(controls, axes, tied)

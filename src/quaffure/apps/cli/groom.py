@@ -17,7 +17,6 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.energies.held_parts import with_ties
 from quaffure.errors import InputError
-from quaffure.hair.clearance import rest_surface
 from quaffure.hair.file_frame import FileFrame
 from quaffure.hair.groom import Groom
 from quaffure.hair.registration import HeadMesh, register_groom
@@ -214,8 +213,7 @@ def _draw_styles(path: Path) -> None:
 
     body = load_body()
     with console.status("making the grooms"):
-        surface = rest_surface(body)
-        grooms = [make_groom(name, body, surface=surface) for name in STYLES]
+        grooms = [make_groom(name, body) for name in STYLES]
     lengths = {groom.name: f"{groom.strand_lengths.mean():.2f} m" for groom in grooms}
     notes = {name: f"{length}, held out" if name in HELD_OUT else length for name, length in lengths.items()}
     with progress_bar("drawing the grooms", len(grooms), transient=True) as update:

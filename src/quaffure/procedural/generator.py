@@ -2,7 +2,7 @@
 
 import torch
 
-from quaffure.body.body_model import BodyModel
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.energies.held_parts import with_ties
 from quaffure.errors import InputError
@@ -11,6 +11,7 @@ from quaffure.geometry.surface import Surface
 from quaffure.hair.clearance import pushed_out
 from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
+from quaffure.hair.groom_transfer import transfer_groom
 from quaffure.hair.scalp_roots import ScalpRoots, spread_roots
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.procedural import trimming
@@ -33,12 +34,16 @@ def make_groom(style: str | HairStyle, body: BodyModel, seed: int = 0) -> Groom:
 
     Args:
         style: a name in `STYLES`, or controls.
+        body: for that of a character the groom is made on the shipped one and transferred: styles are sizes and places
+            on that head, and would be other styles on another.
 
     Raises:
         InputError: no style of that name.
     """
     if isinstance(style, str) and style not in STYLES:
         raise InputError("style", f"one of {', '.join(sorted(STYLES))}", repr(style))
+    if body.origin is not None:
+        return transfer_groom(make_groom(style, load_body(), seed), load_body(), body)
     name, controls = (style, STYLES[style]) if isinstance(style, str) else ("procedural", style)
     surface, generator = body.rest_surface, torch.Generator().manual_seed(seed)
     roots = spread_roots(body, controls.root_rows, generator)

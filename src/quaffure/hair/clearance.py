@@ -6,6 +6,7 @@ from quaffure.config import HairMaterial
 from quaffure.geometry.polyline import arc_lengths, integrate_directions_reference
 from quaffure.geometry.signed_distance import closest_points
 from quaffure.geometry.surface import Surface
+from quaffure.geometry.winding_number import is_inside
 from quaffure.types import Bool, Float, Int, Tensor
 
 # Grooms are laid out for the collision margins of hair as it is by default.
@@ -41,7 +42,7 @@ def distances_and_normals(
 
 def inside_share(strands: Float[Tensor, "s n 3"], surface: Surface) -> float:
     """Share of vertices, without the roots, strictly inside the body."""
-    return float((distances_and_normals(strands[:, 1:], surface)[0] < 0).float().mean())
+    return float(is_inside(strands[:, 1:].numpy(), surface.vertices[0].numpy(), surface.topology.faces.numpy()).mean())
 
 
 def required_clearance(strands: Float[Tensor, "s n 3"], clearance: float) -> Float[Tensor, "s n"]:

@@ -9,11 +9,11 @@ from numba import get_num_threads
 
 from quaffure.body.collision_skin import CollisionSkin, collision_skin
 from quaffure.body.head_frame import HeadFrameBody, head_frame_body
-from quaffure.body.kinematics import PosedJoints
 from quaffure.energies.loading import Loading
 from quaffure.model.initial_shape import InitialShape, bits, empty_shape, fill_initial_shape
 from quaffure.model.integration_kernel import ShapeRows, integrate_edges
 from quaffure.model.loading_features import loading_features
+from quaffure.model.network_config import NetworkConfig
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project
 from quaffure.model.quaffure_network import OWN_FEATURES, DirectionNetwork, feature_size, pose_code
@@ -59,15 +59,10 @@ class CpuBackend:
 
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, CpuPosed]]:
         """Each groom with the body of its row; bodies are posed, and textures decoded, `BATCH` at a time."""
-        body, config = bodies.body, self.config
-        skin = collision_skin(body, self.config.projection.most)
-        rest, rotations, positions = bodies.joints
+        config, skin = self.config, collision_skin(bodies.body, self.config.projection.most)
         for first in range(0, len(grooms), BATCH):
             part, rows = grooms[first : first + BATCH], slice(first, first + BATCH)
-            joints = PosedJoints(rest[rows], rotations[rows], positions[rows])
-            pose, shape = bodies.body_pose[rows], bodies.body_shape[rows]
-            offsets = None if bodies.offsets is None else bodies.offsets[rows]
-            batch = head_frame_body(body, pose, shape, joints, config.initial_shape.body, config.contact, offsets)
+            batch = _head_frame(bodies.rows(rows), config, config.contact)
             codes, most = [], 0
             for groom in part:
                 codes.append(groom.code)
@@ -117,12 +112,16 @@ class CpuBackend:
         return project(*strands, posed.skin, body.head_position[0], self.config.projection)[None]
 
 
+def _head_frame(bodies: BodyBatch, config: NetworkConfig, collides: bool) -> HeadFrameBody:
+    pose, shape, sampling = bodies.body_pose, bodies.body_shape, config.initial_shape.body
+    return head_frame_body(bodies.body, pose, shape, bodies.joints, sampling, collides, bodies.offsets)
+
+
 class CpuTrainingBackend(TorchBackend):
     """Initial shape and projection by the compiled kernels, without gradient, the rest in torch."""
 
     def head_frame(self, bodies: BodyBatch) -> HeadFrameBody:
-        config, joints, moved = self.config.initial_shape.body, bodies.joints, bodies.offsets
-        return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, joints, config, self.projects, moved)
+        return _head_frame(bodies, self.config, self.projects)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
         shape = empty_shape(

@@ -54,6 +54,7 @@ class SagFreeRest:
     Attributes:
         rod: rest shape and stiffness of the strands.
         collision_margin: distance D of Eq. 10 at which the body pushes each vertex with its support [m].
+        distance: of each vertex of the design from the body [m].
         support: s, force of the body on each vertex of the design [N].
         normal: direction of that force, unit.
         unstable: strands that are no minimum yet, though as stiff as `stability.MOST_TRIALS` allow.
@@ -62,6 +63,7 @@ class SagFreeRest:
 
     rod: RodRest
     collision_margin: Float[Tensor, "s n"]
+    distance: Float[Tensor, "s n"]
     support: Float[Tensor, "s n"]
     normal: Float[Tensor, "s n 3"]
     unstable: Bool[Tensor, " s"]
@@ -149,6 +151,7 @@ def sag_free_rest(
     return SagFreeRest(
         rod=replace(rod, stiffness_scale=own_scale * rod.stiffness_scale),
         collision_margin=torch.where(support > 0, pressed, margin),
+        distance=distance,
         support=support,
         normal=normal,
         unstable=unstable,

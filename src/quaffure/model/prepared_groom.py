@@ -17,7 +17,6 @@ from quaffure.geometry.mls_kernels import LANES
 from quaffure.geometry.mls_surface import local_features
 from quaffure.geometry.sampling import neighbours_together
 from quaffure.hair.block_arrays import StrandBlocks
-from quaffure.hair.clearance import distances_and_normals
 from quaffure.hair.groom import Groom
 from quaffure.hair.posing import rest_frames, ties_of
 from quaffure.hair.strand_blocks import RestStrands, in_blocks, rest_strands, strand_blocks
@@ -150,9 +149,9 @@ def prepare_groom(
         depth = balanced_depth(design, groom.rest_lengths, material, shape)
         start = initial_clearance(groom, design_margin, body, shape) - depth
         start = rising(torch.where(held, NO_CONTACT, start), groom.rest_lengths, shape.margin_slope)
-        at_rest, _ = distances_and_normals(groom.rest_strands, body.rest_surface)
         clearance = config.projection.clearance(design_margin, depth)
-        clearance = raised_before_supports(clearance, groom.rest_lengths, at_rest, config.projection.clearance_slope)
+        at_rest, slope = design.distance.to(groom.rest_strands), config.projection.clearance_slope
+        clearance = raised_before_supports(clearance, groom.rest_lengths, at_rest, slope)
         clearance = torch.where(held, NO_CONTACT, clearance)
     # Roots count most, for there the skin is.
     roots, middles, tips = groom.rest_strands[:, [0, VERTICES_PER_STRAND // 2, -1]].unbind(1)

@@ -24,7 +24,7 @@ from quaffure.geometry.rotation import shortest_arc
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_triangles import coherence, first_direction_vertex, sample_roots, triangulate
-from quaffure.hair.posing import nearest_scalp_vertex, triangle_frames
+from quaffure.hair.posing import nearest_scalp_vertex, triangle_rotations
 from quaffure.hair.registration import nearest_on_scalp
 from quaffure.hair.strand_attributes import NONE, StrandAttributes
 from quaffure.hair.strands import held_parts_of
@@ -207,7 +207,7 @@ def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:
     if apart > FARTHEST_ROOT:
         raise InputError("drape", f"roots within {1e3 * FARTHEST_ROOT:g} mm of the scalp", f"{1e3 * apart:.1f} mm")
     carriers = body.faces[faces]
-    rest_from_world = triangle_frames(body.rest_vertices[carriers]) @ triangle_frames(vertices[carriers]).mT
+    rest_from_world = triangle_rotations(carriers, vertices, body).mT
     roots = (weights[..., None] * body.rest_vertices[carriers]).sum(-2)
     held_parts = {name: torch.from_numpy(values) for name, values in held_parts_of(sequence).items()}
     if "tie_vertex" in held_parts:

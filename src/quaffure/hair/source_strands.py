@@ -20,7 +20,7 @@ from quaffure.hair.driving_guides import driving_guides
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.hair.original_kernels import DrivenStrands, drive_strands, guide_rotations
-from quaffure.hair.posing import triangle_frames
+from quaffure.hair.posing import triangle_frames, triangle_rotations
 from quaffure.hair.registration import nearest_on_scalp
 from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.resample import arc_length_places, values_at_places
@@ -219,9 +219,8 @@ def _roots(
 def _turns(
     carriers: Int[Tensor, "n 3"], vertices: Float[Tensor, "v 3"], body: BodyModel
 ) -> Float32[np.ndarray, "n 3 3"]:
-    """Rotation of faces from rest to a pose."""
-    turns = triangle_frames(vertices[carriers]) @ triangle_frames(body.rest_vertices[carriers]).mT
-    return np.ascontiguousarray(turns.numpy(), dtype=np.float32)
+    """`triangle_rotations` for the kernels."""
+    return np.ascontiguousarray(triangle_rotations(carriers, vertices, body).numpy(), dtype=np.float32)
 
 
 def _order(counts: Int[np.ndarray, " s"], reverse: Bool[np.ndarray, " s"]) -> Int[np.ndarray, " p"]:

@@ -57,17 +57,18 @@ class Triangles(NamedTuple):
     faces: Int[np.ndarray, "k 3"]
 
 
-def check_extent(name: str, vertices: Float[np.ndarray, "v 3"], height: float, source: str) -> None:
+def check_extent(name: str, vertices: Float[np.ndarray, "v 3"], joints: Float[np.ndarray, "j 3"], source: str) -> None:
     """Refuse a mesh with a vertex far from the figure, before there is a grid around it.
 
     Args:
         name: of the mesh.
-        height: of the figure, in the unit of the vertices.
+        joints: of the figure, in the unit of the vertices; their largest extent is its height.
         source: the file.
 
     Raises:
         InputError: it is wider than `WIDEST` heights.
     """
+    height = float(np.ptp(joints, axis=0).max())
     extent = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
     if not extent <= WIDEST * height:
         found = f"one of {extent / height:.3g} heights" if height > 0 else "joints in one place"

@@ -119,10 +119,10 @@ def check_groom(groom: Groom) -> None:
         raise InputError(groom.name, "at least one strand", "none")
     for name, values in groom.arrays().items():
         if values.is_floating_point():
-            check_extent(values, name, groom.name, LARGEST_COORDINATE if name not in HELD_PARTS else math.inf)
+            check_within(values, name, groom.name, LARGEST_COORDINATE if name not in HELD_PARTS else math.inf)
 
 
-def check_extent(values: Tensor, name: str, source: str | Path, limit: float = LARGEST_COORDINATE) -> None:
+def check_within(values: Tensor, name: str, source: str | Path, limit: float = LARGEST_COORDINATE) -> None:
     """Refuse coordinates or other numbers of a groom.
 
     Args:

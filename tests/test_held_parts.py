@@ -23,10 +23,8 @@ from quaffure.hair import (
     Strands,
     concatenate_strands,
     groom_of_drape,
-    interpolation_of,
     register_groom,
     spread_roots,
-    with_strands,
 )
 from quaffure.hair.resample import resample_by_arc_length, resample_held_parts, without_degenerate
 from quaffure.io import read_drape, read_groom, read_usd_strands, write_drape, write_groom, write_usd
@@ -313,8 +311,3 @@ def test_drapes_and_their_grooms_carry_held_parts(tied: dict[str, Groom], body: 
     sequence = drape_motion(PosedDraper(), groom, body, motion, torch.zeros(10))
     assert groom.tie_vertex is not None
     assert torch.equal(groom_of_drape(sequence, body).tie_vertex, groom.tie_vertex)
-    interpolation = interpolation_of(groom, body, 500)
-    many = with_strands(sequence, interpolation)
-    np.testing.assert_array_equal(many.tie_vertex, groom.tie_vertex.numpy()[interpolation.guides[:, 0]])
-    assert many.goal_weight is not None
-    assert many.goal_weight.shape == (500, LAST)

@@ -233,12 +233,13 @@ def design_of(groom: Groom, body: BodyModel, material: HairMaterial) -> SagFreeR
     return designs[body, material]
 
 
-def residual(groom: Groom, rest: SagFreeRest, material: HairMaterial | None = None) -> Float[Tensor, "s e"]:
-    """Force that is left on each edge of the design, in weights of the vertex at its end; twist at its equilibrium.
+def residual(groom: Groom, rest: SagFreeRest) -> Float[Tensor, "s e"]:
+    """Force that is left on each edge of the design, in weights of the vertex at its end; twist at its equilibrium,
+    the default material.
 
     From the gradient of the compiled rod energy in float64, so it checks the rest shape's derivation as well.
     """
-    state = rest_state(groom.rest_strands.double().cpu(), material or HairMaterial())
+    state = rest_state(groom.rest_strands.double().cpu(), HairMaterial())
     strands, weight = state.rest_strands, STANDARD_GRAVITY * state.mass
     rotation = torch.eye(3, dtype=torch.float64).expand(1, len(strands), 3, 3)
     _, gradient = rod_energies_and_gradient(strands[None], rod_arrays(rest.rod, torch.float64), rotation)
@@ -250,8 +251,8 @@ def residual(groom: Groom, rest: SagFreeRest, material: HairMaterial | None = No
     return across.norm(dim=-1) / weight[:, 1:]
 
 
-def sag_free_report(groom: Groom, rest: SagFreeRest, material: HairMaterial | None = None) -> SagFreeReport:
-    """What the rest shape of a groom took."""
+def sag_free_report(groom: Groom, rest: SagFreeRest) -> SagFreeReport:
+    """What the rest shape of a groom took, of the default material."""
     own = stiffness_scale_of(groom.to("cpu")).double()
     scale = (rest.rod.stiffness_scale / own)[rest.rod.goal_weight == 0]
     stiffened = scale[scale > 1]
@@ -260,6 +261,6 @@ def sag_free_report(groom: Groom, rest: SagFreeRest, material: HairMaterial | No
         median_scale=float(stiffened.median()) if len(stiffened) else 1.0,
         above_10_percent=100 * int((scale > 10).sum()) / max(len(scale), 1),
         supported_percent=100 * float((rest.support[:, 1:] > 0).double().mean()),
-        largest_residual=float(residual(groom, rest, material).max()),
+        largest_residual=float(residual(groom, rest).max()),
         unstable_strands=int(rest.unstable.sum()),
     )

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from quaffure.hair.drape_sequence import DrapeSequence
     from quaffure.hair.file_frame import FileFrame
     from quaffure.hair.groom import Groom
-    from quaffure.hair.guide_interpolation import GuideInterpolation, groom_of_drape, interpolation_of, with_strands
+    from quaffure.hair.guide_interpolation import GuideInterpolation, groom_of_drape, interpolation_of
     from quaffure.hair.posing import posed_strands, root_positions, root_rotations, triangle_frames
     from quaffure.hair.registration import HeadMesh, register_groom
     from quaffure.hair.resample import concatenate_strands, polyline_lengths, resample_by_arc_length

@@ -16,7 +16,7 @@ CLEARANCE, CLEARANCE_RAMP = HairMaterial.collision_margin, HairMaterial.collisio
 LEAST_CLEARANCE = 1e-4
 # Share of a vertex's displacement that its successor and its predecessor take, so that the strand bends smoothly.
 TIPWARD_SHARE, ROOTWARD_SHARE = 0.8, 0.4
-FINAL_ROUNDS = 10
+ROUNDS, FINAL_ROUNDS = 40, 10
 CAUGHT_FOLDS = 2
 """A strand that turns by more than a right angle at as many vertices hangs on something, such as an ear."""
 LONGEST_MOVED = 1.03
@@ -45,40 +45,36 @@ def inside_share(strands: Float[Tensor, "s n 3"], surface: Surface) -> float:
     return float(is_inside(strands[:, 1:].numpy(), surface.vertices[0].numpy(), surface.topology.faces.numpy()).mean())
 
 
-def required_clearance(strands: Float[Tensor, "s n 3"], clearance: float) -> Float[Tensor, "s n"]:
-    """Smallest distance of each vertex from the skin [m]: zero at the root, rising to `clearance`."""
-    needed = (CLEARANCE_RAMP * arc_lengths(strands)).clamp(min=LEAST_CLEARANCE, max=clearance)
+def required_clearance(strands: Float[Tensor, "s n 3"]) -> Float[Tensor, "s n"]:
+    """Smallest distance of each vertex from the skin [m]: zero at the root, rising to `CLEARANCE`."""
+    needed = (CLEARANCE_RAMP * arc_lengths(strands)).clamp(min=LEAST_CLEARANCE, max=CLEARANCE)
     needed[:, 0] = 0
     return needed
 
 
-def pushed_out(
-    strands: Float[Tensor, "s n 3"], surface: Surface, clearance: float = CLEARANCE, rounds: int = 40
-) -> Float[Tensor, "s n 3"]:
-    """Strands whose vertices keep `clearance` [m] from the body; roots stay, edges keep their lengths.
+def pushed_out(strands: Float[Tensor, "s n 3"], surface: Surface) -> Float[Tensor, "s n 3"]:
+    """Strands whose vertices keep `required_clearance` from the body; roots stay, edges keep their lengths.
 
     Vertices still inside after the rounds (in a fold of the skin) are moved out without regard to length, and so are
     those of a strand that was caught and folds back, as above an ear through which it leads, where that lengthens it
     by little (`LONGEST_MOVED`): deep in the body neighbours leave by several sides, and strands between them cross it.
     """
-    result = _pushed_keeping_lengths(strands, surface, clearance, rounds)
+    result = _pushed_keeping_lengths(strands, surface)
     caught = (_folds(result) >= CAUGHT_FOLDS) & (_folds(strands) == 0)
     if caught.any():
         rows, own = caught.nonzero()[:, 0], strands[caught]
-        moved = _moved_out(own, required_clearance(own, clearance), surface)
+        moved = _moved_out(own, required_clearance(own), surface)
         alike = arc_lengths(moved)[:, -1] < LONGEST_MOVED * arc_lengths(own)[:, -1]
         result[rows[alike]] = moved[alike]
     return result
 
 
-def _pushed_keeping_lengths(
-    strands: Float[Tensor, "s n 3"], surface: Surface, clearance: float, rounds: int
-) -> Float[Tensor, "s n 3"]:
+def _pushed_keeping_lengths(strands: Float[Tensor, "s n 3"], surface: Surface) -> Float[Tensor, "s n 3"]:
     lengths = strands.diff(dim=1).norm(dim=-1)
-    needed = required_clearance(strands, clearance)
+    needed = required_clearance(strands)
     result = strands.clone()
     active = torch.arange(len(strands))
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         push, deep = _push(result[active], needed[active], surface)
         active, push = active[deep], push[deep]
         if len(active) == 0:

@@ -9,7 +9,7 @@ diverge in a drape, at a shoulder, the weights of the further ones fade out smoo
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -164,31 +164,6 @@ def axis_projection(vertices: int) -> Float32[np.ndarray, "n n"]:
     """Matrix from a strand relative to its root to its axis: the best-fit polynomial through the root."""
     basis = np.linspace(0, 1, vertices)[:, None] ** np.arange(1, min(AXIS_DEGREE, vertices - 1) + 1)
     return (basis @ np.linalg.pinv(basis)).astype(np.float32)
-
-
-def with_strands(sequence: DrapeSequence, interpolation: GuideInterpolation) -> DrapeSequence:
-    """The drape of the strands between the guides: the same frames, many more strands."""
-    shape = (len(sequence), len(interpolation), interpolation.vertex_count, 3)
-    strands, posed = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    for frame in range(len(sequence)):
-        interpolation.strands(sequence.strands[frame], sequence.body_vertices[frame], strands[frame])
-        interpolation.strands(sequence.posed[frame], sequence.body_vertices[frame], posed[frame])
-    return replace(
-        sequence,
-        strands=strands,
-        posed=posed,
-        rest_lengths=np.linalg.norm(np.diff(posed[0], axis=1), axis=-1),
-        meta=sequence.meta | {"guides": sequence.strands.shape[1]},
-        **_held_parts(sequence, interpolation),
-    )
-
-
-def _held_parts(sequence: DrapeSequence, interpolation: GuideInterpolation) -> dict[str, Any]:
-    """Those of the nearest guide: a mean of a tie's vertices would be no vertex. None for strands of other vertices."""
-    parts = held_parts_of(sequence)
-    if interpolation.vertex_count != sequence.strands.shape[2]:
-        return dict.fromkeys(parts)
-    return {name: values[interpolation.guides[:, 0]] for name, values in parts.items()}
 
 
 def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:

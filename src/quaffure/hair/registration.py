@@ -140,7 +140,7 @@ def _aligned(
     else:
         polylines = resample_by_arc_length(strands, VERTICES_PER_STRAND).astype(np.float64)
     if frame.registered:
-        found = standing_groom(polylines, body, frame)
+        found = standing_groom(polylines, frame)
         return found, found.alignment
     _check_roots(polylines[:, 0], strands.source)
     found = align_groom(polylines, body, frame)

@@ -115,12 +115,6 @@ class OriginalStrands(GuideInterpolation):
     def attributes(self) -> StrandAttributes:
         return self.placed.attributes
 
-    def points_of_source(
-        self, guides: Float[np.ndarray, "g n 3"], body_vertices: Float[np.ndarray, "v 3"]
-    ) -> Float32[np.ndarray, "p 3"]:
-        """`points` in the source's own order, which may begin at tips [m, world]."""
-        return self.points(guides, body_vertices)[_order(self.placed.counts, self.placed.from_tip)]
-
     def points(
         self, guides: Float[np.ndarray, "g n 3"], body_vertices: Float[np.ndarray, "v 3"]
     ) -> Float32[np.ndarray, "p 3"]:

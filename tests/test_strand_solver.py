@@ -23,8 +23,8 @@ from quaffure.solvers.coherent_clip import CoherentSetting
 from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonSetting
 from quaffure.solvers.strand_recursion import LEAST_ALIGNMENT, StrandModel, newton_rotations
-from quaffure.solvers.strand_reference import newton_rotations_reference
 from tests.scenes import clip_scene, few_strands, posed_scene, sphere_groom, upright_scene
+from tests.strand_reference import newton_rotations_reference
 
 CONTACT = 10.0  # k_bc [J/m^3]
 

@@ -128,7 +128,7 @@ def sag_free_rest(
     """
     material = material or HairMaterial()
     state = rest_state(groom.rest_strands.double().cpu(), material)
-    strands, direction = state.rest_strands, directors(state.rest_strands)
+    strands = state.rest_strands
     own = groom.to("cpu")
     held = own.held_edges if held is None else held.cpu()
     own_scale = stiffness_scale_of(own).double()
@@ -146,8 +146,8 @@ def sag_free_rest(
     scale = _scale_for_preload(forces, moments)
     contact = 2 * (3 * material.k_body_collision * support).sqrt()
     goals = _Goals(held, goal_weight_of(own).double(), moments[2])
-    factors, unstable = _factors_for_stability(direction, forces, moments, goals, scale, support, contact)
-    rod = _preloaded(direction, forces, moments, goals, scale * factors)
+    factors, unstable = _factors_for_stability(forces, moments, goals, scale, support, contact)
+    rod = _preloaded(forces, moments, goals, scale * factors)
     return SagFreeRest(
         rod=replace(rod, stiffness_scale=own_scale * rod.stiffness_scale),
         collision_margin=torch.where(support > 0, pressed, margin),
@@ -167,7 +167,6 @@ def _scale_for_preload(forces: StrandForces, moments: tuple[Tensor, Tensor, Tens
 
 
 def _factors_for_stability(
-    direction: Float[Tensor, "s e 3"],
     forces: StrandForces,
     moments: tuple[Tensor, Tensor, Tensor],
     goals: _Goals,
@@ -183,7 +182,7 @@ def _factors_for_stability(
         twisting_stiffness=scale * forces.twisting_stiffness,
     )
     weight = goals.weights(stiff.bending_stiffness)
-    pull = weight[..., None] * goals.directions(direction, weight)
+    pull = weight[..., None] * goals.directions(forces.direction, weight)
     arrays = (support, contact_stiffness, bending, twisting, pull)
     factors, unstable = torch.ones_like(scale), torch.zeros(len(scale), dtype=torch.bool)
     stable_factors(
@@ -193,14 +192,13 @@ def _factors_for_stability(
 
 
 def _preloaded(
-    direction: Float[Tensor, "s e 3"],
     forces: StrandForces,
     moments: tuple[Tensor, Tensor, Tensor],
     goals: _Goals,
     scale: Float[Tensor, "s e"],
 ) -> RodRest:
     """Rest directions, rest twist and goals that transmit the moments (the module's equations)."""
-    bending, twisting, _ = moments
+    (bending, twisting, _), direction = moments, forces.direction
     stiffness = scale * forces.bending_stiffness
     weight = goals.weights(stiffness)
     before, normal = previous_frames(direction)

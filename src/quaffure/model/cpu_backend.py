@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from numba import get_num_threads
 
@@ -54,7 +55,6 @@ class CpuBackend:
     def __init__(self, network: DirectionNetwork, loading: Loading, bf16: bool) -> None:
         self.config, self._loading = network.config, loading
         self.layout: Any = network.for_inference(bf16)
-        self._grid = grid_units(network.config.density_grid)
         self.network_seconds = 0.0
 
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, CpuPosed]]:
@@ -81,10 +81,7 @@ class CpuBackend:
         count = rows.size
         shape = InitialShape(roots[:, :count], edges[:, :count], compliance[:, :count], features[:, :count])
         fill_initial_shape(groom.blocks, rows, posed.body, self._loading, self.config.initial_shape, shape)
-        if self.config.surroundings:
-            around = bits(shape.features)[..., OWN_FEATURES:]
-            own_roots, own_edges = shape.roots.numpy(), shape.edges.numpy()
-            write_surroundings(groom.blocks.surroundings, own_roots, own_edges, self._grid, get_num_threads(), around)
+        _fill_surroundings(groom.blocks.surroundings, self.config, shape)
         return shape
 
     def network(self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape) -> Float[Tensor, "row outputs"]:
@@ -117,6 +114,17 @@ def _head_frame(bodies: BodyBatch, config: NetworkConfig, collides: bool) -> Hea
     return head_frame_body(bodies.body, pose, shape, bodies.joints, sampling, collides, bodies.offsets)
 
 
+def _fill_surroundings(strands: tuple[np.ndarray, ...], config: NetworkConfig, shape: InitialShape) -> None:
+    """Fill the features of `shape` that other hair decides, where the network reads them.
+
+    Args:
+        strands: arrays of `Surroundings`, in the rows of `shape`.
+    """
+    if config.surroundings:
+        around, grid = bits(shape.features)[..., OWN_FEATURES:], grid_units(config.density_grid)
+        write_surroundings(strands, shape.roots.numpy(), shape.edges.numpy(), grid, get_num_threads(), around)
+
+
 class CpuTrainingBackend(TorchBackend):
     """Initial shape and projection by the compiled kernels, without gradient, the rest in torch."""
 
@@ -129,10 +137,7 @@ class CpuTrainingBackend(TorchBackend):
         )
         config, rows = self.config.initial_shape, groom.blocks.strands.strand
         fill_initial_shape(groom.blocks, rows, posed.body, self._loading, config, shape)
-        if self.config.surroundings:
-            around = bits(shape.features)[..., OWN_FEATURES:]
-            strands, grid = tuple(map(Tensor.numpy, groom.surroundings)), grid_units(self.config.density_grid)
-            write_surroundings(strands, shape.roots.numpy(), shape.edges.numpy(), grid, get_num_threads(), around)
+        _fill_surroundings(tuple(map(Tensor.numpy, groom.surroundings)), self.config, shape)
         return shape
 
     def project(self, groom: PreparedGroom, posed: TorchPosed, hair: Positions) -> Positions:

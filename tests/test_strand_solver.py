@@ -235,7 +235,7 @@ def test_a_design_solver_reads_loading_and_start(body: BodyModel) -> None:
     settled = own.drape(scene)
     again = DesignSolver("strand_newton", HairMaterial(), start=StrandNewtonDraper()).drape(scene)
     assert float((again - settled).norm(dim=-1).mean()) < 5e-4
-    leaning = own.under(Loading(1.0, (0.0, -5.0, -8.0))).drape(scene)
+    leaning = own.with_loading(Loading(1.0, (0.0, -5.0, -8.0))).drape(scene)
     assert float((leaning - settled)[..., 1].mean()) < -2e-3
     with pytest.raises(InputError, match="start from a drape"):
         DesignSolver("posed", HairMaterial(), start=StrandNewtonDraper()).drape(scene)

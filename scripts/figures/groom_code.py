@@ -16,7 +16,7 @@ from quaffure.apps.render import Camera, StrandRenderer
 from quaffure.body import BodyModel, load_body
 from quaffure.geometry import Surface
 from quaffure.hair import Groom, interpolation_of, pushed_out
-from quaffure.model import GroomAutoencoder, load_groom_autoencoder, strands_of
+from quaffure.model import GroomAutoencoder, load_groom_autoencoder, strands_from_features
 from quaffure.model.groom_code import groom_code
 from quaffure.procedural import make_groom
 
@@ -53,7 +53,7 @@ def _between(network: GroomAutoencoder, first: Groom, second: Groom, body: BodyM
             code = torch.lerp(codes[0], codes[1], share)[None]
             features = network.decoder(code, torch.zeros_like(texels), texels)
         # The decoder has no body as input: what it leaves inside is moved out, as for the grooms themselves.
-        mixed.append(replace(first, rest_strands=pushed_out(strands_of(features, first, body), surface)))
+        mixed.append(replace(first, rest_strands=pushed_out(strands_from_features(features, first, body), surface)))
     return [first, *mixed, second]
 
 

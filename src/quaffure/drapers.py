@@ -20,7 +20,7 @@ from quaffure.solvers.strand_newton import StrandNewtonDraper
 POSED, NEURAL, GROOMGEN = PosedDraper.name, NeuralDraper.name, GroomGenDraper.name
 STRAND_NEWTON = StrandNewtonDraper.name
 DRAPERS = (*SOLVERS, NEURAL, GROOMGEN)
-LIVE = (NEURAL, STRAND_NEWTON, POSED)
+LIVE_DRAPERS = (NEURAL, STRAND_NEWTON, POSED)
 """Drapers that follow every change; all others take seconds to minutes, or need weights of the user."""
 
 

@@ -89,7 +89,7 @@ class NeuralDraper:
         self._stiffened: WeakKeyDictionary[PreparedGroom, tuple[Tensor, PreparedGroom]] = WeakKeyDictionary()
         self._made: tuple[object, DrapeBackend] | None = None
 
-    def under(self, loading: Loading) -> "NeuralDraper":
+    def with_loading(self, loading: Loading) -> "NeuralDraper":
         """The same network under another loading; grooms that were prepared stay so.
 
         Raises:

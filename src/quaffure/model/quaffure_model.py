@@ -39,14 +39,14 @@ class Quaffure:
     def __init__(self, body: BodyModel, draper: NeuralDraper, notes: dict[str, str]) -> None:
         self.body, self.draper, self.notes = body, draper, notes
 
-    def under(self, loading: Loading) -> "Quaffure":
+    def with_loading(self, loading: Loading) -> "Quaffure":
         """The same network for hair of another stiffness, or under another gravity and wind; it shares weights and
         prepared grooms with this one.
 
         Raises:
-            InputError: see `NeuralDraper.under`.
+            InputError: see `NeuralDraper.with_loading`.
         """
-        return Quaffure(self.body, self.draper.under(loading), self.notes)
+        return Quaffure(self.body, self.draper.with_loading(loading), self.notes)
 
     def on(self, body: BodyModel) -> "Quaffure":
         """The same network on another body, of a character for instance (`quaffure.load_body`); it shares weights with

@@ -12,7 +12,7 @@ from quaffure.benchmark.metrics import measure
 from quaffure.body.body_model import SHAPE_COUNT, BodyModel
 from quaffure.body.motion import Motion, joint_matrices, pose_from_matrices
 from quaffure.drape_motion import drape_motion
-from quaffure.draper import Draper, LoadedDraper
+from quaffure.draper import Draper, LoadDependentDraper
 from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
@@ -101,7 +101,7 @@ class ViewState:
             shape = torch.tensor(self.body_shape)
             sequence = drape_motion(draper, self.groom, self.body, pose, shape, follows=True)
         sequence.meta["frame"] = self.frame
-        if isinstance(draper, CoherentDraper | LoadedDraper):
+        if isinstance(draper, CoherentDraper | LoadDependentDraper):
             sequence.meta.update(asdict(self.loading))
         return Drape(self, sequence, sum(network_times) if network_times else None)
 
@@ -112,8 +112,8 @@ class ViewState:
             draper.draper.loading = self.loading
         elif isinstance(draper, NeuralDraper):
             draper.loading = self.loading
-        elif isinstance(draper, LoadedDraper):
-            return draper.under(self.loading)
+        elif isinstance(draper, LoadDependentDraper):
+            return draper.with_loading(self.loading)
         return draper
 
 

@@ -4,7 +4,7 @@ import torch
 
 from quaffure.config import HairMaterial
 from quaffure.geometry.polyline import arc_lengths, integrate_directions_reference
-from quaffure.geometry.signed_distance import closest_points
+from quaffure.geometry.signed_distance import surface_offsets
 from quaffure.geometry.surface import Surface
 from quaffure.geometry.winding_number import is_inside
 from quaffure.types import Bool, Float, Int, Tensor
@@ -29,15 +29,9 @@ def distances_and_normals(
     points: Float[Tensor, "*batch 3"], surface: Surface
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch 3"]]:
     """Exact signed distance to the surface's first sample [m] and the outward unit direction away from it."""
-    flat = points.reshape(1, -1, 3)
-    closest = closest_points(flat, surface)
-    triangles = surface.vertices[0][surface.topology.faces[closest.faces[0]]]
-    offset = flat[0] - (closest.barycentric[0][..., None] * triangles).sum(-2)
-    length = offset.norm(dim=-1, keepdim=True)
-    sign = torch.where((offset * closest.normals[0]).sum(-1, keepdim=True) < 0, -1.0, 1.0)
-    outward = torch.nn.functional.normalize(closest.normals[0], dim=-1)
-    normal = torch.where(length > 1e-6, sign * offset / length.clamp(min=1e-9), outward)
-    return (sign * length).reshape(points.shape[:-1]), normal.reshape(points.shape)
+    offset, normal = surface_offsets(points.reshape(1, -1, 3), surface)
+    distance = torch.where((offset * normal).sum(-1) < 0, -1.0, 1.0) * offset.norm(dim=-1)
+    return distance.reshape(points.shape[:-1]), normal.reshape(points.shape)
 
 
 def inside_share(strands: Float[Tensor, "s n 3"], surface: Surface) -> float:

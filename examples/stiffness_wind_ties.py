@@ -22,9 +22,9 @@ def main(strands: int = 600) -> dict[str, float]:
     pose, shape = qf.load_motion("bow").body_pose[30:31], torch.zeros(1, 10)
     plain = model.drape(groom, pose, shape)
     drapes = {
-        "fine": model.under(Loading(stiffness=0.3)).drape(groom, pose, shape),
-        "coarse": model.under(Loading(stiffness=3.0)).drape(groom, pose, shape),
-        "wind": model.under(Loading(acceleration=WIND)).drape(groom, pose, shape),
+        "fine": model.with_loading(Loading(stiffness=0.3)).drape(groom, pose, shape),
+        "coarse": model.with_loading(Loading(stiffness=3.0)).drape(groom, pose, shape),
+        "wind": model.with_loading(Loading(acceleration=WIND)).drape(groom, pose, shape),
     }
     held = held_up_to(groom, torch.ones(len(groom), dtype=torch.bool), 0.1)  # the first ten centimetres of every strand
     drapes["held"] = StrandNewtonDraper().drape(Scene(held, BodyBatch(model.body, pose, shape)))

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 from quaffure.body import load_body
-from quaffure.hair import rest_surface
 from quaffure.procedural import STYLES, make_groom
 
 OUT = Path(__file__).parents[1] / "src" / "quaffure" / "assets" / "style_sizes.json"
@@ -12,8 +11,7 @@ OUT = Path(__file__).parents[1] / "src" / "quaffure" / "assets" / "style_sizes.j
 
 def main() -> None:
     body = load_body()
-    surface = rest_surface(body)
-    grooms = (make_groom(name, body, surface=surface) for name in STYLES)
+    grooms = (make_groom(name, body) for name in STYLES)
     sizes = {
         groom.name: {"strands": len(groom), "length_m": round(float(groom.strand_lengths.mean()), 3)}
         for groom in grooms

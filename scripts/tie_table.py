@@ -9,20 +9,19 @@ import numpy as np
 import torch
 
 from quaffure.body import load_body
-from quaffure.hair import Strands, find_ties, register_groom, rest_surface
+from quaffure.hair import Strands, find_ties, register_groom
 from quaffure.procedural import STYLES, make_groom
 
 
 def main(names: list[str]) -> None:
     body = load_body()
-    surface = rest_surface(body)
     print("| style | tied % | found % | free strands marked % | error of the vertex, edges |")
     print("|---|---|---|---|---|")
     for name in names:
-        groom = make_groom(name, body, surface=surface)
+        groom = make_groom(name, body)
         strands = 100 * groom.rest_strands.numpy()
         counts = np.full(len(strands), strands.shape[1])
-        again, _ = register_groom(Strands(strands.reshape(-1, 3), counts, name), body, name, surface=surface)
+        again, _ = register_groom(Strands(strands.reshape(-1, 3), counts, name), body, name)
         held_to, _ = find_ties(again)
         truth = torch.full((len(groom),), -1) if groom.tie_vertex is None else groom.tie_vertex
         tied, found = truth >= 0, held_to >= 0

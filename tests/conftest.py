@@ -52,9 +52,7 @@ def body() -> "BodyModel":
 @pytest.fixture(scope="session")
 def surface(body: "BodyModel") -> "Surface":
     """The body at rest."""
-    from quaffure.hair import rest_surface
-
-    return rest_surface(body)
+    return body.rest_surface
 
 
 @pytest.fixture(scope="session")

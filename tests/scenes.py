@@ -53,9 +53,9 @@ def sphere_groom(**options: int | float) -> Groom:
     )
 
 
-def few_strands(body: BodyModel, surface: Surface, style: str = "long_straight", count: int = 60) -> Groom:
+def few_strands(body: BodyModel, style: str = "long_straight", count: int = 60) -> Groom:
     """About `count` strands of a bundled style, evenly spread over its list."""
-    groom = make_groom(style, body, surface=surface)
+    groom = make_groom(style, body)
     return groom.select(torch.arange(0, len(groom), len(groom) // count))
 
 

@@ -20,7 +20,6 @@ from quaffure.character.skeleton import fit_skeleton, rest_clip
 from quaffure.energies.body_collision import intersection_percent
 from quaffure.errors import InputError
 from quaffure.geometry.hole_filling import boundary_loops
-from quaffure.hair import rest_surface
 from quaffure.hair.clearance import distances_and_normals
 from quaffure.io.body_file import write_body
 from quaffure.model.neural import NeuralDraper
@@ -95,7 +94,7 @@ def test_characters_without_a_figure_are_refused(body: BodyModel) -> None:
 def test_body_of_our_own_body_is_our_body(body: BodyModel, twin: ImportedBody) -> None:
     imported = twin.body
     assert not boundary_loops(imported.faces.numpy())
-    apart = distances_and_normals(body.rest_vertices[body.faces[body.scalp.faces]].mean(1), rest_surface(imported))[0]
+    apart = distances_and_normals(body.rest_vertices[body.faces[body.scalp.faces]].mean(1), imported.rest_surface)[0]
     assert float(apart.abs().max()) < 2e-3
     assert joint_distance_mm(imported, body, ("Head", "Neck1", "LeftHand", "RightFoot")) < 0.1
     uv = torch.tensor([[0.5, 0.1], [0.5, 0.5], [0.2, 0.5], [0.8, 0.5], [0.5, 0.9]])
@@ -150,7 +149,7 @@ def test_stylised_head_wears_bundled_grooms(body: BodyModel, wide: ImportedBody)
     ratio = (other.amax(0) - other.amin(0)) / (own.amax(0) - own.amin(0))
     np.testing.assert_allclose(ratio.numpy(), WIDE_HEAD, atol=0.06)
     groom, shipped = qf.load_groom("bob", wide.body), qf.load_groom("bob")
-    distance = distances_and_normals(groom.rest_strands, rest_surface(wide.body))[0]
+    distance = distances_and_normals(groom.rest_strands, wide.body.rest_surface)[0]
     assert float(distance[:, 0].abs().max()) < 1e-4
     assert float((distance[:, 1:] < 0).float().mean()) < 1e-3
     assert 1.15 < float(groom.strand_lengths.mean() / shipped.strand_lengths.mean()) < 1.35

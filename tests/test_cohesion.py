@@ -15,8 +15,8 @@ from tests.scenes import few_strands
 
 
 @pytest.fixture(scope="module")
-def groom(body: BodyModel, surface: Surface) -> Groom:
-    return few_strands(body, surface, "pigtails")
+def groom(body: BodyModel) -> Groom:
+    return few_strands(body, "pigtails")
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +92,6 @@ def test_its_gradient_is_that_of_differences(groom: Groom, scene: PosedScene) ->
     assert (up - down) / (2 * step) == pytest.approx(float((gradient * direction).sum()), rel=1e-4)
 
 
-def test_terms_of_a_design_have_it_where_hair_is_tied(groom: Groom, body: BodyModel, surface: Surface) -> None:
-    names = [term.name for term in hair_terms("rod", sag_free_rest(groom, body, surface=surface))]
+def test_terms_of_a_design_have_it_where_hair_is_tied(groom: Groom, body: BodyModel) -> None:
+    names = [term.name for term in hair_terms("rod", sag_free_rest(groom, body))]
     assert names[-1] == "cohesion"

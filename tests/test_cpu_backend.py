@@ -194,13 +194,16 @@ def test_joints_comply_with_what_the_skin_has_bent(groom: Groom, bodies: BodyBat
 def test_stiffness_of_every_edge_is_that_of_all(model: Quaffure, groom: Groom, bodies: BodyBatch) -> None:
     rows = bodies.body_pose, bodies.body_shape
     each, all_alike = Loading(torch.full((len(groom), 23), 2.5)), Loading(2.5)
-    draped = model.under(each).drape(groom, *rows)
-    torch.testing.assert_close(model.under(all_alike).drape(groom, *rows), draped, atol=2e-5, rtol=0)
+    draped = model.with_loading(each).drape(groom, *rows)
+    torch.testing.assert_close(model.with_loading(all_alike).drape(groom, *rows), draped, atol=2e-5, rtol=0)
     assert (draped - model.drape(groom, *rows)).norm(dim=-1).max() > 5e-3
     in_torch = NeuralDraper(model.draper.network, MATERIAL, backend=Backend.TORCH)
     scene = Scene(groom.select(torch.arange(8)), bodies)
     with torch.no_grad():
-        one, other = in_torch.under(Loading(each.stiffness[:8])).deform(scene), in_torch.under(all_alike).deform(scene)
+        one, other = (
+            in_torch.with_loading(Loading(each.stiffness[:8])).deform(scene),
+            in_torch.with_loading(all_alike).deform(scene),
+        )
     torch.testing.assert_close(one, other, atol=2e-5, rtol=0)
 
 
@@ -217,7 +220,7 @@ def test_start_under_a_loading_is_that_of_the_twin(groom: Groom, bodies: BodyBat
 def test_loadings_that_no_hair_has_are_refused(model: Quaffure) -> None:
     for loading in (Loading(0.0), Loading(float("nan")), Loading(1.0, (0.0, 0.0, float("inf")))):
         with pytest.raises(InputError, match=r"stiffness|acceleration"):
-            model.under(loading)
+            model.with_loading(loading)
 
 
 def test_features_are_rounded_to_nearest(groom: Groom, bodies: BodyBatch) -> None:

@@ -86,7 +86,7 @@ def test_hidden_curves_and_proxies_are_left_out(
     expected = read_strands(shared_data / "cases/u_lib.usda")
     np.testing.assert_array_equal(strands.points, expected.points)
     if name != "u_instance":
-        _, report = register_groom(strands, body, name, surface=surface)
+        _, report = register_groom(strands, body, name)
         assert (report.kept, round(1e3 * report.scale, 1)) == (400, 10.0)
 
 

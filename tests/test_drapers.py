@@ -11,7 +11,7 @@ from quaffure.benchmark.metrics import metrics
 from quaffure.body import bundled_clip, load_body
 from quaffure.config import HairMaterial
 from quaffure.drape_motion import drape_motion
-from quaffure.drapers import DRAPERS, GROOMGEN, LIVE, elastic_model_of, make_draper
+from quaffure.drapers import DRAPERS, GROOMGEN, LIVE_DRAPERS, elastic_model_of, make_draper
 from quaffure.energies import HairEnergy, equilibrium_vectors
 from quaffure.energies.by_name import MODIFIED_COSSERAT, ROD
 from quaffure.energies.rest_state import rest_state
@@ -114,7 +114,7 @@ def test_every_name_of_the_list_makes_its_draper() -> None:
     for name in DRAPERS:
         if name != GROOMGEN:
             assert make_draper(name).name == {"xpbd_paper": "xpbd"}.get(name, name)
-    assert {*LIVE} < {*DRAPERS}
+    assert {*LIVE_DRAPERS} < {*DRAPERS}
     with pytest.raises(InputError, match="draper: expected one of"):
         make_draper("comb")
     with pytest.raises(InputError, match="draper neural: expected no material"):

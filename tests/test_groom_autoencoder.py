@@ -24,7 +24,7 @@ from quaffure.geometry import Surface
 from quaffure.hair import Groom, select_guides
 from quaffure.io import write_groom
 from quaffure.io.load_groom import load_groom
-from quaffure.model import GroomAutoencoder, load_groom_autoencoder, strands_of
+from quaffure.model import GroomAutoencoder, load_groom_autoencoder, strands_from_features
 from quaffure.model.groom_autoencoder import decoded_channels, relative_distance
 from quaffure.model.groom_code import WEIGHTS, groom_code, load_groom_encoder, save_autoencoder, save_encoder
 from quaffure.model.groom_texture import (
@@ -47,12 +47,12 @@ STYLES_HERE = ("long_straight", "bob", "afro", HELD_OUT[0])
 
 @pytest.fixture(scope="module")
 def grooms(body: BodyModel, surface: Surface) -> dict[str, Groom]:
-    return {name: make_groom(name, body, surface=surface) for name in STYLES_HERE}
+    return {name: make_groom(name, body) for name in STYLES_HERE}
 
 
 @pytest.fixture(scope="module")
 def anew(body: BodyModel, surface: Surface) -> dict[str, Groom]:
-    return {name: make_groom(name, body, seed=77, surface=surface) for name in STYLES_HERE}
+    return {name: make_groom(name, body, seed=77) for name in STYLES_HERE}
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_neighbours_that_grow_alike_look_alike(body: BodyModel, grooms: dict[str
 def test_features_come_back_as_strands(body: BodyModel, grooms: dict[str, Groom]) -> None:
     for groom in grooms.values():
         features = strand_features(groom, body)
-        assert torch.allclose(strands_of(features, groom, body), groom.rest_strands, atol=1e-5)
+        assert torch.allclose(strands_from_features(features, groom, body), groom.rest_strands, atol=1e-5)
         assert torch.allclose(0.1 * features[:, SHAPE_CHANNELS].exp(), groom.strand_lengths, rtol=1e-4)
         assert (features[:, -1] == 1).all()
 

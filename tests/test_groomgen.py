@@ -22,7 +22,7 @@ from quaffure.baselines import (
 )
 from quaffure.baselines.groomgen import head_strands, texel_cells
 from quaffure.benchmark.methods import methods
-from quaffure.body import BodyModel, bundled_clip, head_turn, turned_head
+from quaffure.body import BodyModel, bundled_clip, head_rotation, neck_pose
 from quaffure.body.neck import NECK_SHARES
 from quaffure.config import HairMaterial
 from quaffure.errors import InputError
@@ -30,7 +30,7 @@ from quaffure.hair import Groom
 from quaffure.io import write_groom
 from quaffure.procedural import HELD_OUT
 from quaffure.scene import BodyBatch, Scene
-from quaffure.training import GroomGenConfig, GroomGenRecipe, Training, drawn_turn, train
+from quaffure.training import GroomGenConfig, GroomGenRecipe, Training, random_head_rotation, train
 from quaffure.training.groomgen_data import LARGEST_TURN, DrapedPoses, DrapeFolder, started_folder
 from quaffure.types import Positions
 from tests.training_runs import rows_of, tiny_groom
@@ -63,7 +63,7 @@ class LeaningDraper(PosedDraper):
     name = "leaning"
 
     def drape(self, scene: Scene) -> Positions:
-        turn = head_turn(scene.bodies.body, scene.bodies.posed.joint_rotations)
+        turn = head_rotation(scene.bodies.body, scene.bodies.posed.joint_rotations)
         head = scene.bodies.posed.joint_rotations[:, scene.bodies.body.joint_names.index("Head")]
         moved = 0.02 * turn[:, 2, None] * head[:, :, 0]
         draped = scene.posed + moved[:, None, None]
@@ -108,7 +108,7 @@ def network_of(groom: Groom, body: BodyModel, seed: int = 0) -> GroomGenNetwork:
 
 
 def scene_of(groom: Groom, body: BodyModel, *turns: tuple[float, float, float]) -> Scene:
-    return Scene(groom, BodyBatch(body, turned_head(body, torch.tensor(turns)), torch.zeros(len(turns), 10)))
+    return Scene(groom, BodyBatch(body, neck_pose(body, torch.tensor(turns)), torch.zeros(len(turns), 10)))
 
 
 # ---- poses
@@ -116,27 +116,29 @@ def scene_of(groom: Groom, body: BodyModel, *turns: tuple[float, float, float]) 
 
 def test_the_neck_shares_a_turn_that_can_be_read_back(body: BodyModel) -> None:
     assert sum(NECK_SHARES.values()) == pytest.approx(1)
-    turn = torch.stack([drawn_turn(0, pose) for pose in range(8)])
-    pose = turned_head(body, turn)
+    turn = torch.stack([random_head_rotation(0, pose) for pose in range(8)])
+    pose = neck_pose(body, turn)
     moved = [body.joint_names[joint] for joint in range(27) if pose.unflatten(1, (27, 3))[:, joint].abs().max() > 0]
     assert set(moved) == set(NECK_SHARES)
     rotations = body.posed_joints(pose, torch.zeros(8, 10))[0]
-    torch.testing.assert_close(head_turn(body, rotations), turn, atol=1e-5, rtol=0)
+    torch.testing.assert_close(head_rotation(body, rotations), turn, atol=1e-5, rtol=0)
     # A body that leans and turns as a whole holds its head as before.
     pose[:, :3] = torch.tensor([0.3, 0.2, 1.0])
-    torch.testing.assert_close(head_turn(body, body.posed_joints(pose, torch.zeros(8, 10))[0]), turn, atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        head_rotation(body, body.posed_joints(pose, torch.zeros(8, 10))[0]), turn, atol=1e-5, rtol=0
+    )
     clip = bundled_clip("neck_turn", body)
-    first = head_turn(body, body.posed_joints(clip.body_pose[:1], torch.zeros(1, 10))[0])
+    first = head_rotation(body, body.posed_joints(clip.body_pose[:1], torch.zeros(1, 10))[0])
     torch.testing.assert_close(first[0], torch.tensor([0.0, 0.0, -math.radians(70)]), atol=1e-4, rtol=0)
 
 
 def test_poses_are_drawn_by_number_within_thirty_degrees() -> None:
-    turns = torch.stack([drawn_turn(5, pose) for pose in range(300)])
+    turns = torch.stack([random_head_rotation(5, pose) for pose in range(300)])
     assert float(turns.abs().max()) <= LARGEST_TURN == math.radians(30)
     assert (turns.abs().max(dim=0).values > 0.9 * LARGEST_TURN).all()
     assert (turns.mean(dim=0).abs() < 0.1 * LARGEST_TURN).all()
-    assert torch.equal(drawn_turn(5, 7), turns[7])
-    assert not torch.equal(drawn_turn(6, 7), turns[7])
+    assert torch.equal(random_head_rotation(5, 7), turns[7])
+    assert not torch.equal(random_head_rotation(6, 7), turns[7])
 
 
 # ---- drapes on disk
@@ -146,7 +148,7 @@ def test_drapes_come_back_as_displacements_in_the_heads_frame(drapes: DrapeFolde
     seen: list[int] = []
     data = drapes.read(seen.append)
     assert seen == list(range(1, POSES + 1))
-    expected = torch.stack([drawn_turn(0, pose) for pose in range(POSES)])
+    expected = torch.stack([random_head_rotation(0, pose) for pose in range(POSES)])
     torch.testing.assert_close(data.turn, expected, atol=1e-5, rtol=0)
     along = (0.02 * expected[:, 2])[:, None, None].expand(data.displacement.shape[:3]).clone()
     along[:, :, 0] = 0

@@ -20,7 +20,6 @@ from quaffure.hair import (
     interpolation_of,
     register_groom,
     select_guides,
-    with_strands,
 )
 from quaffure.hair.guide_interpolation import axis_projection
 from quaffure.hair.guide_triangles import (
@@ -271,11 +270,6 @@ def test_the_groom_of_a_drape_is_found_again(body: BodyModel, curly: Groom) -> N
     same = found.root_faces == curly.root_faces  # a root on an edge may go to either face
     assert same.float().mean() > 0.97
     np.testing.assert_allclose(found.rest_strands[same], curly.rest_strands[same], atol=1e-5)
-    dense = with_strands(sequence, interpolation_of(found, body, 400))
-    assert dense.strands.shape == dense.posed.shape == (2, 400, VERTICES, 3)
-    np.testing.assert_allclose(dense.strands, dense.posed, atol=1e-6)
-    assert dense.rest_lengths.shape == (400, VERTICES - 1)
-    assert dense.meta == {"groom": "sample", "guides": len(curly)}
 
 
 def test_bad_input_is_named(body: BodyModel, parted: Groom) -> None:

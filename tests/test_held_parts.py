@@ -23,10 +23,8 @@ from quaffure.hair import (
     Strands,
     concatenate_strands,
     groom_of_drape,
-    interpolation_of,
     register_groom,
     spread_roots,
-    with_strands,
 )
 from quaffure.hair.resample import resample_by_arc_length, resample_held_parts, without_degenerate
 from quaffure.io import read_drape, read_groom, read_usd_strands, write_drape, write_groom, write_usd
@@ -40,7 +38,7 @@ LAST = 23
 
 @pytest.fixture(scope="module")
 def tied(body: BodyModel, surface: Surface) -> dict[str, Groom]:
-    return {name: make_groom(replace(STYLES[name], root_rows=16), body, surface=surface) for name in TIED}
+    return {name: make_groom(replace(STYLES[name], root_rows=16), body) for name in TIED}
 
 
 # --- made by the generator --------------------------------------------------------------------------------------------
@@ -77,7 +75,7 @@ def test_goals_of_a_tie_weigh_fifty_bending_stiffnesses_and_nothing_beyond(tied:
 
 
 def test_free_styles_hold_nothing(body: BodyModel, surface: Surface) -> None:
-    groom = make_groom(replace(STYLES["bob"], root_rows=14), body, surface=surface)
+    groom = make_groom(replace(STYLES["bob"], root_rows=14), body)
     assert (groom.tie_vertex, groom.goal_weight, groom.stiffness_scale) == (None, None, None)
     assert not groom.held_edges.any()
 
@@ -292,7 +290,7 @@ def test_registration_carries_held_parts(tied: dict[str, Groom], body: BodyModel
     points = 100 * groom.rest_strands.numpy().reshape(-1, 3)
     assert groom.tie_vertex is not None
     strands = Strands(points, np.full(len(groom), 24), "file", tie_vertex=groom.tie_vertex.numpy(), **flat)
-    again, _ = register_groom(strands, body, "again", surface=surface)
+    again, _ = register_groom(strands, body, "again")
     assert len(again) == len(groom)
     assert again.tie_vertex is not None
     assert torch.equal(again.tie_vertex >= 0, groom.tie_vertex >= 0)
@@ -313,8 +311,3 @@ def test_drapes_and_their_grooms_carry_held_parts(tied: dict[str, Groom], body: 
     sequence = drape_motion(PosedDraper(), groom, body, motion, torch.zeros(10))
     assert groom.tie_vertex is not None
     assert torch.equal(groom_of_drape(sequence, body).tie_vertex, groom.tie_vertex)
-    interpolation = interpolation_of(groom, body, 500)
-    many = with_strands(sequence, interpolation)
-    np.testing.assert_array_equal(many.tie_vertex, groom.tie_vertex.numpy()[interpolation.guides[:, 0]])
-    assert many.goal_weight is not None
-    assert many.goal_weight.shape == (500, LAST)

@@ -29,7 +29,7 @@ def test_tips_move_with_a_loading_as_the_solver_moves_them(body: BodyModel, befo
         pose = bundled_clip(clip, body).body_pose[frame : frame + 1]
         scene = Scene(groom, BodyBatch(body, pose, torch.zeros(1, 10)))
         for name, draper in (("network", network), ("solver", solver)):
-            change = draper.under(after).drape(scene) - draper.under(before).drape(scene)
+            change = draper.with_loading(after).drape(scene) - draper.with_loading(before).drape(scene)
             moved[name].append(change[0, :, -1])
     by_network, by_solver = (torch.cat(changes) for changes in moved.values())
     ratio = float(by_network.norm(dim=-1).mean() / by_solver.norm(dim=-1).mean())

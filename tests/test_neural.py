@@ -32,7 +32,7 @@ from quaffure.model import (
 )
 from quaffure.model.groom_code import load_groom_encoder
 from quaffure.model.initial_shape import initial_shape_reference
-from quaffure.model.prepared_groom import balanced_depth, rising
+from quaffure.model.prepared_groom import balanced_depth, limit_slope
 from quaffure.model.quaffure_network import DisplacementNetwork
 from quaffure.model.weights_file import read_weights
 from quaffure.procedural import make_groom
@@ -99,7 +99,7 @@ def test_margins_rise_along_a_strand_by_a_share_of_the_way() -> None:
     margin = torch.tensor([[-9.0, -9.0, 0.02, 0.0, 0.02, 0.02]])
     lengths = torch.full((1, 5), 0.01)
     expected = torch.tensor([[-9.0, -9.0, 0.005, 0.0, 0.005, 0.01]])
-    torch.testing.assert_close(rising(margin, lengths, 0.5), expected)
+    torch.testing.assert_close(limit_slope(margin, lengths, 0.5), expected)
 
 
 @pytest.mark.parametrize("name", ["crew_cut", "long_straight"])
@@ -211,7 +211,7 @@ def test_the_papers_configuration_is_shipped_and_knows_one_loading(groom: Groom)
     assert moved[:, 0].max() < 1e-5
     assert 1e-3 < moved[:, -1].mean() < 0.1
     with pytest.raises(InputError, match="the paper's configuration"):
-        model.under(Loading(0.5))
+        model.with_loading(Loading(0.5))
 
 
 def test_weights_of_the_shipped_encoder_are_not_written_again(tmp_path: Path) -> None:

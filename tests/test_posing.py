@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -127,3 +128,13 @@ def test_a_tied_groom_is_recovered_from_its_pose(body: BodyModel, ponytail: Groo
     sequence = drape_motion(PosedDraper(), ponytail, body, motion, bodies.body_shape[0])
     found = groom_of_drape(sequence, body)
     assert (found.rest_strands - ponytail.rest_strands).norm(dim=-1).max() < 2e-3
+
+
+def test_known_vertices_stand_for_the_skinned_ones(body: BodyModel, groom: Groom) -> None:
+    bodies = bent_body(body)
+    vertices = bodies.posed.vertices + torch.tensor([0.0, 0.0, 0.01])
+    known = replace(bodies, vertices=vertices)
+    assert torch.equal(known.rows(slice(0, 1)).posed.vertices, vertices[:1])
+    assert torch.equal(known.posed.joint_positions, bodies.posed.joint_positions)
+    moved = Scene(groom, known).posed - Scene(groom, bodies).posed
+    torch.testing.assert_close(moved, torch.tensor([0.0, 0.0, 0.01]).expand_as(moved), atol=1e-5, rtol=0)

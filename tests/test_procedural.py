@@ -16,7 +16,7 @@ from tests.synthetic_drape import through_the_ear
 
 @pytest.fixture(scope="module")
 def grooms(body: BodyModel, surface: Surface) -> dict[str, Groom]:
-    return {name: make_groom(name, body, surface=surface) for name in STYLES}
+    return {name: make_groom(name, body) for name in STYLES}
 
 
 def test_there_are_many_styles_and_some_are_held_out() -> None:
@@ -126,23 +126,20 @@ def test_a_turn_of_a_curl_takes_enough_vertices_to_show() -> None:
 
 
 def test_the_same_seed_gives_the_same_groom(body: BodyModel, surface: Surface, grooms: dict[str, Groom]) -> None:
-    assert torch.equal(make_groom("bob", body, seed=0, surface=surface).rest_strands, grooms["bob"].rest_strands)
+    assert torch.equal(make_groom("bob", body, seed=0).rest_strands, grooms["bob"].rest_strands)
     small = replace(STYLES["bob"], root_rows=12)
-    first, other = (make_groom(small, body, seed=seed, surface=surface).root_uv for seed in (0, 1))
+    first, other = (make_groom(small, body, seed=seed).root_uv for seed in (0, 1))
     assert first.shape != other.shape or not torch.equal(first, other)
 
 
 def test_controls_do_what_they_say(body: BodyModel, surface: Surface) -> None:
     plain = replace(STYLES["bob"], root_rows=20, cut_height=None)
-    short, long = (make_groom(replace(plain, length=length), body, surface=surface) for length in (0.1, 0.2))
+    short, long = (make_groom(replace(plain, length=length), body) for length in (0.1, 0.2))
     assert torch.isclose(long.strand_lengths.median() / short.strand_lengths.median(), torch.tensor(2.0), rtol=0.1)
     assert short.name == "procedural"
-    flat, up = (make_groom(replace(plain, fall=fall), body, surface=surface) for fall in (1.0, 0.0))
+    flat, up = (make_groom(replace(plain, fall=fall), body) for fall in (1.0, 0.0))
     assert up.rest_strands[:, -1, 2].mean() > flat.rest_strands[:, -1, 2].mean() + 0.05
-    right, left = (
-        make_groom(replace(plain, parting=None, sideways=way, length=0.08), body, surface=surface)
-        for way in (-2.0, 2.0)
-    )
+    right, left = (make_groom(replace(plain, parting=None, sideways=way, length=0.08), body) for way in (-2.0, 2.0))
     top = left.rest_strands[:, 0, 2] > left.rest_strands[:, 0, 2].max() - 0.03
     way = (left.rest_strands - right.rest_strands)[top, -1, 0]
     assert way.mean() > 0.05
@@ -152,8 +149,7 @@ def test_held_hair_lies_closer_to_the_head(body: BodyModel, surface: Surface) ->
     slick = replace(STYLES["slicked_back"], root_rows=20, cut_around_ears=False)
     loose = replace(slick, hold=0.0, fall=0.0)
     near, far = (
-        distances_and_normals(make_groom(style, body, surface=surface).rest_strands, surface)[0].mean()
-        for style in (slick, loose)
+        distances_and_normals(make_groom(style, body).rest_strands, surface)[0].mean() for style in (slick, loose)
     )
     assert near < 0.012
     assert far > 2 * near

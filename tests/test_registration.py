@@ -21,8 +21,8 @@ Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from our axes to a file
 
 
 @pytest.fixture(scope="module")
-def groom(body: BodyModel, surface: Surface) -> Groom:
-    return make_groom(replace(STYLES["bob"], root_rows=28), body, surface=surface)
+def groom(body: BodyModel) -> Groom:
+    return make_groom(replace(STYLES["bob"], root_rows=28), body)
 
 
 def as_file(rest: np.ndarray) -> Strands:
@@ -62,7 +62,7 @@ def test_a_groom_comes_back_from_other_units_axes_and_place(
     scale, rotation, shift = CASES[case]
     order = np.random.default_rng(0).permutation(len(groom))
     moved = scale * groom.rest_strands.numpy().astype(np.float64)[order] @ rotation.T + shift
-    registered, report = register_groom(as_file(moved), body, "again", licence="CC0", surface=surface)
+    registered, report = register_groom(as_file(moved), body, "again", licence="CC0")
     assert (registered.name, registered.licence) == ("again", "CC0")
     assert len(registered) == report.kept == len(groom)
     assert report.unit == UNITS[case]
@@ -75,15 +75,15 @@ def test_a_groom_comes_back_from_other_units_axes_and_place(
     checked(registered, body, surface)
 
 
-def test_a_bigger_head_is_scaled_to_ours(groom: Groom, body: BodyModel, surface: Surface) -> None:
-    _, report = register_groom(as_file(1.1 * groom.rest_strands.numpy()), body, "bigger", surface=surface)
+def test_a_bigger_head_is_scaled_to_ours(groom: Groom, body: BodyModel) -> None:
+    _, report = register_groom(as_file(1.1 * groom.rest_strands.numpy()), body, "bigger")
     assert report.scale == pytest.approx(1 / 1.1, rel=0.03)
     assert report.unit == "m"
 
 
 def test_strands_keep_their_shape_on_a_head_of_another_form(groom: Groom, body: BodyModel, surface: Surface) -> None:
     wider = groom.rest_strands + 0.09 * groom.rest_strands[:, :1] * torch.tensor([1.0, 0.0, 0.0])
-    registered, report = register_groom(as_file(wider.numpy()), body, "wider", surface=surface)
+    registered, report = register_groom(as_file(wider.numpy()), body, "wider")
     assert report.median_residual > 1
     assert torch.allclose(registered.strand_lengths, report.scale * groom.strand_lengths, rtol=0.01)
     # Roots move with their strands: the first edge is as even as all the others.
@@ -91,19 +91,19 @@ def test_strands_keep_their_shape_on_a_head_of_another_form(groom: Groom, body: 
     checked(registered, body, surface)
 
 
-def test_the_order_of_the_strands_does_not_matter(groom: Groom, body: BodyModel, surface: Surface) -> None:
+def test_the_order_of_the_strands_does_not_matter(groom: Groom, body: BodyModel) -> None:
     rest = groom.rest_strands.numpy()
-    forth, _ = register_groom(as_file(rest), body, "forth", surface=surface)
-    back, _ = register_groom(as_file(rest[::-1]), body, "back", surface=surface)
+    forth, _ = register_groom(as_file(rest), body, "forth")
+    back, _ = register_groom(as_file(rest[::-1]), body, "back")
     assert torch.allclose(forth.rest_strands, back.rest_strands.flip(0), atol=1e-4)
 
 
-def test_the_heads_own_mesh_gives_the_place_when_roots_are_few(groom: Groom, body: BodyModel, surface: Surface) -> None:
+def test_the_heads_own_mesh_gives_the_place_when_roots_are_few(groom: Groom, body: BodyModel) -> None:
     """Hair on the left half only: its roots alone are off by centimetres, the head tells where they belong."""
     half = groom.rest_strands[groom.rest_strands[:, 0, 0] > 0.01]
     shift = torch.tensor([1.0, 0.0, 0.5])
     head = HeadMesh((body.rest_vertices + shift).double().numpy(), body.faces.numpy())
-    registered, report = register_groom(as_file((half + shift).numpy()), body, "half", head, surface=surface)
+    registered, report = register_groom(as_file((half + shift).numpy()), body, "half", head)
     assert 1e3 * (registered.rest_strands - half)[:, 0].norm(dim=-1).median() < 6.0
     assert report.scale == pytest.approx(1.0, abs=0.03)
 
@@ -113,7 +113,7 @@ def test_roots_beside_the_scalp_move_to_it_and_far_ones_are_dropped(
 ) -> None:
     rest = groom.rest_strands.numpy().copy()
     rest[:50] += np.float32([0.0, 0.0, 0.4])
-    registered, report = register_groom(as_file(rest), body, "some far", surface=surface)
+    registered, report = register_groom(as_file(rest), body, "some far")
     assert (report.kept, report.dropped) == (len(groom) - 50, 50)
     assert report.max_residual < 35
     assert f"{report.kept} strands kept, 50 dropped" in str(report)
@@ -137,10 +137,10 @@ def test_nearest_on_scalp_agrees_with_every_triangle(body: BodyModel) -> None:
     assert torch.allclose(weights.sum(1), torch.ones(len(weights)))
 
 
-def refused(roots: np.ndarray, body: BodyModel, surface: Surface, expected: str) -> None:
+def refused(roots: np.ndarray, body: BodyModel, expected: str) -> None:
     strands = roots[:, None] + np.linspace(0, 0.1, 8)[None, :, None] * np.array([0.0, 0.0, -1.0])
     with pytest.raises(InputError, match=expected):
-        register_groom(as_file(strands), body, "wrong", surface=surface)
+        register_groom(as_file(strands), body, "wrong")
 
 
 def test_what_is_no_head_of_hair_is_refused(body: BodyModel, surface: Surface) -> None:
@@ -153,9 +153,9 @@ def test_what_is_no_head_of_hair_is_refused(body: BodyModel, surface: Surface) -
 
 
 @pytest.mark.parametrize("name", ["long_straight", "undercut", "afro", "ponytail"])
-def test_styles_register_onto_themselves(name: str, body: BodyModel, surface: Surface) -> None:
-    style = make_groom(replace(STYLES[name], root_rows=20), body, surface=surface)
-    _, report = register_groom(as_file(100 * style.rest_strands.numpy() @ Y_UP.T), body, name, surface=surface)
+def test_styles_register_onto_themselves(name: str, body: BodyModel) -> None:
+    style = make_groom(replace(STYLES[name], root_rows=20), body)
+    _, report = register_groom(as_file(100 * style.rest_strands.numpy() @ Y_UP.T), body, name)
     assert report.unit == "cm"
     assert report.up_axis == "+y"
     assert report.median_residual < 2
@@ -165,7 +165,7 @@ def test_styles_register_onto_themselves(name: str, body: BodyModel, surface: Su
 def test_sintel_fits_our_scalp(shared_data: Path, body: BodyModel, surface: Surface) -> None:
     folder = shared_data / "grooms" / "sintel"
     strands = read_strands(folder / "sintel_hair_16points.tfx")
-    registered, report = register_groom(strands, body, "sintel", surface=surface)
+    registered, report = register_groom(strands, body, "sintel")
     assert (report.unit, report.up_axis) == ("m", "+y")
     assert report.kept >= 11300
     assert report.median_residual < 4
@@ -173,7 +173,7 @@ def test_sintel_fits_our_scalp(shared_data: Path, body: BodyModel, surface: Surf
     # Sintel faces +z and stands upright.
     assert np.degrees(Rotation.from_matrix(np.array(report.rotation) @ Y_UP).magnitude()) < 10
     checked(registered, body, surface)
-    _, with_head = register_groom(strands, body, "sintel", read_head(folder / "sintel_head.obj"), surface=surface)
+    _, with_head = register_groom(strands, body, "sintel", read_head(folder / "sintel_head.obj"))
     assert with_head.kept >= 11300
     assert with_head.median_residual < 6
 
@@ -181,7 +181,7 @@ def test_sintel_fits_our_scalp(shared_data: Path, body: BodyModel, surface: Surf
 @pytest.mark.shared_data
 def test_ponytail_registers_from_its_four_parts(shared_data: Path, body: BodyModel, surface: Surface) -> None:
     parts = [read_strands(path) for path in sorted((shared_data / "grooms" / "ponytail").glob("*.tfx"))]
-    registered, report = register_groom(concatenate_strands(parts), body, "ponytail", surface=surface)
+    registered, report = register_groom(concatenate_strands(parts), body, "ponytail")
     assert report.kept >= 4900
     assert report.median_residual < 4
     # In no known unit; y up, and the face looks to -z.
@@ -193,7 +193,7 @@ def test_ponytail_registers_from_its_four_parts(shared_data: Path, body: BodyMod
 @pytest.mark.shared_data
 def test_mohawk_from_another_species_registers_upright(shared_data: Path, body: BodyModel, surface: Surface) -> None:
     strands = read_strands(shared_data / "grooms" / "mohawk" / "Ratboy_mohawk.tfx")
-    registered, report = register_groom(strands, body, "mohawk", surface=surface)
+    registered, report = register_groom(strands, body, "mohawk")
     assert report.kept >= 1800
     assert report.median_residual < 9
     assert abs(float(registered.rest_strands[:, 0, 0].mean())) < 5e-3
@@ -206,49 +206,49 @@ def rotation_from_y_up(report: RegistrationReport) -> float:
 
 
 @pytest.mark.parametrize("name", ["bob", "crew_cut"])
-def test_a_full_head_of_hair_turned_in_its_file_is_turned_back(name: str, body: BodyModel, surface: Surface) -> None:
-    rest = make_groom(replace(STYLES[name], root_rows=20), body, surface=surface).rest_strands.numpy()
+def test_a_full_head_of_hair_turned_in_its_file_is_turned_back(name: str, body: BodyModel) -> None:
+    rest = make_groom(replace(STYLES[name], root_rows=20), body).rest_strands.numpy()
     turn = Rotation.from_euler("x", 20, degrees=True).as_matrix()
-    _, report = register_groom(as_file(rest @ turn.T), body, name, surface=surface)
+    _, report = register_groom(as_file(rest @ turn.T), body, name)
     assert np.degrees(Rotation.from_matrix(report.rotation @ turn).magnitude()) < 3.0
 
 
 @pytest.mark.parametrize("name", ["bob", "crew_cut"])
-def test_hair_on_the_crown_of_another_head_stays_upright(name: str, body: BodyModel, surface: Surface) -> None:
-    rest = make_groom(replace(STYLES[name], root_rows=28), body, surface=surface).rest_strands.numpy()
+def test_hair_on_the_crown_of_another_head_stays_upright(name: str, body: BodyModel) -> None:
+    rest = make_groom(replace(STYLES[name], root_rows=28), body).rest_strands.numpy()
     crown = rest[rest[:, 0, 2] > 1.75] * np.float32([1.1, 0.92, 1.0])
-    _, report = register_groom(as_file(crown @ Y_UP.T), body, name, surface=surface)
+    _, report = register_groom(as_file(crown @ Y_UP.T), body, name)
     assert rotation_from_y_up(report) < 5.0
 
 
 @pytest.mark.parametrize("name", ["long_straight", "crew_cut"])
-def test_strands_stored_from_tip_to_root_are_turned_round(name: str, body: BodyModel, surface: Surface) -> None:
-    groom = make_groom(replace(STYLES[name], root_rows=20), body, surface=surface)
-    registered, report = register_groom(as_file(groom.rest_strands.flip(1).numpy()), body, name, surface=surface)
+def test_strands_stored_from_tip_to_root_are_turned_round(name: str, body: BodyModel) -> None:
+    groom = make_groom(replace(STYLES[name], root_rows=20), body)
+    registered, report = register_groom(as_file(groom.rest_strands.flip(1).numpy()), body, name)
     assert report.turned
     assert "from tip to root" in str(report)
     assert 1e3 * (registered.rest_strands - groom.rest_strands).norm(dim=-1).median() < 3.0
-    _, forwards = register_groom(as_file(groom.rest_strands.numpy()), body, name, surface=surface)
+    _, forwards = register_groom(as_file(groom.rest_strands.numpy()), body, name)
     assert not forwards.turned
     assert "from tip to root" not in str(forwards)
 
 
 @pytest.mark.shared_data
-def test_a_cap_of_roots_from_another_head_is_not_pitched(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+def test_a_cap_of_roots_from_another_head_is_not_pitched(shared_data: Path, body: BodyModel) -> None:
     strands = read_strands(shared_data / "cases" / "cap60_other_head.hair")
-    _, report = register_groom(strands, body, "cap", surface=surface)
+    _, report = register_groom(strands, body, "cap")
     assert rotation_from_y_up(report) < 5.0
     # Turned in its file: the hair hangs, and says so.
     turn = Rotation.from_euler("x", 20, degrees=True).as_matrix()
     turned = replace(strands, points=(strands.points @ turn.T).astype(np.float32))
-    _, report = register_groom(turned, body, "cap", surface=surface)
+    _, report = register_groom(turned, body, "cap")
     assert np.degrees(Rotation.from_matrix(report.rotation @ turn @ Y_UP).magnitude()) < 5.0
 
 
 @pytest.mark.shared_data
-def test_a_beard_is_recognised_and_left_out(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+def test_a_beard_is_recognised_and_left_out(shared_data: Path, body: BodyModel) -> None:
     strands = read_strands(shared_data / "cases" / "beard200.hair")
-    _, report = register_groom(strands, body, "beard", surface=surface)
+    _, report = register_groom(strands, body, "beard")
     assert rotation_from_y_up(report) < 5.0
     assert 1e3 * report.scale == pytest.approx(10.0, abs=0.05)
     assert (report.kept, report.dropped, report.beard) == (400, 0, 200)
@@ -256,13 +256,11 @@ def test_a_beard_is_recognised_and_left_out(shared_data: Path, body: BodyModel, 
 
 
 @pytest.mark.shared_data
-def test_a_reversed_file_registers_like_the_one_it_was_made_of(
-    shared_data: Path, body: BodyModel, surface: Surface
-) -> None:
+def test_a_reversed_file_registers_like_the_one_it_was_made_of(shared_data: Path, body: BodyModel) -> None:
     registered = {}
     for name in ("base_cm_yup", "reversed"):
         strands = read_strands(shared_data / "cases" / f"{name}.hair")
-        registered[name], report = register_groom(strands, body, name, surface=surface)
+        registered[name], report = register_groom(strands, body, name)
         assert report.turned == (name == "reversed")
     assert torch.allclose(registered["reversed"].rest_strands, registered["base_cm_yup"].rest_strands, atol=1e-4)
 
@@ -277,57 +275,57 @@ def test_a_tip_beyond_all_measure_raises_no_warning(groom: Groom, body: BodyMode
 
 
 @pytest.mark.shared_data
-def test_bald_roots_of_a_file_are_counted(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+def test_bald_roots_of_a_file_are_counted(shared_data: Path, body: BodyModel) -> None:
     strands = read_strands(shared_data / "cases" / "one_point_strands.hair")
     assert strands.dropped == 40
-    _, report = register_groom(strands, body, "one point", surface=surface)
+    _, report = register_groom(strands, body, "one point")
     assert (report.kept, report.dropped) == (360, 40)
     assert "360 strands kept, 40 dropped" in str(report)
     assert concatenate_strands([strands, strands]).dropped == 80
 
 
 @pytest.mark.shared_data
-def test_what_is_known_is_not_guessed(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+def test_what_is_known_is_not_guessed(shared_data: Path, body: BodyModel) -> None:
     strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
-    guessed, report = register_groom(strands, body, "base", surface=surface)
+    guessed, report = register_groom(strands, body, "base")
     assert (report.unit, report.up_axis, report.forward_axis) == ("cm", "+y", "+z")
     assert "guessed: unit, up axis, facing" in str(report)
-    known, report = register_groom(strands, body, "base", surface=surface, frame=FileFrame("y", "+z", "cm"))
+    known, report = register_groom(strands, body, "base", frame=FileFrame("y", "+z", "cm"))
     assert torch.allclose(known.rest_strands, guessed.rest_strands, atol=2e-3)
     assert "guessed" not in str(report)
     # A known axis is taken, however badly it fits.
-    _, report = register_groom(strands, body, "base", surface=surface, frame=FileFrame("-y", "+z", "0.01"))
+    _, report = register_groom(strands, body, "base", frame=FileFrame("-y", "+z", "0.01"))
     assert report.up_axis == "-y"
     assert "units of 0.01 m" in str(report)
     assert report.dropped > 0
 
 
 @pytest.mark.shared_data
-def test_a_left_handed_file_is_mirrored(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+def test_a_left_handed_file_is_mirrored(shared_data: Path, body: BodyModel) -> None:
     """Hair parted at the side shows which side it is."""
     strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
     one_sided = strands.select(strands.roots[:, 0] > -2)
-    expected, _ = register_groom(one_sided, body, "base", surface=surface, frame=FileFrame("y", "z", "cm"))
+    expected, _ = register_groom(one_sided, body, "base", frame=FileFrame("y", "z", "cm"))
     mirrored = replace(one_sided, points=one_sided.points * np.float32([1, 1, -1]))
     frame = FileFrame("y", "-z", "cm", mirror=True)
-    found, report = register_groom(mirrored, body, "mirrored", surface=surface, frame=frame)
+    found, report = register_groom(mirrored, body, "mirrored", frame=frame)
     assert torch.allclose(found.rest_strands, expected.rest_strands, atol=1e-4)
     assert (report.up_axis, report.forward_axis) == ("+y", "-z")
     assert np.linalg.det(report.rotation) == pytest.approx(-1.0)
     assert "left-handed" in str(report)
 
 
-def test_a_registered_groom_is_not_moved(groom: Groom, body: BodyModel, surface: Surface) -> None:
+def test_a_registered_groom_is_not_moved(groom: Groom, body: BodyModel) -> None:
     few, known = groom.rest_strands[::20], FileFrame(registered=True)
-    again, report = register_groom(as_file(few.numpy()), body, "again", surface=surface, frame=known)
+    again, report = register_groom(as_file(few.numpy()), body, "again", frame=known)
     assert torch.equal(again.rest_strands, few)
     assert "on this body as it stands" in str(report)
     frame = FileFrame("y", "z", "cm", registered=True)
-    again, _ = register_groom(as_file(100 * few.numpy() @ Y_UP.T), body, "again", surface=surface, frame=frame)
+    again, _ = register_groom(as_file(100 * few.numpy() @ Y_UP.T), body, "again", frame=frame)
     assert torch.allclose(again.rest_strands, few, atol=1e-5)
     above = as_file(few.numpy() + np.float32([0, 0, 0.02]))
     with pytest.raises(InputError, match="within 2 mm of this body's scalp, as --registered says, found 5 of 31 there"):
-        register_groom(above, body, "above", surface=surface, frame=known)
+        register_groom(above, body, "above", frame=known)
 
 
 @pytest.mark.parametrize(
@@ -345,7 +343,7 @@ def test_axes_and_units_that_are_none(frame: dict[str, str], message: str) -> No
 
 
 @pytest.mark.shared_data
-def test_a_groom_inside_the_body_is_refused(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+def test_a_groom_inside_the_body_is_refused(shared_data: Path, body: BodyModel) -> None:
     """Strands that all grow into the head."""
     strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
     points = strands.points.reshape(400, -1, 3)
@@ -354,24 +352,24 @@ def test_a_groom_inside_the_body_is_refused(shared_data: Path, body: BodyModel, 
     inward = points[:, :1] + share * 0.9 * (centre - points[:, :1])
     strands = as_file(inward.astype(np.float32))
     with pytest.raises(InputError, match=r"at most 40 % of the vertices inside the body .*found 100 %"):
-        register_groom(strands, body, "inward", surface=surface, frame=FileFrame("y", "z", "cm"))
+        register_groom(strands, body, "inward", frame=FileFrame("y", "z", "cm"))
 
 
 @pytest.mark.shared_data
-def test_single_reversed_strands_are_turned_round(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+def test_single_reversed_strands_are_turned_round(shared_data: Path, body: BodyModel) -> None:
     strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
-    expected, report = register_groom(strands, body, "base", surface=surface)
+    expected, report = register_groom(strands, body, "base")
     assert report.turned_strands == 0
     points = strands.points.reshape(400, -1, 3).copy()
     points[::16] = points[::16, ::-1]
-    found, report = register_groom(as_file(points), body, "some reversed", surface=surface)
+    found, report = register_groom(as_file(points), body, "some reversed")
     assert (report.kept, report.turned_strands, report.turned) == (400, 25, False)
     assert "25 single strands turned round" in str(report)
     assert 1e3 * (found.rest_strands - expected.rest_strands).norm(dim=-1).max() < 3.0
 
 
 @pytest.mark.shared_data
-def test_eyebrows_are_recognised_and_left_out(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+def test_eyebrows_are_recognised_and_left_out(shared_data: Path, body: BodyModel) -> None:
     strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
     ear = body.rest_vertices[body.ear_vertices]
     x, y, z = body.rest_vertices.unbind(1)
@@ -379,6 +377,6 @@ def test_eyebrows_are_recognised_and_left_out(shared_data: Path, body: BodyModel
     roots = body.rest_vertices[brow][:40].numpy() @ Y_UP.T * 100
     hairs = roots[:, None] + np.linspace(0, 1, 24)[:, None] * np.float32([0.8, 0.2, 0.3])
     points = np.concatenate([strands.points.reshape(400, 24, 3), hairs.astype(np.float32)])
-    _, report = register_groom(as_file(points), body, "brows", surface=surface)
+    _, report = register_groom(as_file(points), body, "brows")
     assert (report.kept, report.eyebrows, report.beard, report.dropped) == (400, len(hairs), 0, 0)
     assert f"{len(hairs)} of eyebrows left out" in str(report)

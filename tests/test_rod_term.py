@@ -8,7 +8,6 @@ import torch
 from quaffure.body import BodyModel, bundled_clip
 from quaffure.energies import HairEnergy, RodRest, hair_terms, sag_free_rest, stress_free_rest
 from quaffure.errors import InputError
-from quaffure.geometry import Surface
 from quaffure.hair import Groom
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, PosedScene, Scene
@@ -24,21 +23,21 @@ def _from_vertical(positions: Tensor) -> Float[Tensor, "b s e"]:
 
 
 @pytest.mark.slow
-def test_hair_settles_where_it_was_designed(body: BodyModel, surface: Surface) -> None:
-    groom = few_strands(body, surface, count=200)
+def test_hair_settles_where_it_was_designed(body: BodyModel) -> None:
+    groom = few_strands(body, count=200)
     scene = upright_scene(groom, body)
-    draped = LbfgsDraper(terms=hair_terms("rod", sag_free_rest(groom, body, surface=surface))).drape(scene)
+    draped = LbfgsDraper(terms=hair_terms("rod", sag_free_rest(groom, body))).drape(scene)
     distance = (draped - scene.posed).norm(dim=-1)
     assert float(distance.mean()) < 1e-3
     assert float(distance[..., -1].mean()) < 2e-3
 
 
 @pytest.mark.slow
-def test_long_hair_hangs_on_a_body_that_bows(body: BodyModel, surface: Surface) -> None:
-    groom = few_strands(body, surface, count=60)
+def test_long_hair_hangs_on_a_body_that_bows(body: BodyModel) -> None:
+    groom = few_strands(body, count=60)
     body_pose = bundled_clip("bow", body).body_pose[60:61]
     scene = Scene(groom, BodyBatch(body, body_pose, torch.zeros(1, 10)))
-    rod = hair_terms("rod", sag_free_rest(groom, body, surface=surface))
+    rod = hair_terms("rod", sag_free_rest(groom, body))
     drapers = StrandNewtonDraper(terms=rod), LbfgsDraper(evaluations=600, terms=hair_terms())
     hanging, paper = (float(_from_vertical(draper.drape(scene))[..., 12:].median()) for draper in drapers)
     assert hanging < 30
@@ -47,23 +46,23 @@ def test_long_hair_hangs_on_a_body_that_bows(body: BodyModel, surface: Surface) 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("style", ["ponytail", "low_bun"])
-def test_ties_hold_on_a_body_that_bows(style: str, body: BodyModel, surface: Surface) -> None:
-    groom = make_groom(style, body, surface=surface)
+def test_ties_hold_on_a_body_that_bows(style: str, body: BodyModel) -> None:
+    groom = make_groom(style, body)
     groom = groom.select(torch.arange(0, len(groom), 50))
     scene = Scene(groom, BodyBatch(body, bundled_clip("bow", body).body_pose[60:61], torch.zeros(1, 10)))
     held = torch.nn.functional.pad(groom.held_edges, (1, 0))
     moved = []
     for edges in (groom.held_edges, torch.zeros_like(groom.held_edges)):
-        design = sag_free_rest(groom, body, held=edges, surface=surface)
+        design = sag_free_rest(groom, body, held=edges)
         draped = LbfgsDraper(evaluations=400, terms=hair_terms("rod", design)).drape(scene)
         moved.append(float((draped - scene.posed).norm(dim=-1)[0][held].mean()))
     assert moved[0] < 5e-3
     assert moved[1] > 10 * moved[0]
 
 
-def test_compiled_rod_keeps_the_design_and_its_margins(body: BodyModel, surface: Surface) -> None:
-    groom = few_strands(body, surface, count=30)
-    design = sag_free_rest(groom, body, surface=surface)
+def test_compiled_rod_keeps_the_design_and_its_margins(body: BodyModel) -> None:
+    groom = few_strands(body, count=30)
+    design = sag_free_rest(groom, body)
     scene = upright_scene(groom, body)
     energy = HairEnergy(groom, terms=hair_terms("rod", design))
     torch.testing.assert_close(energy.rest.collision_margin, design.collision_margin.float())
@@ -82,8 +81,8 @@ def test_compiled_rod_keeps_the_design_and_its_margins(body: BodyModel, surface:
     assert float(energy.only("elastic").total(turned, scene)) > float(energy.only("elastic").total(scene.posed, scene))
 
 
-def test_stress_free_hair_is_as_stiff_and_as_held_as_the_groom_asks(body: BodyModel, surface: Surface) -> None:
-    groom = few_strands(body, surface, count=30)
+def test_stress_free_hair_is_as_stiff_and_as_held_as_the_groom_asks(body: BodyModel) -> None:
+    groom = few_strands(body, count=30)
     scene = upright_scene(groom, body)
     asked = torch.zeros_like(groom.rest_lengths)
     asked[:, :3] = 1e-5
@@ -105,8 +104,8 @@ def test_stress_free_hair_is_as_stiff_and_as_held_as_the_groom_asks(body: BodyMo
     assert energy(tied) > 2 * free
 
 
-def test_rotation_of_posed_strands_is_found_from_their_shape(body: BodyModel, surface: Surface) -> None:
-    groom = few_strands(body, surface, count=30)
+def test_rotation_of_posed_strands_is_found_from_their_shape(body: BodyModel) -> None:
+    groom = few_strands(body, count=30)
     pose = torch.zeros(1, 81)
     pose[0, ::3] = 0.1
     scene = Scene(groom, BodyBatch(body, pose, torch.zeros(1, 10)))
@@ -117,9 +116,9 @@ def test_rotation_of_posed_strands_is_found_from_their_shape(body: BodyModel, su
 
 
 def test_the_rest_shape_of_a_groom_is_computed_once_for_all_scenes(
-    body: BodyModel, surface: Surface, monkeypatch: pytest.MonkeyPatch
+    body: BodyModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    groom = few_strands(body, surface, count=5)
+    groom = few_strands(body, count=5)
     made: list[RodRest] = []
 
     def counted(strands: Tensor, scale: Tensor | None, goal_weight: Tensor | None) -> RodRest:

@@ -46,8 +46,8 @@ def _directions(groom: Groom) -> Float[Tensor, "s e 3"]:
 @pytest.mark.parametrize("style", STYLES)
 def test_design_is_in_balance(style: str, body: BodyModel, surface: Surface) -> None:
     """By autograd through the torch energies, which share no code with the kernel that `residual` reads."""
-    groom = few_strands(body, surface, style)
-    rest = sag_free_rest(groom, body, surface=surface)
+    groom = few_strands(body, style)
+    rest = sag_free_rest(groom, body)
     direction = _directions(groom).requires_grad_()
     (gradient,) = torch.autograd.grad(_total(direction, groom, rest, surface).sum(), direction)
     state = rest_state(groom.rest_strands.double(), HairMaterial())
@@ -61,8 +61,8 @@ def test_design_is_in_balance(style: str, body: BodyModel, surface: Surface) -> 
 @pytest.mark.parametrize("style", STYLES)
 def test_design_is_a_minimum(style: str, body: BodyModel, surface: Surface) -> None:
     """No small rotation of random edges lowers the energy of any strand."""
-    groom = few_strands(body, surface, style, 20)
-    rest = sag_free_rest(groom, body, surface=surface)
+    groom = few_strands(body, style, 20)
+    rest = sag_free_rest(groom, body)
     direction = _directions(groom)
     before = float(_total(direction, groom, rest, surface))
     generator = torch.Generator().manual_seed(0)
@@ -72,57 +72,55 @@ def test_design_is_a_minimum(style: str, body: BodyModel, surface: Surface) -> N
         assert float(_total(moved, groom, rest, surface)) > before
 
 
-def test_stress_free_rest_is_not_in_balance(body: BodyModel, surface: Surface) -> None:
+def test_stress_free_rest_is_not_in_balance(body: BodyModel) -> None:
     """Else the tests above would show nothing."""
-    groom = few_strands(body, surface, "long_ringlets")
-    rest = sag_free_rest(groom, body, surface=surface)
+    groom = few_strands(body, "long_ringlets")
+    rest = sag_free_rest(groom, body)
     free = replace(rest, rod=stress_free_rest(groom.rest_strands.double()))
     assert float(residual(groom, free).median()) > 0.5
 
 
-def test_held_edges_take_what_a_tail_asks_for(body: BodyModel, surface: Surface) -> None:
-    groom = few_strands(body, surface, "ponytail")
+def test_held_edges_take_what_a_tail_asks_for(body: BodyModel) -> None:
+    groom = few_strands(body, "ponytail")
     held = (torch.arange(groom.rest_lengths.shape[1]) < 11).expand(groom.rest_lengths.shape)
-    rest = sag_free_rest(groom, body, held=held, surface=surface)
+    rest = sag_free_rest(groom, body, held=held)
     assert float(residual(groom, rest).max()) < 1e-6
     assert bool(((rest.rod.goal_weight > 0) == held).all())
     assert bool((rest.support[:, 1:][held] == 0).all())
     assert sag_free_report(groom, rest).above_10_percent <= 10
 
 
-def test_ties_of_the_groom_are_held_unless_others_are_named(body: BodyModel, surface: Surface) -> None:
-    groom = few_strands(body, surface, "half_up")
-    rest = sag_free_rest(groom, body, surface=surface)
+def test_ties_of_the_groom_are_held_unless_others_are_named(body: BodyModel) -> None:
+    groom = few_strands(body, "half_up")
+    rest = sag_free_rest(groom, body)
     assert bool(((rest.rod.goal_weight > 0) == groom.held_edges).all())
     assert bool(groom.held_edges.any())
     assert not bool(groom.held_edges.all())
-    by_name = sag_free_rest(replace(groom, tie_vertex=None, goal_weight=None), body, None, groom.held_edges, surface)
+    by_name = sag_free_rest(replace(groom, tie_vertex=None, goal_weight=None), body, None, groom.held_edges)
     torch.testing.assert_close(rest.rod.goal_weight, by_name.rod.goal_weight)
-    none = sag_free_rest(groom, body, held=torch.zeros_like(groom.held_edges), surface=surface)
+    none = sag_free_rest(groom, body, held=torch.zeros_like(groom.held_edges))
     assert not bool((none.rod.goal_weight > 0).any())
     assert float(residual(groom, none).max()) < 1e-6
 
 
-def test_goals_weigh_at_least_what_an_artist_asks_for(body: BodyModel, surface: Surface) -> None:
-    groom = few_strands(body, surface, "half_up")
-    usual = sag_free_rest(groom, body, surface=surface).rod.goal_weight
+def test_goals_weigh_at_least_what_an_artist_asks_for(body: BodyModel) -> None:
+    groom = few_strands(body, "half_up")
+    usual = sag_free_rest(groom, body).rod.goal_weight
     asked = torch.zeros_like(groom.rest_lengths)
     asked[:, 5:9] = float(usual.median())
-    rest = sag_free_rest(replace(groom, goal_weight=asked), body, surface=surface)
+    rest = sag_free_rest(replace(groom, goal_weight=asked), body)
     assert bool((rest.rod.goal_weight >= asked).all())
     assert bool(((rest.rod.goal_weight > 0) == (groom.held_edges | (asked > 0))).all())
     assert float(residual(replace(groom, goal_weight=asked), rest).max()) < 1e-6
     strong = replace(groom, goal_weight=100 * groom.held_edges * usual.float())
-    torch.testing.assert_close(
-        sag_free_rest(strong, body, surface=surface).rod.goal_weight, strong.goal_weight, check_dtype=False
-    )
+    torch.testing.assert_close(sag_free_rest(strong, body).rod.goal_weight, strong.goal_weight, check_dtype=False)
 
 
-def test_stiffness_that_an_artist_asks_for_is_multiplied_further(body: BodyModel, surface: Surface) -> None:
-    groom = few_strands(body, surface, "long_ringlets")
+def test_stiffness_that_an_artist_asks_for_is_multiplied_further(body: BodyModel) -> None:
+    groom = few_strands(body, "long_ringlets")
     asked = 1 + 4 * torch.rand(groom.rest_lengths.shape, generator=torch.Generator().manual_seed(0))
     stiff = replace(groom, stiffness_scale=asked)
-    rest, usual = (sag_free_rest(groom, body, surface=surface) for groom in (stiff, groom))
+    rest, usual = (sag_free_rest(groom, body) for groom in (stiff, groom))
     assert bool((rest.rod.stiffness_scale >= asked - 1e-6).all())
     assert float(residual(stiff, rest).max()) < 1e-6
     bend = rest.rod.bending_stiffness / rest.rod.stiffness_scale
@@ -132,8 +130,8 @@ def test_stiffness_that_an_artist_asks_for_is_multiplied_further(body: BodyModel
 
 
 def test_margins_never_exceed_the_clearance_where_nothing_is_supported(body: BodyModel, surface: Surface) -> None:
-    groom = few_strands(body, surface, "long_straight")
-    rest = sag_free_rest(groom, body, surface=surface)
+    groom = few_strands(body, "long_straight")
+    rest = sag_free_rest(groom, body)
     distance = signed_distance(groom.rest_strands.double().flatten(0, 1)[None], surface).view(rest.support.shape)
     free = rest.support == 0
     assert bool((rest.collision_margin <= distance + 1e-9)[free].all())

@@ -16,7 +16,7 @@ def drawn(count: int, seed: int = 0) -> list[HairStyle]:
 
 
 def valid(style: HairStyle, body: BodyModel, surface: Surface) -> Groom:
-    groom = make_groom(style, body, surface=surface)
+    groom = make_groom(style, body)
     assert groom.rest_strands.isfinite().all()
     assert groom.texels().unique().numel() == len(groom)
     assert inside_share(groom.rest_strands, surface) <= 5e-4

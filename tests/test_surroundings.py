@@ -7,7 +7,6 @@ from numba import get_num_threads
 
 from quaffure.body import BodyModel
 from quaffure.config import HairMaterial
-from quaffure.geometry import Surface
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.model.initial_shape import bits
 from quaffure.model.network_config import DensityGridConfig
@@ -80,8 +79,8 @@ def test_mass_is_kept_and_space_repeats_itself() -> None:
     assert both[0, 0, 0] == pytest.approx(2 * float(alone), rel=1e-6)
 
 
-def test_the_design_upright_is_in_excess_nowhere(body: BodyModel, surface: Surface) -> None:
-    groom = few_strands(body, surface)
+def test_the_design_upright_is_in_excess_nowhere(body: BodyModel) -> None:
+    groom = few_strands(body)
     margin = torch.full(groom.rest_strands.shape[:2], 2 * GRID.margin_unit)
     strands = surroundings_of(groom, body, HairMaterial(), margin, GRID)
     head = body.posed_joints(torch.zeros(1, 81), torch.zeros(1, 10))[1][0, body.joint_names.index("Head")]

@@ -108,7 +108,7 @@ def test_hair_that_ends_where_a_tail_has_its_roots_is_tied() -> None:
 
 @pytest.mark.parametrize(("style", "wound"), [("ponytail", False), ("low_bun", True), ("bob", None)])
 def test_bundled_styles_with_few_strands(style: str, wound: bool | None, body: BodyModel, surface: Surface) -> None:
-    groom = make_groom(replace(STYLES[style], root_rows=28), body, surface=surface)
+    groom = make_groom(replace(STYLES[style], root_rows=28), body)
     held_to, ties = find_ties(groom)
     assert [tie.wound for tie in ties] == ([] if wound is None else [wound])
     if groom.tie_vertex is not None:
@@ -126,7 +126,7 @@ def test_the_ponytail_of_tressfx_is_found(shared_data: Path, body: BodyModel, su
     """The strands of `back`, which TressFX pins at both ends, end at the tail; the others hang over them."""
     parts = [f"ponytail/{part}.tfx" for part in ("back", "front_top", "side", "tail")]
     back = len(real_groom(shared_data, parts[0]))
-    groom, report = register_groom(real_groom(shared_data, *parts), body, "ponytail", surface=surface)
+    groom, report = register_groom(real_groom(shared_data, *parts), body, "ponytail")
     assert report.dropped == 0
     held_to, (tie,) = find_ties(groom)
     assert tie.centre[1] > 0.03
@@ -139,4 +139,4 @@ def test_the_ponytail_of_tressfx_is_found(shared_data: Path, body: BodyModel, su
 def test_sintel_has_no_tie(shared_data: Path, body: BodyModel, surface: Surface) -> None:
     strands = real_groom(shared_data, "sintel/sintel_hair_16points.tfx")
     head = read_head(shared_data / "grooms" / "sintel" / "sintel_head.obj")
-    assert find_ties(register_groom(strands, body, "sintel", head, surface=surface)[0])[1] == []
+    assert find_ties(register_groom(strands, body, "sintel", head)[0])[1] == []

@@ -17,8 +17,8 @@ def roots(body: BodyModel) -> ScalpRoots:
     return spread_roots(body, 20, torch.Generator().manual_seed(0))
 
 
-def sample_groom(style: HairStyle, body: BodyModel, surface: Surface) -> Groom:
-    return make_groom(replace(style, root_rows=20), body, surface=surface)
+def sample_groom(style: HairStyle, body: BodyModel) -> Groom:
+    return make_groom(replace(style, root_rows=20), body)
 
 
 def to_band(groom: Groom, style: HairStyle, body: BodyModel, roots: ScalpRoots) -> torch.Tensor:
@@ -27,11 +27,9 @@ def to_band(groom: Groom, style: HairStyle, body: BodyModel, roots: ScalpRoots) 
     return (groom.rest_strands - middle).norm(dim=-1).amin(1)
 
 
-def test_every_strand_of_a_ponytail_passes_the_band_and_hangs(
-    body: BodyModel, surface: Surface, roots: ScalpRoots
-) -> None:
+def test_every_strand_of_a_ponytail_passes_the_band_and_hangs(body: BodyModel, roots: ScalpRoots) -> None:
     style = STYLES["ponytail"]
-    groom = sample_groom(style, body, surface)
+    groom = sample_groom(style, body)
     band = style.ties[0].radius
     assert torch.quantile(to_band(groom, style, body, roots), 0.98) < 1.5 * band
     tips = groom.rest_strands[:, -1]
@@ -57,11 +55,11 @@ def test_the_returned_index_is_the_vertex_in_the_band(body: BodyModel, surface: 
         assert torch.equal(axes[:, 0], roots.points)
 
 
-def test_pigtails_go_to_their_own_side(body: BodyModel, surface: Surface, roots: ScalpRoots) -> None:
+def test_pigtails_go_to_their_own_side(body: BodyModel, roots: ScalpRoots) -> None:
     ties = tie_of_strand(STYLES["pigtails"], roots)
     assert (ties[roots.points[:, 0] > 1e-3] == 0).all()
     assert (ties[roots.points[:, 0] < -1e-3] == 1).all()
-    strands = sample_groom(STYLES["pigtails"], body, surface).rest_strands
+    strands = sample_groom(STYLES["pigtails"], body).rest_strands
     aside = strands[:, 0, 0].abs() > 1e-3
     assert (strands[aside, -1, 0] * strands[aside, 0, 0] > 0).all()
 
@@ -74,16 +72,14 @@ def test_half_up_ties_hair_above_a_height_only(roots: ScalpRoots) -> None:
     assert 0.3 < tied.float().mean() < 0.8
 
 
-def test_a_bun_is_a_ball_round_its_tie_and_a_puff_is_a_larger_one(
-    body: BodyModel, surface: Surface, roots: ScalpRoots
-) -> None:
+def test_a_bun_is_a_ball_round_its_tie_and_a_puff_is_a_larger_one(body: BodyModel, roots: ScalpRoots) -> None:
     style = STYLES["top_knot"]
     radius = style.ties[0].bun_radius
     assert radius is not None
-    beyond = sample_groom(style, body, surface).rest_strands[:, -8:]
+    beyond = sample_groom(style, body).rest_strands[:, -8:]
     middle = strand_bundle(style.ties[0], roots, body, torch.Generator()).centre
     assert (beyond - middle).norm(dim=-1).max() < 2 * radius
-    puff = sample_groom(STYLES["afro_puff"], body, surface).rest_strands[:, -1]
+    puff = sample_groom(STYLES["afro_puff"], body).rest_strands[:, -1]
     band = strand_bundle(STYLES["afro_puff"].ties[0], roots, body, torch.Generator()).centre
     spread = (puff - band).norm(dim=-1)
     assert 0.05 < spread.mean() < 0.15

@@ -20,7 +20,6 @@ from quaffure.benchmark import load_evaluation_set
 from quaffure.benchmark.evaluation_set import SETS, refuse_evaluation_data
 from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
-from quaffure.geometry import Surface
 from quaffure.hair import Groom, root_positions
 from quaffure.io import write_groom
 from quaffure.io.body_file import write_body
@@ -190,8 +189,8 @@ def test_a_network_is_specialised_on_a_character(
         return made[0]
 
     class Few(ProceduralGroom):
-        def groom(self, body: BodyModel, surface: Surface) -> Groom:
-            return replace(super().groom(body, surface).thinned(40), name=self.name)
+        def groom(self, body: BodyModel) -> Groom:
+            return replace(super().groom(body).thinned(40), name=self.name)
 
     few = Few("few", STYLES["bob"], 1)
     monkeypatch.setattr(train_cli, "family_grooms", lambda indices: [few])

@@ -5,7 +5,7 @@ import pytest
 from pxr import Usd, UsdGeom, UsdValidation
 
 from quaffure.errors import InputError
-from quaffure.geometry import spread_subset
+from quaffure.geometry import farthest_points
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.io import read_usd_strands, write_usd
 from tests.synthetic_drape import drape, patch_of_strands
@@ -49,7 +49,7 @@ def test_groom_attributes(stage: Usd.Stage) -> None:
     expected = drape(STRANDS)
     for name, guide, chosen in (
         ("Strands", 0, np.arange(150)),
-        ("Guides", 1, spread_subset(expected.posed[0, :, 0], 128)),
+        ("Guides", 1, farthest_points(expected.posed[0, :, 0], 128)),
     ):
         curves = UsdGeom.BasisCurves.Get(stage, f"/Drape/Hair/{name}")
         primvars = UsdGeom.PrimvarsAPI(curves)
@@ -114,8 +114,8 @@ def test_bad_input_is_named(tmp_path: Path) -> None:
         write_usd(tmp_path / "drape.abc", drape(STRANDS))
 
 
-def test_spread_subset_covers() -> None:
+def test_farthest_points_cover() -> None:
     roots = np.array([[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [10, 0, 0], [0, 10, 0]], dtype=np.float32)
-    assert set(spread_subset(roots, 3)) == {0, 3, 4}
-    assert spread_subset(roots, 99).tolist() == [0, 1, 2, 3, 4]
-    assert len(set(spread_subset(np.zeros((6, 3), np.float32), 4))) == 4
+    assert set(farthest_points(roots, 3)) == {0, 3, 4}
+    assert farthest_points(roots, 99).tolist() == [0, 1, 2, 3, 4]
+    assert len(set(farthest_points(np.zeros((6, 3), np.float32), 4))) == 4

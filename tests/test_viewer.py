@@ -32,7 +32,7 @@ from quaffure.baselines import PosedDraper
 from quaffure.body import CLIP_FPS, CLIP_NAMES, bundled_clip, joint_matrices
 from quaffure.body.pose_features import HEAD
 from quaffure.config import HairMaterial
-from quaffure.drapers import LIVE
+from quaffure.drapers import LIVE_DRAPERS
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.hair import DrapeSequence, Groom, GuideInterpolation
@@ -190,7 +190,7 @@ def test_the_catalogue_offers_everything_bundled_and_the_users_own(model: Quaffu
     assert catalogue.groom_names == ("bob (file)", *STYLES)
     assert catalogue.motion_names == ("nod (file)", REST, *CLIP_NAMES)
     assert set(catalogue.draper_names) == {"neural", *SOLVERS}
-    assert catalogue.draper_names[: len(LIVE)] == LIVE
+    assert catalogue.draper_names[: len(LIVE_DRAPERS)] == LIVE_DRAPERS
     assert catalogue.motion("nod (file)") is clip
     assert catalogue.groom("bob (file)").name == "bob"
     assert catalogue.draper("adam").material == catalogue.draper("neural").material

@@ -22,7 +22,7 @@ import torch
 from benchmarks.rods.heavy_rod import HeavyRod
 from quaffure.body import BodyModel, bundled_clip, load_body
 from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.geometry import spread_subset
+from quaffure.geometry import farthest_points
 from quaffure.io import replacing
 from quaffure.io.load_groom import load_groom
 from quaffure.scene import BodyBatch, Scene
@@ -36,7 +36,7 @@ def make_scene(strands: int, groom: str = GROOM, motion: str = MOTION, frame: in
     """So many strands of a bundled groom, spread evenly over the scalp, on the mean body in one frame of a clip."""
     body = load_body()
     whole = load_groom(groom, body)
-    kept = spread_subset(whole.rest_strands[:, 0].numpy(), strands)
+    kept = farthest_points(whole.rest_strands[:, 0].numpy(), strands)
     pose = bundled_clip(motion, body).body_pose[frame : frame + 1]
     return Scene(whole.select(torch.from_numpy(kept)), BodyBatch(body, pose, torch.zeros(1, 10)))
 

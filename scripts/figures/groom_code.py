@@ -15,8 +15,8 @@ from tiles import FIGURES, run_figure
 from quaffure.apps.render import Camera, StrandRenderer
 from quaffure.body import BodyModel, load_body
 from quaffure.geometry import Surface
-from quaffure.hair import Groom, interpolation_of, pushed_out, rest_surface
-from quaffure.model import GroomAutoencoder, load_groom_autoencoder, strands_of
+from quaffure.hair import Groom, interpolation_of, pushed_out
+from quaffure.model import GroomAutoencoder, load_groom_autoencoder, strands_from_features
 from quaffure.model.groom_code import groom_code
 from quaffure.procedural import make_groom
 
@@ -30,13 +30,13 @@ CAPTION, STRANDS = 26, 12_000
 
 def main(run: tyro.conf.Positional[Path]) -> list[Path]:
     body = load_body()
-    surface = rest_surface(body)
+    surface = body.rest_surface
     network = load_groom_autoencoder(run / "groom_autoencoder.safetensors")
     titles = ["a groom", *(f"{share:g}" for share in SHARES), "another groom"]
     with StrandRenderer(TILE_WIDTH, TILE_HEIGHT) as renderer:
         rows = [_captions(titles)]
         for names in PAIRS:
-            first, second = (make_groom(name, body, surface=surface) for name in names)
+            first, second = (make_groom(name, body) for name in names)
             rows.append(np.hstack([_tile(g, body, renderer) for g in _between(network, first, second, body, surface)]))
             rows.append(_captions([names[0].replace("_", " "), *[""] * len(SHARES), names[1].replace("_", " ")]))
     Image.fromarray(np.vstack(rows)).save(OUT, quality=82, optimize=True)
@@ -53,7 +53,7 @@ def _between(network: GroomAutoencoder, first: Groom, second: Groom, body: BodyM
             code = torch.lerp(codes[0], codes[1], share)[None]
             features = network.decoder(code, torch.zeros_like(texels), texels)
         # The decoder has no body as input: what it leaves inside is moved out, as for the grooms themselves.
-        mixed.append(replace(first, rest_strands=pushed_out(strands_of(features, first, body), surface)))
+        mixed.append(replace(first, rest_strands=pushed_out(strands_from_features(features, first, body), surface)))
     return [first, *mixed, second]
 
 

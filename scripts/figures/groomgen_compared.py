@@ -13,7 +13,7 @@ from tiles import FIGURES, GAP, PAPER, Caption, Picture, TileRenderer, View, cap
 from quaffure.apps.render import NATURAL_COLOURS
 from quaffure.baselines import load_groomgen
 from quaffure.benchmark.metrics import metrics
-from quaffure.body import BodyModel, turned_head
+from quaffure.body import BodyModel, neck_pose
 from quaffure.draper import Draper
 from quaffure.energies import HairEnergy, hair_terms
 from quaffure.energies.body_collision import inside_body
@@ -21,7 +21,7 @@ from quaffure.io.load_groom import load_groom
 from quaffure.model import load_model
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import solver
-from quaffure.training import drawn_turn
+from quaffure.training import random_head_rotation
 from quaffure.types import Positions
 
 OUT = FIGURES / "groomgen_compared.jpg"
@@ -65,8 +65,8 @@ def main(weights: Path = WEIGHTS) -> list[Path]:
 
 
 def _scene(groom: str, body: BodyModel) -> Scene:
-    turns = torch.stack([drawn_turn(0, pose) for pose in POSES])
-    return Scene(load_groom(groom, body), BodyBatch(body, turned_head(body, turns), torch.zeros(len(POSES), 10)))
+    turns = torch.stack([random_head_rotation(0, pose) for pose in POSES])
+    return Scene(load_groom(groom, body), BodyBatch(body, neck_pose(body, turns), torch.zeros(len(POSES), 10)))
 
 
 def _marked(scene: Scene, hair: Positions, renderer: TileRenderer) -> list[Picture]:

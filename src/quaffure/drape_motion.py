@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
@@ -125,15 +125,14 @@ def _path(motion: Motion, rows: slice) -> Float32[np.ndarray, "f 3"]:
 def bodies_of(sequence: DrapeSequence, body: BodyModel, frames: slice = slice(None)) -> BodyBatch:
     """The bodies of some frames of a drape, in place."""
     body_pose = torch.from_numpy(sequence.body_pose[frames])
-    bodies = BodyBatch(body, body_pose, torch.from_numpy(sequence.body_shape).expand(len(body_pose), -1))
+    vertices = None
     if body.origin is not None:
         # Morph targets of its character may have changed the surface, of which a drape keeps the vertices alone.
         vertices = torch.from_numpy(np.asarray(sequence.body_vertices[frames], np.float32))
         path = sequence.body_translation
         if path is not None:
             vertices = vertices - torch.from_numpy(path[frames].astype(np.float32))[:, None]
-        bodies.__dict__["posed"] = replace(bodies.posed, vertices=vertices)
-    return bodies
+    return BodyBatch(body, body_pose, torch.from_numpy(sequence.body_shape).expand(len(body_pose), -1), None, vertices)
 
 
 def material_of(sequence: DrapeSequence) -> HairMaterial:

@@ -30,10 +30,10 @@ class Draper(Protocol):
 
 
 @runtime_checkable
-class LoadedDraper(Draper, Protocol):
+class LoadDependentDraper(Draper, Protocol):
     """A draper that reads stiffness, gravity and wind."""
 
-    def under(self, loading: Loading) -> "LoadedDraper":
+    def with_loading(self, loading: Loading) -> "LoadDependentDraper":
         """The same draper under another loading."""
         ...
 

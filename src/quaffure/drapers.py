@@ -10,7 +10,6 @@ from quaffure.baselines.posed import PosedDraper
 from quaffure.config import HairMaterial
 from quaffure.draper import Draper
 from quaffure.energies.by_name import MODIFIED_COSSERAT, ROD
-from quaffure.energies.energy_term import Terms
 from quaffure.errors import InputError
 from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_model import PAPER, load_model
@@ -21,7 +20,7 @@ from quaffure.solvers.strand_newton import StrandNewtonDraper
 POSED, NEURAL, GROOMGEN = PosedDraper.name, NeuralDraper.name, GroomGenDraper.name
 STRAND_NEWTON = StrandNewtonDraper.name
 DRAPERS = (*SOLVERS, NEURAL, GROOMGEN)
-LIVE = (NEURAL, STRAND_NEWTON, POSED)
+LIVE_DRAPERS = (NEURAL, STRAND_NEWTON, POSED)
 """Drapers that follow every change; all others take seconds to minutes, or need weights of the user."""
 
 
@@ -54,21 +53,21 @@ def load_trained(name: str, weights: str | Path | None = None) -> tuple[Draper, 
     return model.draper, model.notes
 
 
-def make_draper(name: str, material: HairMaterial | None = None, terms: Terms | None = None) -> Draper:
+def make_draper(name: str, material: HairMaterial | None = None) -> Draper:
     """A draper that needs no weights of the user: the shipped network or a solver.
 
     Args:
         name: one of `DRAPERS`.
-        material, terms: see `quaffure.solvers.solver`. A trained draper has its own.
+        material: of a solver; a trained draper has its own.
 
     Raises:
-        InputError: no such draper, one whose weights are the user's, or one that does not accept these terms.
+        InputError: no such draper, one whose weights are the user's.
     """
     if name in (NEURAL, GROOMGEN):
-        if material is not None or terms is not None:
-            raise InputError(f"draper {name}", "no material and no terms: it has those of its training", "some")
+        if material is not None:
+            raise InputError(f"draper {name}", "no material: it has that of its training", "one")
         return load_trained(name)[0]
-    return solver(name, material, terms)
+    return solver(name, material)
 
 
 def with_coherence(draper: Draper) -> Draper:

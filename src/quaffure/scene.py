@@ -11,7 +11,7 @@ from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface, posed_surface
 from quaffure.hair.groom import Groom, check_groom
 from quaffure.hair.posing import posed_strands, rigid_rotations, root_rotations
-from quaffure.types import BodyPose, BodyShape, EdgeVectors, Float, Positions, Tensor
+from quaffure.types import BodyPose, BodyShape, EdgeVectors, Float, MeshVertices, Positions, Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,12 +22,14 @@ class BodyBatch:
         body_pose: theta [rad].
         body_shape: beta [standard deviations].
         offsets: change of the surface at rest, before it is posed [m] (`quaffure.body.surface_morphs`); none without.
+        vertices: of the posed surfaces, where they are known otherwise, as from the file of a drape [m, world].
     """
 
     body: BodyModel
     body_pose: BodyPose
     body_shape: BodyShape
     offsets: Float[Tensor, "b v 3"] | None = None
+    vertices: MeshVertices | None = None
 
     @cached_property
     def joints(self) -> PosedJoints:
@@ -37,12 +39,14 @@ class BodyBatch:
     @cached_property
     def posed(self) -> PosedBody:
         _, rotations, positions = (joints.to(self.body.rest_joints) for joints in self.joints)
+        if self.vertices is not None:
+            return PosedBody(self.vertices, rotations, positions)
         return self.body.skin(self.body_shape, rotations, positions, self.offsets)
 
     def rows(self, rows: slice) -> "BodyBatch":
         """Some of the bodies, not posed again."""
-        offsets = None if self.offsets is None else self.offsets[rows]
-        part = BodyBatch(self.body, self.body_pose[rows], self.body_shape[rows], offsets)
+        surfaces = (None if values is None else values[rows] for values in (self.offsets, self.vertices))
+        part = BodyBatch(self.body, self.body_pose[rows], self.body_shape[rows], *surfaces)
         part.__dict__["joints"] = self.joints.rows(rows)
         return part
 

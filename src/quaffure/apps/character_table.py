@@ -15,7 +15,7 @@ from quaffure.apps.drape_clip import drape_clip, save_drape
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.clips import CLIP_NAMES
 from quaffure.body.motion import Motion
-from quaffure.draper import Draper, LoadedDraper
+from quaffure.draper import Draper, LoadDependentDraper
 from quaffure.drapers import NEURAL, STRAND_NEWTON, make_draper, with_coherence
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError, refused
@@ -143,13 +143,13 @@ def _motion(name: str, body: str) -> Motion:
 def _draper(name: str, stiffness: float) -> Draper:
     loading = Loading(stiffness=stiffness)
     loading.check()
-    return with_coherence(_standard_draper(name).under(loading))
+    return with_coherence(_standard_draper(name).with_loading(loading))
 
 
 @lru_cache(len(CLIP_DRAPERS))
-def _standard_draper(name: str) -> LoadedDraper:
+def _standard_draper(name: str) -> LoadDependentDraper:
     draper = make_draper(name)
-    assert isinstance(draper, LoadedDraper)
+    assert isinstance(draper, LoadDependentDraper)
     return draper
 
 

@@ -6,7 +6,7 @@ import torch
 
 from quaffure.baselines.groomgen_network import GroomGenNetwork, load_groomgen_network
 from quaffure.body.body_model import BodyModel
-from quaffure.body.neck import head_turn
+from quaffure.body.neck import head_rotation
 from quaffure.body.pose_features import HEAD, world_from_head
 from quaffure.config import TEXTURE_SIZE, HairMaterial
 from quaffure.errors import InputError
@@ -45,7 +45,7 @@ class GroomGenDraper:
         """
         body, posed = scene.bodies.body, scene.bodies.posed
         strands = self._strands(scene.groom, body)
-        moved = self.network(head_turn(body, posed.joint_rotations), strands)
+        moved = self.network(head_rotation(body, posed.joint_rotations), strands)
         return scene.posed + moved @ world_from_head(body, posed.joint_rotations)[:, None].mT
 
     def knows(self, groom: Groom, body: BodyModel) -> bool:

@@ -14,7 +14,7 @@ class PosedDraper:
     def __init__(self, material: HairMaterial | None = None) -> None:
         self.material = material or HairMaterial()
 
-    def under(self, loading: Loading) -> "PosedDraper":
+    def with_loading(self, loading: Loading) -> "PosedDraper":
         """The same: what is not deformed hangs in no direction."""
         return self
 

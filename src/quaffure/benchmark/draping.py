@@ -80,7 +80,7 @@ class CaseDraper:
     def _draper(self, method: Method, loading: Loading) -> tuple[Draper, str]:
         """A method's draper under a loading, and its key."""
         if (method.name, loading) not in self._drapers:
-            draper = method.under(loading)
+            draper = method.with_loading(loading)
             self._drapers[method.name, loading] = draper, draper_key(draper)
         return self._drapers[method.name, loading]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from quaffure.baselines.groomgen import GroomGenDraper
 from quaffure.baselines.posed import PosedDraper
 from quaffure.body.body_model import BodyModel
-from quaffure.draper import Draper, LoadedDraper
+from quaffure.draper import Draper, LoadDependentDraper
 from quaffure.drapers import GROOMGEN, NEURAL, POSED, STRAND_NEWTON, load_trained
 from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.errors import InputError
@@ -52,14 +52,14 @@ class Method:
             return True
         if isinstance(self.draper, NeuralDraper):
             return self.draper.reads_loading
-        return isinstance(self.draper, LoadedDraper)
+        return isinstance(self.draper, LoadDependentDraper)
 
-    def under(self, loading: Loading) -> Draper:
+    def with_loading(self, loading: Loading) -> Draper:
         """The draper under a loading that it knows."""
         if loading == STANDARD_LOADING:
             return self.draper
-        assert isinstance(self.draper, LoadedDraper)
-        return self.draper.under(loading)
+        assert isinstance(self.draper, LoadDependentDraper)
+        return self.draper.with_loading(loading)
 
 
 def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from quaffure.body.head_frame_kernels import FEATURE_COUNT
     from quaffure.body.mls_body import MlsBodyConfig
     from quaffure.body.motion import Motion, filter_flips, joint_matrices, resample, without_heading
-    from quaffure.body.neck import head_turn, turned_head
+    from quaffure.body.neck import head_rotation, neck_pose
     from quaffure.body.pose_prior import PRIOR_FILE, PosePrior, load_pose_prior
     from quaffure.body.retargeting import retarget_bvh
     from quaffure.body.scalp import ScalpChart

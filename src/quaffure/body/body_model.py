@@ -16,7 +16,7 @@ from quaffure.body.pose_limits import Rows, check_body_pose, check_body_shape, r
 from quaffure.body.scalp import ScalpChart
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
-from quaffure.geometry.surface import SurfaceTopology, surface_topology
+from quaffure.geometry.surface import Surface, SurfaceTopology, posed_surface, surface_topology
 from quaffure.npz import INTEGER, REAL, TEXT, Spec, read_arrays
 from quaffure.types import BodyPose, BodyShape, MeshFaces
 
@@ -141,11 +141,16 @@ class BodyModel:
         Raises:
             InputError: other shapes, numbers that are not finite, a rotation beyond 4 pi, or a coefficient beyond 10.
         """
+        poses, shapes = self.checked(body_pose, body_shape)
+        return self.skin(shapes, *self.posed_joints(poses, shapes))
+
+    def checked(self, body_pose: Rows, body_shape: Rows) -> tuple[BodyPose, BodyShape]:
+        """Poses theta and shapes beta as tensors like the body's. Arguments and errors as of `pose`."""
         poses = rows_of(body_pose, 3 * JOINT_COUNT, self.rest_vertices, "body_pose")
         shapes = rows_of(body_shape, SHAPE_COUNT, self.rest_vertices, "body_shape")
         check_body_pose(poses, "body_pose")
         check_body_shape(shapes, "body_shape")
-        return self.skin(shapes, *self.posed_joints(poses, shapes))
+        return poses, shapes
 
     def skin(
         self,
@@ -189,6 +194,11 @@ class BodyModel:
     def surface_topology(self) -> SurfaceTopology:
         """Search structure over the closed surface, shared by all poses."""
         return surface_topology(self.rest_vertices, self.faces)
+
+    @cached_property
+    def rest_surface(self) -> Surface:
+        """The mean body in its rest pose, ready for nearest-face searches."""
+        return posed_surface(self.surface_topology, self.rest_vertices[None])
 
     @cached_property
     def _parent_index(self) -> Int[Tensor, "27"]:

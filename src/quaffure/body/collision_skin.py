@@ -11,7 +11,6 @@ from quaffure.body.pose_features import HEAD, NEAR_HAIR
 from quaffure.geometry.bvh import leaf_order
 from quaffure.geometry.mesh import face_normals
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.geometry.surface import posed_surface
 from quaffure.types import Float, Int, Tensor
 
 FURTHER = ("LowerBack", "LeftFingerBase", "RightFingerBase")
@@ -69,10 +68,9 @@ def _band(body: BodyModel, faces: Int[Tensor, "k 3"]) -> Float[np.ndarray, "k 2"
     """Bands by the thickness of the body at rest under the centre of each triangle."""
     corners = body.rest_vertices[faces]
     centre, normal = corners.mean(dim=1), face_normals(corners)
-    surface = posed_surface(body.surface_topology, body.rest_vertices[None])
     band = torch.full((len(faces), 2), THIN[-1])
     for depth, above in ((THIN[0], THIN[0]), (BELOW, ABOVE)):
-        deep = signed_distance((centre - depth * normal)[None], surface)[0] < -_ENOUGH * depth
+        deep = signed_distance((centre - depth * normal)[None], body.rest_surface)[0] < -_ENOUGH * depth
         band[deep.cpu()] = torch.tensor([depth, above])
     of_head = body.dense_skin_weights.argmax(1) == body.joint_names.index(HEAD)
     on_face = of_head[faces].all(1) & ~torch.isin(faces, body.faces[body.scalp.faces]).all(1)

@@ -11,7 +11,7 @@ from quaffure.body.pose_features import HEAD, NEAR_HAIR
 from quaffure.geometry.mesh import angle_weighted_vertex_normals
 from quaffure.geometry.mls_kernels import LEAF
 from quaffure.geometry.mls_surface import MlsSurface
-from quaffure.geometry.sampling import neighbours_together, spread_subset
+from quaffure.geometry.sampling import farthest_points, spatial_order
 from quaffure.types import Float, Int, Tensor
 
 
@@ -44,8 +44,8 @@ def skin_points(body: BodyModel, leaves: int) -> tuple[Int[Tensor, " k"], Float[
     near = torch.tensor([body.joint_names.index(name) for name in (HEAD, *NEAR_HAIR)], device=body.faces.device)
     weights = body.dense_skin_weights
     reachable = (weights[:, near].sum(1) > 0.5).nonzero()[:, 0]
-    spread = spread_subset(body.rest_vertices[reachable].cpu().numpy(), leaves * LEAF)
+    spread = farthest_points(body.rest_vertices[reachable].cpu().numpy(), leaves * LEAF)
     vertices = reachable[torch.from_numpy(spread).to(reachable.device)]
-    vertices = vertices[neighbours_together(body.rest_vertices[vertices], LEAF)]
+    vertices = vertices[spatial_order(body.rest_vertices[vertices], LEAF)]
     normals = angle_weighted_vertex_normals(body.rest_vertices[None], body.faces)[0, vertices]
     return vertices, normalize(normals, dim=-1), weights[vertices]

@@ -9,20 +9,20 @@ NECK_SHARES = {"Neck": 0.28, "Neck1": 0.34, HEAD: 0.38}
 """Share of each joint in a rotation of the head, from the trunk up; they sum to 1."""
 
 
-def turned_head(body: BodyModel, turn: Float[Tensor, "b 3"]) -> BodyPose:
+def neck_pose(body: BodyModel, rotation: Float[Tensor, "b 3"]) -> BodyPose:
     """The rest pose but for the neck [rad].
 
     Args:
-        turn: rotation vector of the head in rest axes: x bends forward, y leans to the left, z turns to the left [rad].
+        rotation: vector of the head in rest axes: x bends forward, y leans to the left, z turns to the left [rad].
     """
-    pose = turn.new_zeros(len(turn), JOINT_COUNT, 3)
+    pose = rotation.new_zeros(len(rotation), JOINT_COUNT, 3)
     for joint, share in NECK_SHARES.items():
-        pose[:, body.joint_names.index(joint)] = share * turn
+        pose[:, body.joint_names.index(joint)] = share * rotation
     return pose.flatten(1)
 
 
-def head_turn(body: BodyModel, joint_rotations: Float[Tensor, "b j 3 3"]) -> Float[Tensor, "b 3"]:
-    """Rotation vector of the head relative to the trunk [rad], at most half a turn; undoes `turned_head`.
+def head_rotation(body: BodyModel, joint_rotations: Float[Tensor, "b j 3 3"]) -> Float[Tensor, "b 3"]:
+    """Rotation vector of the head relative to the trunk [rad], at most half a turn; undoes `neck_pose`.
 
     Args:
         joint_rotations: `world_from_joint`.

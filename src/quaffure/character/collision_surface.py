@@ -57,26 +57,25 @@ class Triangles(NamedTuple):
     faces: Int[np.ndarray, "k 3"]
 
 
-def check_extent(name: str, vertices: Float[np.ndarray, "v 3"], height: float, source: str) -> None:
+def check_extent(name: str, vertices: Float[np.ndarray, "v 3"], joints: Float[np.ndarray, "j 3"], source: str) -> None:
     """Refuse a mesh with a vertex far from the figure, before there is a grid around it.
 
     Args:
         name: of the mesh.
-        height: of the figure, in the unit of the vertices.
+        joints: of the figure, in the unit of the vertices; their largest extent is its height.
         source: the file.
 
     Raises:
         InputError: it is wider than `WIDEST` heights.
     """
+    height = float(np.ptp(joints, axis=0).max())
     extent = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
     if not extent <= WIDEST * height:
         found = f"one of {extent / height:.3g} heights" if height > 0 else "joints in one place"
         raise InputError(f"{source}, mesh {name}", f"a mesh within {WIDEST:g} heights of the figure", found)
 
 
-def closed_surface(
-    skin: Triangles, head: Float[np.ndarray, "3"], cell: float = CELL, face_count: int = FACES
-) -> Triangles:
+def closed_surface(skin: Triangles, head: Float[np.ndarray, "3"], cell: float = CELL) -> Triangles:
     """A closed surface around everything that is inside of a mesh.
 
     Args:
@@ -89,7 +88,7 @@ def closed_surface(
     skin = _welded(skin)
     outer = _pieces(_level_set(skin, CLOSING_RADIUS, cell))
     closed = _pieces(_level_set(outer, -CLOSING_RADIUS, cell))
-    simple = _on_skin(_simplified(closed, head, face_count), skin)
+    simple = _on_skin(_simplified(closed, head), skin)
     for _ in range(RELAXATIONS):
         simple = _on_skin(_relaxed(simple), skin)
     if boundary_loops(simple.faces):
@@ -215,12 +214,12 @@ def _pieces(mesh: Triangles) -> Triangles:
     return Triangles(vertices, np.concatenate([faces, *(fill_loop(loop, vertices) for loop in boundary_loops(faces))]))
 
 
-def _simplified(mesh: Triangles, head: Float[np.ndarray, "3"], face_count: int) -> Triangles:
+def _simplified(mesh: Triangles, head: Float[np.ndarray, "3"]) -> Triangles:
     """Fewer faces, of equal size in a space in which what is far from the head is small."""
     import igl
 
     warped = np.asfortranarray(_warped(mesh.vertices, head))
-    vertices, faces, _, _ = igl.decimate(warped, np.asfortranarray(mesh.faces.astype(np.int32)), face_count)
+    vertices, faces, _, _ = igl.decimate(warped, np.asfortranarray(mesh.faces.astype(np.int32)), FACES)
     return Triangles(np.ascontiguousarray(_unwarped(vertices, head)), faces.astype(np.int64, order="C"))
 
 

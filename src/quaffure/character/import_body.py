@@ -99,9 +99,8 @@ def import_body(
     all_parts = parts_of(character, skeleton)
     parts = choose_parts(all_parts, template.joint_names, character.source, settings.collide)
     _check_names(all_parts, settings, character.source)
-    height = float(np.ptp(skeleton.file_joints, axis=0).max())
     for part in (*parts.skin, *parts.inner):
-        check_extent(part.name, part.vertices, height, character.source)
+        check_extent(part.name, part.vertices, skeleton.file_joints, character.source)
     on_step("making one closed surface of the skin")
     vertices, faces, weights = joined((*parts.skin, *parts.inner))
     skin, middle = Triangles(vertices, faces), _middle_of_head(parts, template)

@@ -83,14 +83,11 @@ class Parts:
     Attributes:
         skin: what hair collides with.
         inner: eyes, teeth and tongue, which fill the cavities of the skin.
-        hair, others: parts that are left out.
         notes: what was chosen, in words.
     """
 
     skin: tuple[Part, ...]
     inner: tuple[Part, ...]
-    hair: tuple[Part, ...]
-    others: tuple[Part, ...]
     notes: tuple[str, ...]
 
 
@@ -144,7 +141,7 @@ def choose_parts(parts: list[Part], joint_names: tuple[str, ...], source: str, c
         left = [part for part in group if part not in skin]
         if left:
             notes.append(f"{what}: {_names(left)}")
-    return Parts(tuple(skin), tuple(inner), tuple(hair), tuple(others), tuple(notes))
+    return Parts(tuple(skin), tuple(inner), tuple(notes))
 
 
 def joined(parts: tuple[Part, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

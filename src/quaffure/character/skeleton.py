@@ -136,7 +136,7 @@ def _metres_per_unit(
     """1, as glTF asks, where it gives a human height; or else the known unit whose height is nearest to the template's
     in proportion, or one that gives the template's."""
     for mesh in (mesh for mesh in _figure(character) if not mesh.is_rigid):
-        check_extent(mesh.name, mesh.vertices, float(np.ptp(joints, axis=0).max()), character.source)
+        check_extent(mesh.name, mesh.vertices, joints, character.source)
     height = float(np.ptp(np.concatenate([mesh.vertices @ turn[2] for mesh in _figure(character)])))
     if not height > 0:
         raise InputError(character.source, "meshes of a standing figure", "a height of 0")

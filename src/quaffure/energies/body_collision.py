@@ -8,7 +8,7 @@ from numba import njit
 
 from quaffure.energies.energy_term import EnergyTerm, HairState
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.geometry.winding_number import winding_numbers
+from quaffure.geometry.winding_number import is_inside
 from quaffure.scene import HairScene
 from quaffure.types import Bool, Energy, Float, Positions, Scalar, Tensor
 
@@ -65,11 +65,11 @@ def intersection_percent(draped: Positions, scene: HairScene) -> Float[Tensor, "
 
 
 def inside_body(draped: Positions, scene: HairScene) -> Bool[Tensor, "b s m"]:
-    """Which vertices, roots left out, are inside the body: where its winding number is positive."""
-    points = draped[:, :, 1:].flatten(1, 2).detach().cpu().numpy()
-    vertices, faces = scene.surface.vertices.detach().cpu().numpy(), scene.surface.topology.faces.cpu().numpy()
-    inside = np.stack([winding_numbers(*sample, faces) > 0 for sample in zip(points, vertices)])
-    return torch.from_numpy(inside).to(draped.device).view(*draped.shape[:2], -1)
+    """Which vertices, roots left out, are inside the body (`quaffure.geometry.winding_number`)."""
+    points, vertices = (values.detach().cpu().numpy() for values in (draped[:, :, 1:], scene.surface.vertices))
+    faces = scene.surface.topology.faces.cpu().numpy()
+    inside = np.stack([is_inside(*sample, faces) for sample in zip(points, vertices)])
+    return torch.from_numpy(inside).to(draped.device)
 
 
 class BodyCollision(EnergyTerm):

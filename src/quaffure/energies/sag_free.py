@@ -30,8 +30,7 @@ from quaffure.energies.rod_kernels import rod_arrays, rod_energies_and_gradient
 from quaffure.energies.stability import Design, stable_factors
 from quaffure.energies.support import StrandForces, solve_support, transmitted_moments
 from quaffure.geometry.polyline import directors
-from quaffure.geometry.surface import Surface
-from quaffure.hair.clearance import distances_and_normals, rest_surface
+from quaffure.hair.clearance import distances_and_normals
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_cache import GroomCache
 from quaffure.types import Bool, Float, Tensor
@@ -55,6 +54,7 @@ class SagFreeRest:
     Attributes:
         rod: rest shape and stiffness of the strands.
         collision_margin: distance D of Eq. 10 at which the body pushes each vertex with its support [m].
+        distance: of each vertex of the design from the body [m].
         support: s, force of the body on each vertex of the design [N].
         normal: direction of that force, unit.
         unstable: strands that are no minimum yet, though as stiff as `stability.MOST_TRIALS` allow.
@@ -63,6 +63,7 @@ class SagFreeRest:
 
     rod: RodRest
     collision_margin: Float[Tensor, "s n"]
+    distance: Float[Tensor, "s n"]
     support: Float[Tensor, "s n"]
     normal: Float[Tensor, "s n 3"]
     unstable: Bool[Tensor, " s"]
@@ -113,7 +114,6 @@ def sag_free_rest(
     body: BodyModel,
     material: HairMaterial | None = None,
     held: Bool[Tensor, "s e"] | None = None,
-    surface: Surface | None = None,
 ) -> SagFreeRest:
     """The rest shape that keeps a groom as it was designed.
 
@@ -122,18 +122,17 @@ def sag_free_rest(
         material: weight and contact of the strands.
         held: edges that a tie or a clip holds to the direction of the design; the groom's own (`Groom.held_edges`)
             without. The weight of their goals is at least the groom's, its `stiffness_scale` multiplies B and C.
-        surface: of the body at rest, when at hand (`rest_surface`).
 
     Raises:
         InputError: a strand folds back (`previous_frames`).
     """
     material = material or HairMaterial()
     state = rest_state(groom.rest_strands.double().cpu(), material)
-    strands, direction = state.rest_strands, directors(state.rest_strands)
+    strands = state.rest_strands
     own = groom.to("cpu")
     held = own.held_edges if held is None else held.cpu()
     own_scale = stiffness_scale_of(own).double()
-    distance, normal = distances_and_normals(strands, surface or rest_surface(body.to("cpu")))
+    distance, normal = distances_and_normals(strands, body.to("cpu").rest_surface)
     weight = STANDARD_GRAVITY * state.mass
     forces = StrandForces.of(strands, weight, normal, held, *joint_stiffness(state.rest_length, own_scale))
     available = (1 - (distance - SUPPORT_DISTANCE).clamp(min=0) / SUPPORT_FADE).clamp(0, 1)
@@ -147,11 +146,12 @@ def sag_free_rest(
     scale = _scale_for_preload(forces, moments)
     contact = 2 * (3 * material.k_body_collision * support).sqrt()
     goals = _Goals(held, goal_weight_of(own).double(), moments[2])
-    factors, unstable = _factors_for_stability(direction, forces, moments, goals, scale, support, contact)
-    rod = _preloaded(direction, forces, moments, goals, scale * factors)
+    factors, unstable = _factors_for_stability(forces, moments, goals, scale, support, contact)
+    rod = _preloaded(forces, moments, goals, scale * factors)
     return SagFreeRest(
         rod=replace(rod, stiffness_scale=own_scale * rod.stiffness_scale),
         collision_margin=torch.where(support > 0, pressed, margin),
+        distance=distance,
         support=support,
         normal=normal,
         unstable=unstable,
@@ -167,7 +167,6 @@ def _scale_for_preload(forces: StrandForces, moments: tuple[Tensor, Tensor, Tens
 
 
 def _factors_for_stability(
-    direction: Float[Tensor, "s e 3"],
     forces: StrandForces,
     moments: tuple[Tensor, Tensor, Tensor],
     goals: _Goals,
@@ -183,7 +182,7 @@ def _factors_for_stability(
         twisting_stiffness=scale * forces.twisting_stiffness,
     )
     weight = goals.weights(stiff.bending_stiffness)
-    pull = weight[..., None] * goals.directions(direction, weight)
+    pull = weight[..., None] * goals.directions(forces.direction, weight)
     arrays = (support, contact_stiffness, bending, twisting, pull)
     factors, unstable = torch.ones_like(scale), torch.zeros(len(scale), dtype=torch.bool)
     stable_factors(
@@ -193,14 +192,13 @@ def _factors_for_stability(
 
 
 def _preloaded(
-    direction: Float[Tensor, "s e 3"],
     forces: StrandForces,
     moments: tuple[Tensor, Tensor, Tensor],
     goals: _Goals,
     scale: Float[Tensor, "s e"],
 ) -> RodRest:
     """Rest directions, rest twist and goals that transmit the moments (the module's equations)."""
-    bending, twisting, _ = moments
+    (bending, twisting, _), direction = moments, forces.direction
     stiffness = scale * forces.bending_stiffness
     weight = goals.weights(stiffness)
     before, normal = previous_frames(direction)
@@ -233,12 +231,13 @@ def design_of(groom: Groom, body: BodyModel, material: HairMaterial) -> SagFreeR
     return designs[body, material]
 
 
-def residual(groom: Groom, rest: SagFreeRest, material: HairMaterial | None = None) -> Float[Tensor, "s e"]:
-    """Force that is left on each edge of the design, in weights of the vertex at its end; twist at its equilibrium.
+def residual(groom: Groom, rest: SagFreeRest) -> Float[Tensor, "s e"]:
+    """Force that is left on each edge of the design, in weights of the vertex at its end; twist at its equilibrium,
+    the default material.
 
     From the gradient of the compiled rod energy in float64, so it checks the rest shape's derivation as well.
     """
-    state = rest_state(groom.rest_strands.double().cpu(), material or HairMaterial())
+    state = rest_state(groom.rest_strands.double().cpu(), HairMaterial())
     strands, weight = state.rest_strands, STANDARD_GRAVITY * state.mass
     rotation = torch.eye(3, dtype=torch.float64).expand(1, len(strands), 3, 3)
     _, gradient = rod_energies_and_gradient(strands[None], rod_arrays(rest.rod, torch.float64), rotation)
@@ -250,8 +249,8 @@ def residual(groom: Groom, rest: SagFreeRest, material: HairMaterial | None = No
     return across.norm(dim=-1) / weight[:, 1:]
 
 
-def sag_free_report(groom: Groom, rest: SagFreeRest, material: HairMaterial | None = None) -> SagFreeReport:
-    """What the rest shape of a groom took."""
+def sag_free_report(groom: Groom, rest: SagFreeRest) -> SagFreeReport:
+    """What the rest shape of a groom took, of the default material."""
     own = stiffness_scale_of(groom.to("cpu")).double()
     scale = (rest.rod.stiffness_scale / own)[rest.rod.goal_weight == 0]
     stiffened = scale[scale > 1]
@@ -260,6 +259,6 @@ def sag_free_report(groom: Groom, rest: SagFreeRest, material: HairMaterial | No
         median_scale=float(stiffened.median()) if len(stiffened) else 1.0,
         above_10_percent=100 * int((scale > 10).sum()) / max(len(scale), 1),
         supported_percent=100 * float((rest.support[:, 1:] > 0).double().mean()),
-        largest_residual=float(residual(groom, rest, material).max()),
+        largest_residual=float(residual(groom, rest).max()),
         unstable_strands=int(rest.unstable.sum()),
     )

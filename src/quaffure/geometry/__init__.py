@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         quaternion_from_matrix,
         quaternion_multiply,
     )
-    from quaffure.geometry.sampling import spread_subset
+    from quaffure.geometry.sampling import farthest_points
     from quaffure.geometry.surface import Surface, occupancy_of, posed_surface, surface_topology
     from quaffure.geometry.triangle_grid import TriangleGrid
 

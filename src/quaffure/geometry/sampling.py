@@ -6,7 +6,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 
-def spread_subset(points: Float[np.ndarray, "p 3"], most: int) -> Int[np.ndarray, " m"]:
+def farthest_points(points: Float[np.ndarray, "p 3"], most: int) -> Int[np.ndarray, " m"]:
     """Indices of up to `most` points, each the farthest from those before it, in ascending order."""
     chosen = [0]
     distance = np.linalg.norm(points - points[0], axis=1)
@@ -18,7 +18,7 @@ def spread_subset(points: Float[np.ndarray, "p 3"], most: int) -> Int[np.ndarray
     return np.sort(chosen)
 
 
-def neighbours_together(points: Float[Tensor, "p d"], size: int) -> Int[Tensor, " p"]:
+def spatial_order(points: Float[Tensor, "p d"], size: int) -> Int[Tensor, " p"]:
     """Order in which every `size` points are near each other: halved along their longest extent, over and over."""
     ordered, parts = [], [torch.arange(len(points), device=points.device)]
     while parts:

@@ -117,13 +117,22 @@ def signed_distance(points: Float[Tensor, "b p 3"], surface: Surface) -> Float[T
     The gradient holds the foot point's weights fixed, which is exact to first order (envelope theorem); at distance
     zero, where the norm has no gradient, it is the feature's normal.
     """
+    offset, direction = surface_offsets(points, surface)
+    return (offset * direction).sum(-1)
+
+
+def surface_offsets(
+    points: Float[Tensor, "b p 3"], surface: Surface
+) -> tuple[Float[Tensor, "b p 3"], Float[Tensor, "b p 3"]]:
+    """Offset of points from the closest points of the surface [m], and the unit direction away from it on its outside,
+    without gradient."""
     foot = closest_points(points, surface)
-    triangles = surface.vertices.to(points)[:, surface.topology.faces]
-    nearest = torch.stack([triangles[sample, foot.faces[sample]] for sample in range(len(points))])
+    corners, vertices = surface.topology.faces[foot.faces], surface.vertices.to(points)
+    nearest = torch.stack([vertices[sample, corners[sample]] for sample in range(len(points))])
     offset = points - (foot.barycentric[..., None] * nearest).sum(-2)
     with torch.no_grad():
         sign = torch.where((offset * foot.normals).sum(-1) < 0, -1.0, 1.0)[..., None]
         length = offset.norm(dim=-1, keepdim=True)
         outward = torch.nn.functional.normalize(foot.normals, dim=-1)
-        direction = torch.where(length > 1e-7, sign * offset / length.clamp(min=1e-12), outward)
-    return (offset * direction).sum(-1)
+        # Shorter offsets are rounding, which has no direction.
+        return offset, torch.where(length > 1e-6, sign * offset / length.clamp(min=1e-9), outward)

@@ -5,13 +5,20 @@ any ray from the point meets: +1 where it leaves through a face, -1 where it ent
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numba import njit, prange
 
 CELL = 0.005
 """Width of the columns that faces are sorted into [m]."""
 MOST_CELLS = 512
 """Columns along an axis, at most."""
+
+
+def is_inside(
+    points: Float[np.ndarray, "*p 3"], vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "k 3"]
+) -> Bool[np.ndarray, "*p"]:
+    """Which points [m] are inside a closed surface: where its winding number is positive. Arguments as below."""
+    return (winding_numbers(points.reshape(-1, 3), vertices, faces) > 0).reshape(points.shape[:-1])
 
 
 def winding_numbers(

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 from quaffure._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from quaffure.hair.clearance import distances_and_normals, inside_share, pushed_out, rest_surface
+    from quaffure.hair.clearance import distances_and_normals, inside_share, pushed_out
     from quaffure.hair.drape_sequence import DrapeSequence
     from quaffure.hair.file_frame import FileFrame
     from quaffure.hair.groom import Groom
-    from quaffure.hair.guide_interpolation import GuideInterpolation, groom_of_drape, interpolation_of, with_strands
+    from quaffure.hair.guide_interpolation import GuideInterpolation, groom_of_drape, interpolation_of
     from quaffure.hair.posing import posed_strands, root_positions, root_rotations, triangle_frames
     from quaffure.hair.registration import HeadMesh, register_groom
     from quaffure.hair.resample import concatenate_strands, polyline_lengths, resample_by_arc_length

@@ -2,11 +2,11 @@
 
 import torch
 
-from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
 from quaffure.geometry.polyline import arc_lengths, integrate_directions_reference
-from quaffure.geometry.signed_distance import closest_points
-from quaffure.geometry.surface import Surface, posed_surface
+from quaffure.geometry.signed_distance import surface_offsets
+from quaffure.geometry.surface import Surface
+from quaffure.geometry.winding_number import is_inside
 from quaffure.types import Bool, Float, Int, Tensor
 
 # Grooms are laid out for the collision margins of hair as it is by default.
@@ -16,7 +16,7 @@ CLEARANCE, CLEARANCE_RAMP = HairMaterial.collision_margin, HairMaterial.collisio
 LEAST_CLEARANCE = 1e-4
 # Share of a vertex's displacement that its successor and its predecessor take, so that the strand bends smoothly.
 TIPWARD_SHARE, ROOTWARD_SHARE = 0.8, 0.4
-FINAL_ROUNDS = 10
+ROUNDS, FINAL_ROUNDS = 40, 10
 CAUGHT_FOLDS = 2
 """A strand that turns by more than a right angle at as many vertices hangs on something, such as an ear."""
 LONGEST_MOVED = 1.03
@@ -25,65 +25,50 @@ LONGEST_MOVED = 1.03
 STEP = 0.9
 
 
-def rest_surface(body: BodyModel) -> Surface:
-    """The mean body in its rest pose, ready for nearest-face searches."""
-    return posed_surface(body.surface_topology, body.rest_vertices[None])
-
-
 def distances_and_normals(
     points: Float[Tensor, "*batch 3"], surface: Surface
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch 3"]]:
     """Exact signed distance to the surface's first sample [m] and the outward unit direction away from it."""
-    flat = points.reshape(1, -1, 3)
-    closest = closest_points(flat, surface)
-    triangles = surface.vertices[0][surface.topology.faces[closest.faces[0]]]
-    offset = flat[0] - (closest.barycentric[0][..., None] * triangles).sum(-2)
-    length = offset.norm(dim=-1, keepdim=True)
-    sign = torch.where((offset * closest.normals[0]).sum(-1, keepdim=True) < 0, -1.0, 1.0)
-    outward = torch.nn.functional.normalize(closest.normals[0], dim=-1)
-    normal = torch.where(length > 1e-6, sign * offset / length.clamp(min=1e-9), outward)
-    return (sign * length).reshape(points.shape[:-1]), normal.reshape(points.shape)
+    offset, normal = surface_offsets(points.reshape(1, -1, 3), surface)
+    distance = torch.where((offset * normal).sum(-1) < 0, -1.0, 1.0) * offset.norm(dim=-1)
+    return distance.reshape(points.shape[:-1]), normal.reshape(points.shape)
 
 
 def inside_share(strands: Float[Tensor, "s n 3"], surface: Surface) -> float:
     """Share of vertices, without the roots, strictly inside the body."""
-    return float((distances_and_normals(strands[:, 1:], surface)[0] < 0).float().mean())
+    return float(is_inside(strands[:, 1:].numpy(), surface.vertices[0].numpy(), surface.topology.faces.numpy()).mean())
 
 
-def required_clearance(strands: Float[Tensor, "s n 3"], clearance: float) -> Float[Tensor, "s n"]:
-    """Smallest distance of each vertex from the skin [m]: zero at the root, rising to `clearance`."""
-    needed = (CLEARANCE_RAMP * arc_lengths(strands)).clamp(min=LEAST_CLEARANCE, max=clearance)
+def required_clearance(strands: Float[Tensor, "s n 3"]) -> Float[Tensor, "s n"]:
+    """Smallest distance of each vertex from the skin [m]: zero at the root, rising to `CLEARANCE`."""
+    needed = (CLEARANCE_RAMP * arc_lengths(strands)).clamp(min=LEAST_CLEARANCE, max=CLEARANCE)
     needed[:, 0] = 0
     return needed
 
 
-def pushed_out(
-    strands: Float[Tensor, "s n 3"], surface: Surface, clearance: float = CLEARANCE, rounds: int = 40
-) -> Float[Tensor, "s n 3"]:
-    """Strands whose vertices keep `clearance` [m] from the body; roots stay, edges keep their lengths.
+def pushed_out(strands: Float[Tensor, "s n 3"], surface: Surface) -> Float[Tensor, "s n 3"]:
+    """Strands whose vertices keep `required_clearance` from the body; roots stay, edges keep their lengths.
 
     Vertices still inside after the rounds (in a fold of the skin) are moved out without regard to length, and so are
     those of a strand that was caught and folds back, as above an ear through which it leads, where that lengthens it
     by little (`LONGEST_MOVED`): deep in the body neighbours leave by several sides, and strands between them cross it.
     """
-    result = _pushed_keeping_lengths(strands, surface, clearance, rounds)
+    result = _pushed_keeping_lengths(strands, surface)
     caught = (_folds(result) >= CAUGHT_FOLDS) & (_folds(strands) == 0)
     if caught.any():
         rows, own = caught.nonzero()[:, 0], strands[caught]
-        moved = _moved_out(own, required_clearance(own, clearance), surface)
+        moved = _moved_out(own, required_clearance(own), surface)
         alike = arc_lengths(moved)[:, -1] < LONGEST_MOVED * arc_lengths(own)[:, -1]
         result[rows[alike]] = moved[alike]
     return result
 
 
-def _pushed_keeping_lengths(
-    strands: Float[Tensor, "s n 3"], surface: Surface, clearance: float, rounds: int
-) -> Float[Tensor, "s n 3"]:
+def _pushed_keeping_lengths(strands: Float[Tensor, "s n 3"], surface: Surface) -> Float[Tensor, "s n 3"]:
     lengths = strands.diff(dim=1).norm(dim=-1)
-    needed = required_clearance(strands, clearance)
+    needed = required_clearance(strands)
     result = strands.clone()
     active = torch.arange(len(strands))
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         push, deep = _push(result[active], needed[active], surface)
         active, push = active[deep], push[deep]
         if len(active) == 0:

@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32, Int, Int32
 from scipy.spatial import cKDTree
 
 from quaffure.errors import InputError
-from quaffure.geometry.sampling import spread_subset
+from quaffure.geometry.sampling import farthest_points
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom_binding import GroomBinding
 from quaffure.hair.guide_interpolation import GuideInterpolation
@@ -100,7 +100,7 @@ class ExportClip:
         """The draped strands that are guides."""
         if self.interpolation is not None:
             return np.arange(self.sequence.strands.shape[1])
-        return np.asarray(spread_subset(self._rest_guides[:, 0], MOST_GUIDES))
+        return np.asarray(farthest_points(self._rest_guides[:, 0], MOST_GUIDES))
 
     @cached_property
     def counts(self) -> Int32[np.ndarray, " m"]:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -16,6 +17,8 @@ from quaffure.types import Bool, Float, Int, Tensor
 
 LARGEST_COORDINATE = 10.0
 """Limit of the vertices of a groom, which is on a body at the origin [m], and of the coordinates of its roots [-]."""
+LONGEST_STRAND = 3.0
+"""Limit of a strand's length [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +118,33 @@ def check_groom(groom: Groom) -> None:
     if not groom.rest_strands.shape[0]:
         raise InputError(groom.name, "at least one strand", "none")
     for name, values in groom.arrays().items():
-        if not values.is_floating_point():
-            continue
-        least, most = map(float, values.detach().aminmax())  # NaN where there is one
-        limit = LARGEST_COORDINATE if name not in HELD_PARTS else math.inf
-        if not (-limit <= least and most <= limit and math.isfinite(most - least)):
-            expected = f"finite {name}" if limit == math.inf else f"finite {name} within +-{limit:g}"
-            raise InputError(groom.name, expected, f"{least:.3g} to {most:.3g}")
+        if values.is_floating_point():
+            check_within(values, name, groom.name, LARGEST_COORDINATE if name not in HELD_PARTS else math.inf)
+
+
+def check_within(values: Tensor, name: str, source: str | Path, limit: float = LARGEST_COORDINATE) -> None:
+    """Refuse coordinates or other numbers of a groom.
+
+    Args:
+        values: at least one.
+        name, source: of the values, and where they are from.
+
+    Raises:
+        InputError: NaN, infinity, or a size above the limit.
+    """
+    least, most = map(float, values.detach().aminmax())  # NaN where there is one
+    if not (-limit <= least and most <= limit and math.isfinite(most - least)):
+        expected = f"finite {name}" if limit == math.inf else f"finite {name} within +-{limit:g}"
+        raise InputError(source, expected, f"{least:.3g} to {most:.3g}")
+
+
+def check_strand_lengths(groom: Groom, source: str | Path) -> None:
+    """Refuse strands that are no hair.
+
+    Raises:
+        InputError: one as long as `LONGEST_STRAND`, or an edge without a length.
+    """
+    shortest, longest = float(groom.rest_lengths.min()), float(groom.strand_lengths.max())
+    if not (shortest > 0 and longest < LONGEST_STRAND):
+        expected = f"edges longer than 0 and strands under {LONGEST_STRAND:g} m"
+        raise InputError(source, expected, f"{shortest:.3g} m and {longest:.3g} m")

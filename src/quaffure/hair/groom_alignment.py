@@ -74,7 +74,7 @@ def align_groom(polylines: Float[np.ndarray, "s n 3"], body: BodyModel, frame: F
     return _with_details(alignment, found, is_turned, beard, body)
 
 
-def standing_groom(polylines: Float[np.ndarray, "s n 3"], body: BodyModel, frame: FileFrame) -> GroomAlignment:
+def standing_groom(polylines: Float[np.ndarray, "s n 3"], frame: FileFrame) -> GroomAlignment:
     """Strands [file units] that stand on this body already."""
     unit = frame.metres_per_unit() if frame.units else 1.0
     rotation = frame.registered_rotation()

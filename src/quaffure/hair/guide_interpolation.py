@@ -9,7 +9,7 @@ diverge in a drape, at a shoulder, the weights of the further ones fade out smoo
 
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -24,7 +24,7 @@ from quaffure.geometry.rotation import shortest_arc
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_triangles import coherence, first_direction_vertex, sample_roots, triangulate
-from quaffure.hair.posing import nearest_scalp_vertex, triangle_frames
+from quaffure.hair.posing import nearest_scalp_vertex, triangle_rotations
 from quaffure.hair.registration import nearest_on_scalp
 from quaffure.hair.strand_attributes import NONE, StrandAttributes
 from quaffure.hair.strands import held_parts_of
@@ -166,31 +166,6 @@ def axis_projection(vertices: int) -> Float32[np.ndarray, "n n"]:
     return (basis @ np.linalg.pinv(basis)).astype(np.float32)
 
 
-def with_strands(sequence: DrapeSequence, interpolation: GuideInterpolation) -> DrapeSequence:
-    """The drape of the strands between the guides: the same frames, many more strands."""
-    shape = (len(sequence), len(interpolation), interpolation.vertex_count, 3)
-    strands, posed = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    for frame in range(len(sequence)):
-        interpolation.strands(sequence.strands[frame], sequence.body_vertices[frame], strands[frame])
-        interpolation.strands(sequence.posed[frame], sequence.body_vertices[frame], posed[frame])
-    return replace(
-        sequence,
-        strands=strands,
-        posed=posed,
-        rest_lengths=np.linalg.norm(np.diff(posed[0], axis=1), axis=-1),
-        meta=sequence.meta | {"guides": sequence.strands.shape[1]},
-        **_held_parts(sequence, interpolation),
-    )
-
-
-def _held_parts(sequence: DrapeSequence, interpolation: GuideInterpolation) -> dict[str, Any]:
-    """Those of the nearest guide: a mean of a tie's vertices would be no vertex. None for strands of other vertices."""
-    parts = held_parts_of(sequence)
-    if interpolation.vertex_count != sequence.strands.shape[2]:
-        return dict.fromkeys(parts)
-    return {name: values[interpolation.guides[:, 0]] for name, values in parts.items()}
-
-
 def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:
     """The groom at rest of a drape, recovered from the first of its posed frames.
 
@@ -207,7 +182,7 @@ def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:
     if apart > FARTHEST_ROOT:
         raise InputError("drape", f"roots within {1e3 * FARTHEST_ROOT:g} mm of the scalp", f"{1e3 * apart:.1f} mm")
     carriers = body.faces[faces]
-    rest_from_world = triangle_frames(body.rest_vertices[carriers]) @ triangle_frames(vertices[carriers]).mT
+    rest_from_world = triangle_rotations(carriers, vertices, body).mT
     roots = (weights[..., None] * body.rest_vertices[carriers]).sum(-2)
     held_parts = {name: torch.from_numpy(values) for name, values in held_parts_of(sequence).items()}
     if "tie_vertex" in held_parts:

@@ -87,13 +87,43 @@ def rest_frames(groom: Groom, body: BodyModel, ties: Ties) -> Float[Tensor, "s 3
     return frames.index_copy(0, ties.strands, torch.eye(3).to(frames).expand(len(ties.strands), 3, 3))
 
 
+def triangle_rotations(
+    corners: Int[Tensor, "n 3"], vertices: Float[Tensor, "v 3"], body: BodyModel
+) -> Float[Tensor, "n 3 3"]:
+    """Rotation of triangles of the body from rest to posed vertices."""
+    return triangle_frames(vertices[corners]) @ triangle_frames(body.rest_vertices[corners]).mT
+
+
+def posed_frames(
+    triangles: Float[Tensor, "b s 3 3"],
+    barycentric: Float[Tensor, "s 3"],
+    anchors: Float[Tensor, "b t 3"],
+    ties: Ties,
+    head: Float[Tensor, "b 3 3"] | None = None,
+) -> tuple[Float[Tensor, "b s 3"], Float[Tensor, "b s 3 3"]]:
+    """What a posed body moves strands with: positions on their scalp triangles [m], and frames (`rest_frames` at rest).
+
+    Args:
+        triangles: scalp triangle of every strand [m].
+        barycentric: position on it.
+        anchors: of the ties [m].
+        head: world_from_head, where all these are in the world; without it they are in the head's frame.
+    """
+    roots = (barycentric[..., None] * triangles).sum(-2)
+    reach = anchors - roots[:, ties.strands]
+    if head is None:
+        tied = ties.rotation(reach)
+    else:
+        tied = head[:, None] @ ties.rotation((reach[:, :, None] @ head[:, None])[:, :, 0])
+    return roots, triangle_frames(triangles).index_copy(1, ties.strands, tied)
+
+
 def root_rotations(groom: Groom, posed: PosedBody, body: BodyModel) -> Float[Tensor, "b s 3 3"]:
     """Rotation of every strand from the rest body to the posed body (world_from_rest)."""
-    ties, head = ties_of(groom, body), world_from_head(body, posed.joint_rotations)[:, None]
-    frames = triangle_frames(posed.vertices[:, body.faces[groom.root_faces]])
-    reach = posed.vertices[:, ties.anchor] - root_positions(groom, posed.vertices, body)[:, ties.strands]
-    tied = ties.rotation((reach[:, :, None] @ head)[:, :, 0])
-    return frames.index_copy(1, ties.strands, head @ tied) @ rest_frames(groom, body, ties).mT
+    ties, head = ties_of(groom, body), world_from_head(body, posed.joint_rotations)
+    triangles, anchors = posed.vertices[:, body.faces[groom.root_faces]], posed.vertices[:, ties.anchor]
+    _, frames = posed_frames(triangles, groom.root_barycentric, anchors, ties, head)
+    return frames @ rest_frames(groom, body, ties).mT
 
 
 def rigid_rotations(groom: Groom, posed: Positions) -> Float[Tensor, "b s 3 3"]:

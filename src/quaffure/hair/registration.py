@@ -11,8 +11,7 @@ from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
 from quaffure.geometry.axes import axis_name
 from quaffure.geometry.signed_distance import closest_barycentric
-from quaffure.geometry.surface import Surface
-from quaffure.hair.clearance import inside_share, pushed_out, rest_surface
+from quaffure.hair.clearance import inside_share, pushed_out
 from quaffure.hair.file_frame import MIRROR, UNKNOWN, FileFrame
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_alignment import GroomAlignment, align_groom, standing_groom
@@ -62,7 +61,6 @@ def register_groom(
     name: str,
     head: HeadMesh | None = None,
     licence: str = "",
-    surface: Surface | None = None,
     frame: FileFrame = UNKNOWN,
 ) -> tuple[Groom, RegistrationReport]:
     """Transform a groom to our scalp, resampled to the common number of vertices.
@@ -75,7 +73,6 @@ def register_groom(
     where they have another number of vertices.
 
     Args:
-        surface: of the body at rest, if available (`rest_surface`).
         frame: what is known of the file's axes and unit.
 
     Raises:
@@ -84,7 +81,7 @@ def register_groom(
     """
     usable, degenerate = without_degenerate(_mirrored(strands, frame))
     found, alignment = _aligned(usable, body, head, frame)
-    surface = surface or rest_surface(body)
+    surface = body.rest_surface
     kept_parts = found.on_scalp
     aligned = alignment.transform(found.polylines[kept_parts])
     faces, barycentric, closest = nearest_on_scalp(torch.from_numpy(aligned[:, 0]).float(), body)
@@ -143,7 +140,7 @@ def _aligned(
     else:
         polylines = resample_by_arc_length(strands, VERTICES_PER_STRAND).astype(np.float64)
     if frame.registered:
-        found = standing_groom(polylines, body, frame)
+        found = standing_groom(polylines, frame)
         return found, found.alignment
     _check_roots(polylines[:, 0], strands.source)
     found = align_groom(polylines, body, frame)

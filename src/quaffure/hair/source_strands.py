@@ -16,12 +16,11 @@ from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.geometry.signed_distance import closest_points
 from quaffure.geometry.surface import posed_surface
-from quaffure.hair.clearance import rest_surface
 from quaffure.hair.driving_guides import driving_guides
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.hair.original_kernels import DrivenStrands, drive_strands, guide_rotations
-from quaffure.hair.posing import triangle_frames
+from quaffure.hair.posing import triangle_frames, triangle_rotations
 from quaffure.hair.registration import nearest_on_scalp
 from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.resample import arc_length_places, values_at_places
@@ -116,12 +115,6 @@ class OriginalStrands(GuideInterpolation):
     def attributes(self) -> StrandAttributes:
         return self.placed.attributes
 
-    def points_of_source(
-        self, guides: Float[np.ndarray, "g n 3"], body_vertices: Float[np.ndarray, "v 3"]
-    ) -> Float32[np.ndarray, "p 3"]:
-        """`points` in the source's own order, which may begin at tips [m, world]."""
-        return self.points(guides, body_vertices)[_order(self.placed.counts, self.placed.from_tip)]
-
     def points(
         self, guides: Float[np.ndarray, "g n 3"], body_vertices: Float[np.ndarray, "v 3"]
     ) -> Float32[np.ndarray, "p 3"]:
@@ -210,7 +203,7 @@ def _roots(
     faces, weights, _ = nearest_on_scalp(roots, body)
     off = torch.from_numpy(np.flatnonzero(~placed.on_scalp))
     if len(off):
-        found = closest_points(roots[off][None], rest_surface(body))
+        found = closest_points(roots[off][None], body.rest_surface)
         faces[off], weights[off] = found.faces[0], found.barycentric[0]
     triangles = body.rest_vertices[body.faces[faces]]
     local = roots - (weights[..., None] * triangles).sum(1)
@@ -220,9 +213,8 @@ def _roots(
 def _turns(
     carriers: Int[Tensor, "n 3"], vertices: Float[Tensor, "v 3"], body: BodyModel
 ) -> Float32[np.ndarray, "n 3 3"]:
-    """Rotation of faces from rest to a pose."""
-    turns = triangle_frames(vertices[carriers]) @ triangle_frames(body.rest_vertices[carriers]).mT
-    return np.ascontiguousarray(turns.numpy(), dtype=np.float32)
+    """`triangle_rotations` for the kernels."""
+    return np.ascontiguousarray(triangle_rotations(carriers, vertices, body).numpy(), dtype=np.float32)
 
 
 def _order(counts: Int[np.ndarray, " s"], reverse: Bool[np.ndarray, " s"]) -> Int[np.ndarray, " p"]:

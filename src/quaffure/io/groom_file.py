@@ -7,7 +7,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
-from quaffure.hair.groom import LARGEST_COORDINATE, Groom, check_groom
+from quaffure.hair.groom import Groom, check_groom, check_strand_lengths, check_within
 from quaffure.hair.source_strands import PlacedStrands
 from quaffure.hair.strand_attributes import POINT_ATTRIBUTES, StrandAttributes
 from quaffure.hair.strands import held_parts_of
@@ -40,7 +40,6 @@ ATTRIBUTE_SPEC: Spec = {
 FORMAT_VERSION = 2
 """Version 1 had no `format_version` and no held parts."""
 ROOT_SLACK = 2e-3  # m: between a strand's first vertex and its root on the scalp
-LONGEST_STRAND = 3.0  # m
 BARYCENTRIC_SLACK = 1e-3
 
 
@@ -80,8 +79,7 @@ def read_source(path: Path) -> PlacedStrands | None:
     if not ((counts >= 2) & (counts <= sizes["P"])).all() or counts.sum() != sizes["P"] or not len(counts):
         raise InputError(path, f"{SOURCE}counts of 2 and more that sum to {sizes['P']}", f"{counts[:4].tolist()}...")
     points = arrays[f"{SOURCE}points"].astype(np.float32)
-    if np.abs(points).max() > LARGEST_COORDINATE:
-        raise InputError(path, f"{SOURCE}points within +-{LARGEST_COORDINATE:g}", f"{np.abs(points).max():.3g}")
+    check_within(torch.from_numpy(points), f"{SOURCE}points", path)
     from_tip, on_scalp = (arrays[f"{SOURCE}{name}"] != 0 for name in ("from_tip", "on_scalp"))
     attributes = {name: arrays[f"{SOURCE}{name}"] for name in ATTRIBUTE_SPEC if f"{SOURCE}{name}" in arrays}
     _check_groups(attributes, path)
@@ -124,7 +122,9 @@ def read_groom(path: Path, body: BodyModel) -> Groom:
     tensors = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in NUMBERS if name != "root_faces"}
     faces = torch.from_numpy(arrays["root_faces"].astype(np.int64))
     tensors |= {name: torch.from_numpy(values) for name, values in held_parts.items()}
-    return Groom(name=str(arrays["name"]), licence=str(arrays["licence"]), root_faces=faces, **tensors)
+    groom = Groom(name=str(arrays["name"]), licence=str(arrays["licence"]), root_faces=faces, **tensors)
+    check_strand_lengths(groom, path)
+    return groom
 
 
 def _check_sizes(arrays: dict[str, np.ndarray], sizes: dict[str, int], path: Path) -> None:
@@ -148,10 +148,5 @@ def _check_roots(arrays: dict[str, np.ndarray], path: Path, body: BodyModel) -> 
     apart = float(np.abs(arrays["rest_strands"][:, 0] - roots).max())
     if apart > ROOT_SLACK:
         raise InputError(path, f"strands that begin at their roots to {ROOT_SLACK} m", f"{apart:.3g} m apart")
-    with np.errstate(over="ignore"):  # a length that no number holds is infinite, and refused below
-        lengths = np.linalg.norm(np.diff(arrays["rest_strands"], axis=1), axis=-1)
-    if not (lengths.min() > 0 and lengths.sum(1).max() < LONGEST_STRAND):
-        found = f"{lengths.min():.3g} m and {lengths.sum(1).max():.3g} m"
-        raise InputError(path, f"segments longer than 0 and strands under {LONGEST_STRAND} m", found)
     if uv.min() < 0 or uv.max() > 1:
         raise InputError(path, "root_uv in the unit square", f"{uv.min():.3g}..{uv.max():.3g}")

@@ -42,9 +42,7 @@ def load_groom(
     """
     body = body or load_body()
     if isinstance(groom, str) and groom in STYLES:
-        # Styles are sizes and places on the shipped head: on another one they would be other styles.
-        own = body if body.origin is None else load_body()
-        return _on_body(make_groom(groom, own), own, body)
+        return make_groom(groom, body)
     path = Path(groom)
     # Not Path.exists, which raises where the text is longer than a name can be.
     if not os.path.exists(path) and not path.suffix:
@@ -92,10 +90,6 @@ def _registered(
             pass
     groom, report = register_groom(strands, body, name, head, frame=frame)
     return groom, strands, report
-
-
-def _on_body(groom: Groom, own: BodyModel, body: BodyModel) -> Groom:
-    return groom if own is body else transfer_groom(groom, own, body)
 
 
 def load_source(

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from quaffure.model.checkpoint import load_network, save_network
     from quaffure.model.groom_autoencoder import GroomAutoencoder
     from quaffure.model.groom_code import load_groom_autoencoder
-    from quaffure.model.groom_texture import strands_of
+    from quaffure.model.groom_texture import strands_from_features
     from quaffure.model.inference_network import InferenceNetwork, NetworkInputs
     from quaffure.model.network_config import InitialShapeConfig, NetworkConfig, ProjectionConfig
     from quaffure.model.neural import NeuralDraper

@@ -76,7 +76,9 @@ def texture_of(features: Float[Tensor, "s channels"], texels: Int[Tensor, " s"])
     return texture.mT.unflatten(1, (TEXTURE_SIZE, TEXTURE_SIZE))
 
 
-def strands_of(features: Float[Tensor, "s channels"], groom: Groom, body: BodyModel) -> Float[Tensor, "s n 3"]:
+def strands_from_features(
+    features: Float[Tensor, "s channels"], groom: Groom, body: BodyModel
+) -> Float[Tensor, "s n 3"]:
     """Strands [m, world] of features, from the roots of a groom: undoes `strand_features`.
 
     Raises:

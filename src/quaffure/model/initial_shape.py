@@ -15,7 +15,7 @@ from quaffure.body.head_frame import HeadFrameBody
 from quaffure.config import EDGES_PER_STRAND
 from quaffure.energies.loading import Loading
 from quaffure.geometry.mls_surface import resolve_contact_reference
-from quaffure.hair.posing import triangle_frames
+from quaffure.hair.posing import posed_frames
 from quaffure.hair.strand_blocks import RestStrands
 from quaffure.model.free_rod import FreeRods, free_rod_directions
 from quaffure.model.initial_shape_kernels import BodyArrays, ShapeArrays, initial_shape_kernel
@@ -85,10 +85,8 @@ def initial_shape_reference(
 
 def strand_frames(strands: RestStrands, body: HeadFrameBody) -> tuple[Float[Tensor, "b s 3"], Float[Tensor, "b s 3 3"]]:
     """First vertices [m, head's frame] of a posed groom and the frames of its strands (`RestStrands`)."""
-    triangles, ties = body.scalp[:, strands.corners], strands.ties
-    roots = (strands.barycentric[..., None] * triangles).sum(-2)
-    tied = ties.rotation(body.scalp[:, ties.anchor] - roots[:, ties.strands])
-    frames = triangle_frames(triangles).index_copy(1, ties.strands, tied)
+    scalp, ties = body.scalp, strands.ties
+    roots, frames = posed_frames(scalp[:, strands.corners], strands.barycentric, scalp[:, ties.anchor], ties)
     return roots + (frames @ strands.offset[..., None])[..., 0], frames
 
 

@@ -43,7 +43,7 @@ def compute_roots(
     corners: np.ndarray, barycentric: np.ndarray, offset: np.ndarray, anchor: np.ndarray, tie: np.ndarray,
     scalp: np.ndarray, rows: np.ndarray,
 ) -> None:  # fmt: skip
-    """Frames of the strands and first vertices (`strand_frames` of `quaffure.model.initial_shape`)."""
+    """Frames of the strands and first vertices: twin of `strand_frames` of `quaffure.model.initial_shape`."""
     for i in range(7 * LANES):
         rows[_DEFLECTION + i] = np.float32(0.0)
     for i in range(LANES):

@@ -78,19 +78,18 @@ class NeuralDraper:
         material: HairMaterial,
         bf16: bool = False,
         backend: Backend | None = None,
-        loading: Loading = STANDARD_LOADING,
     ) -> None:
         """
         Args:
             backend: `TORCH` for derivatives in pose, shape and material on the CPU; by default the one of the weights.
         """
-        self.network, self.material, self.bf16, self.loading = network, material, bf16, loading
+        self.network, self.material, self.bf16, self.loading = network, material, bf16, STANDARD_LOADING
         self._kind = backend or choose_backend(next(network.parameters()))
         self._prepared: GroomCache[WeakKeyDictionary[BodyModel, PreparedGroom]] = GroomCache()
         self._stiffened: WeakKeyDictionary[PreparedGroom, tuple[Tensor, PreparedGroom]] = WeakKeyDictionary()
         self._made: tuple[object, DrapeBackend] | None = None
 
-    def under(self, loading: Loading) -> "NeuralDraper":
+    def with_loading(self, loading: Loading) -> "NeuralDraper":
         """The same network under another loading; grooms that were prepared stay so.
 
         Raises:

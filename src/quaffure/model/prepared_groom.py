@@ -15,9 +15,8 @@ from quaffure.energies.rest_state import rest_state
 from quaffure.energies.sag_free import SagFreeRest, design_of
 from quaffure.geometry.mls_kernels import LANES
 from quaffure.geometry.mls_surface import local_features
-from quaffure.geometry.sampling import neighbours_together
+from quaffure.geometry.sampling import spatial_order
 from quaffure.hair.block_arrays import StrandBlocks
-from quaffure.hair.clearance import distances_and_normals, rest_surface
 from quaffure.hair.groom import Groom
 from quaffure.hair.posing import rest_frames, ties_of
 from quaffure.hair.strand_blocks import RestStrands, in_blocks, rest_strands, strand_blocks
@@ -149,10 +148,10 @@ def prepare_groom(
         held = torch.nn.functional.pad(design.rod.goal_weight > 0, (1, 0)).to(groom.rest_strands.device)
         depth = balanced_depth(design, groom.rest_lengths, material, shape)
         start = initial_clearance(groom, design_margin, body, shape) - depth
-        start = rising(torch.where(held, NO_CONTACT, start), groom.rest_lengths, shape.margin_slope)
-        at_rest, _ = distances_and_normals(groom.rest_strands, rest_surface(body))
+        start = limit_slope(torch.where(held, NO_CONTACT, start), groom.rest_lengths, shape.margin_slope)
         clearance = config.projection.clearance(design_margin, depth)
-        clearance = raised_before_supports(clearance, groom.rest_lengths, at_rest, config.projection.clearance_slope)
+        at_rest, slope = design.distance.to(groom.rest_strands), config.projection.clearance_slope
+        clearance = raised_before_supports(clearance, groom.rest_lengths, at_rest, slope)
         clearance = torch.where(held, NO_CONTACT, clearance)
     # Roots count most, for there the skin is.
     roots, middles, tips = groom.rest_strands[:, [0, VERTICES_PER_STRAND // 2, -1]].unbind(1)
@@ -166,7 +165,7 @@ def prepare_groom(
         start,
         clearance,
         surroundings_of(groom, body, material, design_margin, config.density_grid),
-        neighbours_together(positions, LANES),
+        spatial_order(positions, LANES),
     )
 
 
@@ -247,7 +246,7 @@ def initial_clearance(
     return torch.minimum(margin, torch.where(share > config.min_weight_share, height, torch.inf))
 
 
-def rising(margin: Float[Tensor, "s n"], rest_length: RestLengths, slope: float) -> Float[Tensor, "s n"]:
+def limit_slope(margin: Float[Tensor, "s n"], rest_length: RestLengths, slope: float) -> Float[Tensor, "s n"]:
     """Margins that grow along a strand by no more than a share of the way [m]: from one vertex in contact to the next
     with a wider margin, an edge would stand off the skin."""
     kept = [margin[:, 0]]

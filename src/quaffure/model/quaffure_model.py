@@ -9,14 +9,14 @@ import torch
 
 from quaffure.backend import Backend, choose_backend
 from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.pose_limits import Rows, check_body_pose, check_body_shape, rows_of
+from quaffure.body.pose_limits import Rows
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom, check_groom
 from quaffure.model.checkpoint import load_network
 from quaffure.model.cpu_backend import BATCH
 from quaffure.model.inference_network import fast_bfloat16
-from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE
+from quaffure.model.network_config import SHAPE_SIZE
 from quaffure.model.neural import NeuralDraper
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions, Tensor
@@ -39,14 +39,14 @@ class Quaffure:
     def __init__(self, body: BodyModel, draper: NeuralDraper, notes: dict[str, str]) -> None:
         self.body, self.draper, self.notes = body, draper, notes
 
-    def under(self, loading: Loading) -> "Quaffure":
+    def with_loading(self, loading: Loading) -> "Quaffure":
         """The same network for hair of another stiffness, or under another gravity and wind; it shares weights and
         prepared grooms with this one.
 
         Raises:
-            InputError: see `NeuralDraper.under`.
+            InputError: see `NeuralDraper.with_loading`.
         """
-        return Quaffure(self.body, self.draper.under(loading), self.notes)
+        return Quaffure(self.body, self.draper.with_loading(loading), self.notes)
 
     def on(self, body: BodyModel) -> "Quaffure":
         """The same network on another body, of a character for instance (`quaffure.load_body`); it shares weights with
@@ -71,7 +71,7 @@ class Quaffure:
             InputError: an array of another shape, numbers that are not finite or beyond these limits, or a groom
                 without strands, with NaN, or not laid out for the network.
         """
-        poses, shapes = self._rows(body_pose, [[0.0] * SHAPE_SIZE] if body_shape is None else body_shape)
+        poses, shapes = self.body.checked(body_pose, [[0.0] * SHAPE_SIZE] if body_shape is None else body_shape)
         if body_shape is None:
             shapes = shapes.expand(len(poses), -1)
         if not 0 < len(shapes) == len(poses):
@@ -95,7 +95,7 @@ class Quaffure:
             InputError: as for `drape`, what concerns the grooms while iterating, where also other numbers of rows than
                 of grooms are refused.
         """
-        return self._drape_many(grooms, *self._rows(body_pose, body_shape))
+        return self._drape_many(grooms, *self.body.checked(body_pose, body_shape))
 
     def _drape_many(self, grooms: Iterable[Groom], poses: Tensor, shapes: Tensor) -> Iterator[Tensor]:
         first, waiting = 0, iter(grooms)
@@ -108,17 +108,6 @@ class Quaffure:
         for name, values in (("body_pose", poses), ("body_shape", shapes)):
             if len(values) not in (1, first):
                 raise InputError(name, f"a row for each groom, {first}, or a single one", f"{len(values)}")
-
-    def _rows(self, body_pose: Rows, body_shape: Rows) -> tuple[Tensor, Tensor]:
-        """Poses and shapes as tensors on the body's device."""
-        like = self.body.rest_vertices
-        poses, shapes = (
-            rows_of(body_pose, POSE_SIZE, like, "body_pose"),
-            rows_of(body_shape, SHAPE_SIZE, like, "body_shape"),
-        )
-        check_body_pose(poses, "body_pose")
-        check_body_shape(shapes, "body_shape")
-        return poses, shapes
 
     def _checked(self, groom: Groom) -> Groom:
         """The groom on the body's device."""

@@ -2,15 +2,16 @@
 
 import torch
 
-from quaffure.body.body_model import BodyModel
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.energies.held_parts import with_ties
 from quaffure.errors import InputError
 from quaffure.geometry.polyline import arc_lengths, points_along
 from quaffure.geometry.surface import Surface
-from quaffure.hair.clearance import pushed_out, rest_surface
+from quaffure.hair.clearance import pushed_out
 from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
+from quaffure.hair.groom_transfer import transfer_groom
 from quaffure.hair.scalp_roots import ScalpRoots, spread_roots
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.procedural import trimming
@@ -28,21 +29,23 @@ STEPS = STEPS_PER_EDGE * (VERTICES_PER_STRAND - 1)
 LEAST_EDGES = 3
 
 
-def make_groom(style: str | HairStyle, body: BodyModel, seed: int = 0, surface: Surface | None = None) -> Groom:
+def make_groom(style: str | HairStyle, body: BodyModel, seed: int = 0) -> Groom:
     """A groom in a style: the same for the same style, body and seed, on machines of one kind.
 
     Args:
         style: a name in `STYLES`, or controls.
-        surface: of the body at rest, if available (`rest_surface`).
+        body: for that of a character the groom is made on the shipped one and transferred: styles are sizes and places
+            on that head, and would be other styles on another.
 
     Raises:
         InputError: no style of that name.
     """
     if isinstance(style, str) and style not in STYLES:
         raise InputError("style", f"one of {', '.join(sorted(STYLES))}", repr(style))
+    if body.origin is not None:
+        return transfer_groom(make_groom(style, load_body(), seed), load_body(), body)
     name, controls = (style, STYLES[style]) if isinstance(style, str) else ("procedural", style)
-    surface = surface or rest_surface(body)
-    generator = torch.Generator().manual_seed(seed)
+    surface, generator = body.rest_surface, torch.Generator().manual_seed(seed)
     roots = spread_roots(body, controls.root_rows, generator)
     axes, tied = _axes(controls, roots, body, surface, generator)
     axes = clumped(controls, axes, tied)

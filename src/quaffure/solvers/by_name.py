@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 
 from quaffure.baselines.posed import PosedDraper
 from quaffure.config import HairMaterial
-from quaffure.draper import Draper, LoadedDraper, StoppingReport
+from quaffure.draper import Draper, LoadDependentDraper, StoppingReport
 from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.energy_term import Terms
 from quaffure.energies.loading import STANDARD_LOADING, Loading
@@ -81,11 +81,11 @@ class DesignSolver:
     name: str
     material: HairMaterial
     loading: Loading = STANDARD_LOADING
-    start: LoadedDraper | None = None
+    start: LoadDependentDraper | None = None
 
-    def under(self, loading: Loading) -> "DesignSolver":
+    def with_loading(self, loading: Loading) -> "DesignSolver":
         """The same solver under another loading."""
-        return replace(self, loading=loading, start=self.start and self.start.under(loading))
+        return replace(self, loading=loading, start=self.start and self.start.with_loading(loading))
 
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of every sample [m, world].

@@ -33,6 +33,9 @@ from quaffure.solvers.strand_kernels import (
 from quaffure.solvers.strand_recursion import StrandModel, newton_rotations
 from quaffure.types import Float, Positions, Tensor
 
+FREE_TURN = 1.5
+"""Largest rotation of an edge in a pass without contact [rad]."""
+
 
 @dataclass(frozen=True)
 class StepControl:
@@ -128,12 +131,12 @@ class StrandDescent:
         self._evaluate(self._k_body_collision)
         return torch.from_numpy(self._now.positions.copy())[None]
 
-    def run_free(self, passes: int, most_turn: float = 1.5) -> None:
+    def run_free(self, passes: int) -> None:
         """Passes without contact and without density; tails cohere."""
         self._best = None
         for _ in range(passes):
             self._surround_by_tails()
-            self._move(np.float32(0.0), most_turn, self._anywhere, backtracks=0)
+            self._move(np.float32(0.0), FREE_TURN, self._anywhere, backtracks=0)
 
     def resolve_contact(self, share: float) -> None:
         """Push vertices that are within `share` of their margins out of the body, from root to tip; the new start."""

@@ -210,6 +210,9 @@ def _resolve_run(
                 leaf = found
                 push = min(max(margin - distance, _ZERO), _MOST_PUSH * length)
                 if push > _ZERO:
+                    # Not `pushed_edge`, which fast math sums in another order: an edge differs by up to 2e-5. The
+                    # passes that follow amplify one unit in the last place to centimetres, for hair in contact can
+                    # rest in many ways, so that drapes could no longer be compared with those of before.
                     vx, vy, vz = x + push * nx - px, y + push * ny - py, z + push * nz - pz
                     inverse = _ONE / max(np.sqrt(vx * vx + vy * vy + vz * vz), _TINY)
                     t[0], t[1], t[2] = inverse * vx, inverse * vy, inverse * vz

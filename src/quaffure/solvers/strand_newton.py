@@ -11,7 +11,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.config import HairMaterial
-from quaffure.draper import Draper, LoadedDraper, StoppingReport
+from quaffure.draper import Draper, LoadDependentDraper, StoppingReport
 from quaffure.energies.by_name import ROD
 from quaffure.energies.cohesion import Cohesion
 from quaffure.energies.design_terms import terms_of_design
@@ -91,7 +91,7 @@ class StrandNewtonDraper:
         self._terms = terms
         self._energy: tuple[GroomCopy, tuple[BodyModel | None, Loading], HairEnergy] | None = None
 
-    def under(self, loading: Loading) -> "StrandNewtonDraper":
+    def with_loading(self, loading: Loading) -> "StrandNewtonDraper":
         """The same solver under another loading.
 
         Raises:
@@ -208,15 +208,15 @@ class SettledDraper:
     def material(self) -> HairMaterial:
         return self.newton.material
 
-    def under(self, loading: Loading) -> "SettledDraper":
+    def with_loading(self, loading: Loading) -> "SettledDraper":
         """The same drapers under another loading.
 
         Raises:
             InputError: the first of them knows one loading.
         """
-        if not isinstance(self.start, LoadedDraper):
+        if not isinstance(self.start, LoadDependentDraper):
             raise InputError("stiffness, gravity and wind", "a draper that reads them", self.start.name)
-        return SettledDraper(self.start.under(loading), self.newton.under(loading), self.passes)
+        return SettledDraper(self.start.with_loading(loading), self.newton.with_loading(loading), self.passes)
 
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of every sample [m, world]."""

@@ -14,7 +14,6 @@ import torch
 from quaffure.body.body_model import BodyModel
 from quaffure.config import TEXTURE_SIZE
 from quaffure.errors import InputError
-from quaffure.geometry.surface import Surface
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import replacing
 from quaffure.model.groom_texture import TEXTURE_CHANNELS, GroomSample, sample_of
@@ -37,9 +36,9 @@ class ProceduralGroom:
     controls: HairStyle
     seed: int
 
-    def groom(self, body: BodyModel, surface: Surface) -> Groom:
-        """The groom on a body, whose surface at rest is given."""
-        return replace(make_groom(self.controls, body, self.seed, surface), name=self.name)
+    def groom(self, body: BodyModel) -> Groom:
+        """The groom on a body."""
+        return replace(make_groom(self.controls, body, self.seed), name=self.name)
 
     def file_name(self, body: str) -> str:
         """Name of the file of its sample, on a body of that digest."""
@@ -61,12 +60,11 @@ def family_grooms(indices: Iterable[int]) -> list[ProceduralGroom]:
 
 
 def cached_samples(
-    grooms: list[ProceduralGroom], body: BodyModel, surface: Surface, folder: Path, on_groom: Callable[[int], None]
+    grooms: list[ProceduralGroom], body: BodyModel, folder: Path, on_groom: Callable[[int], None]
 ) -> list[GroomSample]:
     """Samples of the grooms, made where the folder does not hold them yet.
 
     Args:
-        surface: of the body at rest.
         folder: existing.
         on_groom: called with the number of grooms that are ready.
 
@@ -77,7 +75,7 @@ def cached_samples(
     for groom in grooms:
         path = folder / groom.file_name(digest)
         if not path.is_file():
-            _write(path, sample_of(groom.groom(body, surface), body, groom.name))
+            _write(path, sample_of(groom.groom(body), body, groom.name))
         samples.append(_read(path, groom.name))
         on_groom(len(samples))
     return samples

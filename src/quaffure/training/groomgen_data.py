@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from quaffure.body.body_model import BodyModel
-from quaffure.body.neck import head_turn, turned_head
+from quaffure.body.neck import head_rotation, neck_pose
 from quaffure.body.pose_features import world_from_head
 from quaffure.config import HairMaterial
 from quaffure.digest import array_digest
@@ -99,7 +99,7 @@ class DrapeFolder:
         Raises:
             InputError: the draper returns NaN or infinity.
         """
-        body_pose = turned_head(self.body, drawn_turn(self.manifest.seed, pose)[None])
+        body_pose = neck_pose(self.body, random_head_rotation(self.manifest.seed, pose)[None])
         strands = draper.drape(Scene(self.groom, BodyBatch(self.body, body_pose, torch.zeros(1, 10))))[0].detach()
         if not bool(torch.isfinite(strands).all()):
             raise InputError(draper.name, f"finite vertices in pose {pose}", "NaN or infinity")
@@ -136,7 +136,7 @@ class DrapeFolder:
         scene = Scene(self.groom, BodyBatch(self.body, body_pose, torch.zeros(1, 10)))
         rotations = scene.bodies.posed.joint_rotations
         moved = torch.from_numpy(arrays["strands"]) - scene.posed[0]
-        return head_turn(self.body, rotations)[0], moved @ world_from_head(self.body, rotations)[0]
+        return head_rotation(self.body, rotations)[0], moved @ world_from_head(self.body, rotations)[0]
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ def started_folder(path: Path, groom: Groom, body: BodyModel, solver: str, drape
     return folder
 
 
-def drawn_turn(seed: int, pose: int) -> Float[Tensor, "3"]:
+def random_head_rotation(seed: int, pose: int) -> Float[Tensor, "3"]:
     """Rotation vector of the head in one pose, each component uniform within `LARGEST_TURN` [rad]."""
     random = np.random.default_rng((seed, pose)).uniform(-LARGEST_TURN, LARGEST_TURN, 3)
     return torch.from_numpy(random).float()

@@ -132,7 +132,7 @@ class DecoderRecipe(Recipe):
         costs thousands of units before a network is trained, and one groom must not decide a step for all.
         """
         config, unit = self.config, loss_unit(energy)
-        draped = self.draper.under(loading).deform(scene, projects=True)
+        draped = self.draper.with_loading(loading).deform(scene, projects=True)
         positions = draped.view_as(draped)
         total = energy.total(positions, scene)
         head = world_from_head(self.body, scene.bodies.posed.joint_rotations)[:, None]

@@ -287,7 +287,7 @@ class DrapeCommand:
         """
         draper, _ = load_trained(self._name, self.weights or self.model)
         if isinstance(draper, NeuralDraper):
-            draper = draper.under(Loading(self.stiffness, self._acceleration))
+            draper = draper.with_loading(Loading(self.stiffness, self._acceleration))
         material = draper.material
         if self._elastic == MODIFIED_COSSERAT:
             material = replace(material, k_cosserat=self.stiffness * material.k_cosserat)

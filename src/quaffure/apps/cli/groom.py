@@ -17,9 +17,8 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.energies.held_parts import with_ties
 from quaffure.errors import InputError
-from quaffure.hair.clearance import rest_surface
 from quaffure.hair.file_frame import FileFrame
-from quaffure.hair.groom import Groom
+from quaffure.hair.groom import Groom, check_strand_lengths
 from quaffure.hair.registration import HeadMesh, register_groom
 from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.resample import concatenate_strands, resample_by_arc_length, without_degenerate
@@ -27,7 +26,7 @@ from quaffure.hair.scalp_texture import select_guides
 from quaffure.hair.source_strands import place_strands
 from quaffure.hair.strands import Strands
 from quaffure.hair.tie_detection import FoundTie, find_ties
-from quaffure.io.groom_file import LONGEST_STRAND, write_groom
+from quaffure.io.groom_file import write_groom
 from quaffure.io.load_groom import read_head
 from quaffure.io.output_path import check_output
 from quaffure.io.read_strands import read_strands
@@ -90,8 +89,7 @@ class NewGroom:
         lengths = groom.rest_lengths
         if not len(groom) or not (torch.isfinite(lengths).all() and lengths.min() > 0):
             raise InputError("--set", "controls that make hair", f"{len(groom)} strands, some without a length")
-        if groom.strand_lengths.max() >= LONGEST_STRAND:
-            raise InputError("--set", f"strands under {LONGEST_STRAND} m", f"{float(groom.strand_lengths.max()):.3g} m")
+        check_strand_lengths(groom, "--set")
         write_groom(self.out, replace(groom, name=self.out.stem, licence=LICENCE))
         console.print(f"{self.out}: {_summary(groom)}")
 
@@ -214,8 +212,7 @@ def _draw_styles(path: Path) -> None:
 
     body = load_body()
     with console.status("making the grooms"):
-        surface = rest_surface(body)
-        grooms = [make_groom(name, body, surface=surface) for name in STYLES]
+        grooms = [make_groom(name, body) for name in STYLES]
     lengths = {groom.name: f"{groom.strand_lengths.mean():.2f} m" for groom in grooms}
     notes = {name: f"{length}, held out" if name in HELD_OUT else length for name, length in lengths.items()}
     with progress_bar("drawing the grooms", len(grooms), transient=True) as update:

@@ -12,9 +12,7 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.head_frame_kernels import FEATURE_COUNT
 from quaffure.body.pose_prior import load_pose_prior
 from quaffure.errors import InputError
-from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
-from quaffure.hair.groom_transfer import transfer_groom
 from quaffure.io.load_groom import load_groom
 from quaffure.io.output_path import check_output_folder
 from quaffure.model.checkpoint import load_network
@@ -102,11 +100,7 @@ class TrainCommand:
         own = [load_groom(name, body) for name in self._groom_names]
         # The name of a groom is in its file, whatever the name of the file.
         refuse_evaluation_data(groom.name for groom in own)
-        # Like a bundled groom, one of the family is made on our head and moved to that of a character.
-        made_on = body if body.origin is None else load_body()
-        surface = rest_surface(made_on)
-        drawn = (family.groom(made_on, surface) for family in family_grooms(range(self.family)))
-        return (*own, *(groom if made_on is body else transfer_groom(groom, made_on, body) for groom in drawn))
+        return (*own, *(family.groom(body) for family in family_grooms(range(self.family))))
 
     def _sampler(self, body: BodyModel) -> PoseSampler:
         clips = tuple(motion_of(str(path), body) for path in self.motion)

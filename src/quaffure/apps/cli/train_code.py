@@ -20,7 +20,6 @@ from quaffure.benchmark.groom_code_metrics import (
     summary,
 )
 from quaffure.body.body_model import BodyModel, load_body
-from quaffure.hair.clearance import rest_surface
 from quaffure.hair.groom import Groom
 from quaffure.io.atomic import write_json
 from quaffure.io.load_groom import load_groom
@@ -74,12 +73,11 @@ class TrainCodeCommand:
         check_output_folder(self.out, RUN, (ENCODER, AUTOENCODER), (self.keep_encoder,))
         refuse_evaluation_data(self.groom)
         started = load_groom_autoencoder(self.keep_encoder) if self.keep_encoder is not None else None
-        body = load_body()
-        surface, folder = rest_surface(body), made_folder(self.out / "grooms", RUN)
+        body, folder = load_body(), made_folder(self.out / "grooms", RUN)
 
         def samples(grooms: list[ProceduralGroom], description: str) -> list[GroomSample]:
             with progress_bar(description, len(grooms), to=messages) as update:
-                return cached_samples(grooms, body, surface, folder, lambda done: update(completed=done))
+                return cached_samples(grooms, body, folder, lambda done: update(completed=done))
 
         own, unseen = self._own(body), _samples([load_groom(name, body) for name in self.unseen], body)
         library = samples(library_grooms(TRAINED, range(self.config.library_seeds)), "making the library")

@@ -7,7 +7,7 @@ from quaffure.apps.viewer.view_state import ViewState
 from quaffure.body.clips import CLIP_FPS, CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion
 from quaffure.draper import Draper
-from quaffure.drapers import LIVE, NEURAL, make_draper, with_coherence
+from quaffure.drapers import LIVE_DRAPERS, NEURAL, make_draper, with_coherence
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of
@@ -39,7 +39,7 @@ class Catalogue:
         self._interpolation: tuple[Groom, GuideInterpolation] | None = None
         self.groom_names = (*self._grooms, *STYLES)
         self.motion_names = tuple(dict.fromkeys((*reversed(self._motions), *CLIP_NAMES)))
-        self.draper_names = (*LIVE, *(name for name in SOLVERS if name not in LIVE))
+        self.draper_names = (*LIVE_DRAPERS, *(name for name in SOLVERS if name not in LIVE_DRAPERS))
 
     def groom(self, name: str) -> Groom:
         """Raises:

@@ -19,7 +19,7 @@ from quaffure.apps.viewer.scene_nodes import SceneNodes
 from quaffure.apps.viewer.settings import Settings
 from quaffure.apps.viewer.view_state import Drape, ViewState
 from quaffure.draper import ClipDraper
-from quaffure.drapers import LIVE, NEURAL
+from quaffure.drapers import LIVE_DRAPERS, NEURAL
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.guide_interpolation import GuideInterpolation
@@ -111,7 +111,7 @@ class Session:
     def drape(self) -> None:
         """Drape the state after a change: by the network if the draper is too slow to follow every change, and again
         while the hair of one that follows is on its way."""
-        slow = None if self.state.draper.name in LIVE else self.state.draper.name
+        slow = None if self.state.draper.name in LIVE_DRAPERS else self.state.draper.name
         with self._restored_on_failure():
             state = self.state if slow is None else replace(self.state, draper=self._catalogue.draper(NEURAL))
             if self.shown is None:

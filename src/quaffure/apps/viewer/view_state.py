@@ -11,13 +11,13 @@ import torch
 from quaffure.benchmark.metrics import measure
 from quaffure.body.body_model import SHAPE_COUNT, BodyModel
 from quaffure.body.motion import Motion, joint_matrices, pose_from_matrices
-from quaffure.drape_motion import bodies_of, drape_motion
-from quaffure.draper import Draper, LoadedDraper
+from quaffure.drape_motion import drape_motion
+from quaffure.draper import Draper, LoadDependentDraper
 from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
-from quaffure.geometry.signed_distance import signed_distance
+from quaffure.geometry.winding_number import is_inside
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.model.neural import NeuralDraper
@@ -101,7 +101,7 @@ class ViewState:
             shape = torch.tensor(self.body_shape)
             sequence = drape_motion(draper, self.groom, self.body, pose, shape, follows=True)
         sequence.meta["frame"] = self.frame
-        if isinstance(draper, CoherentDraper | LoadedDraper):
+        if isinstance(draper, CoherentDraper | LoadDependentDraper):
             sequence.meta.update(asdict(self.loading))
         return Drape(self, sequence, sum(network_times) if network_times else None)
 
@@ -112,8 +112,8 @@ class ViewState:
             draper.draper.loading = self.loading
         elif isinstance(draper, NeuralDraper):
             draper.loading = self.loading
-        elif isinstance(draper, LoadedDraper):
-            return draper.under(self.loading)
+        elif isinstance(draper, LoadDependentDraper):
+            return draper.with_loading(self.loading)
         return draper
 
 
@@ -160,12 +160,7 @@ class Drape:
 
     def inside(self, strands: Float[np.ndarray, "m n 3"]) -> Bool[np.ndarray, "m n"]:
         """Which vertices of these strands are inside the body; roots, which lie on the skin, are not."""
-        surface = bodies_of(self.sequence, self.state.body).surface
-        translation = self.sequence.body_translation
-        in_place = strands if translation is None else strands - translation[0]
-        points = torch.from_numpy(in_place[:, 1:].reshape(1, -1, 3))
-        below = (signed_distance(points, surface) < 0).numpy().reshape(len(strands), -1)
-        return np.pad(below, ((0, 0), (1, 0)))
+        return np.pad(is_inside(strands[:, 1:], self.body_vertices, self.sequence.body_faces), ((0, 0), (1, 0)))
 
 
 def _first_frame(metrics: Mapping[str, torch.Tensor]) -> dict[str, float]:

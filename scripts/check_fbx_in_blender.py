@@ -1,17 +1,17 @@
 """Compare our reader of FBX with Blender's: `check_fbx_in_blender.py CHARACTER.glb FOLDER --python PYTHON`.
 
 PYTHON is one with bpy and numpy, which is run with this script; without bpy nothing is compared. In Blender the
-character is given an animation and exported as FBX in several ways, and each file is imported again. Our reader gets
+character, with an animation, is exported as FBX in several ways, and each file is imported again. Our reader gets
 the same files: vertices of all meshes and joints in some frames, and weights, are compared. Prints the largest
 differences, and fails beyond 0.1 mm or 1e-5 of a weight. The files stay in FOLDER.
 """
 
 import argparse
 import json
-import math
 import struct
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ except ImportError:
 
 MOST_DISTANCE, MOST_WEIGHT = 1e-4, 1e-5  # m, share
 FPS, FRAMES = 30, (1, 6, 16, 31)
-"""Frames that have keys in every file: between sparse ones Blender joins quaternions, FBX angles."""
+"""Frames from 1 that have keys in every file: between sparse ones Blender joins quaternions, FBX angles."""
 TURNED = {"Hips": 0.3, "Spine1": 0.4, "Neck": 0.3, "Head": 0.7, "LeftArm": 0.9, "RightForeArm": 1.1, "LeftUpLeg": 0.8}
 """Largest angles of joints in the animation [rad]."""
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -39,19 +39,35 @@ EXPORTS: dict[str, dict[str, Any]] = {
 }
 
 
-def unpack(path: Path, out: Path) -> None:
-    """Write a .glb without its compression by meshopt, which Blender does not read."""
+def animated(path: Path) -> bytes:
+    """A .glb without its compression by meshopt, which Blender does not read, and with an animation of a second."""
     from quaffure.io.gltf_accessor import MESHOPT, GltfArrays
     from quaffure.io.gltf_document import open_gltf
 
     document = open_gltf(path)
     arrays, fields, binary = GltfArrays(document), dict(document.root.fields), bytearray()
+
+    def add(content: bytes) -> dict[str, int]:
+        binary.extend(bytes(-len(binary) % 4))
+        binary.extend(content)
+        return {"buffer": 0, "byteOffset": len(binary) - len(content), "byteLength": len(content)}
+
+    def accessor(values: np.ndarray, kind: str) -> int:
+        fields["bufferViews"].append(add(np.float32(values).tobytes()))
+        view = {"bufferView": len(fields["bufferViews"]) - 1, "componentType": 5126, "type": kind}
+        fields["accessors"].append({**view, "count": len(values), "min": [0.0], "max": [1.0]})
+        return len(fields["accessors"]) - 1
+
     for index, view in enumerate(fields["bufferViews"]):
-        binary += bytes(-len(binary) % 4)
-        content = arrays._view(index).tobytes()
-        view |= {"buffer": 0, "byteOffset": len(binary), "byteLength": len(content)}
+        view |= add(arrays._view(index).tobytes())
         view.pop("extensions", None)
-        binary += content
+    channels = [(node, path, accessor(*values)) for node, path, *values in moves(fields)]
+    times = accessor(np.arange(FRAMES[-1]) / FPS, "SCALAR")
+    fields["animations"] = [{
+        "name": "moves", "samplers": [{"input": times, "output": values} for _, _, values in channels],
+        "channels": [{"sampler": index, "target": {"node": node, "path": path}}
+                     for index, (node, path, _) in enumerate(channels)],
+    }]  # fmt: skip
     binary += bytes(-len(binary) % 4)
     fields["buffers"] = [{"byteLength": len(binary)}]
     for key in ("extensionsUsed", "extensionsRequired"):
@@ -59,30 +75,40 @@ def unpack(path: Path, out: Path) -> None:
     text = json.dumps(fields).encode()
     text += b" " * (-len(text) % 4)
     parts = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
-    out.write_bytes(struct.pack("<III", 0x46546C67, 2, 12 + len(parts)) + parts)
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(parts)) + parts
 
 
-def animate(path: Path) -> None:
-    """Import the character into an empty scene, and animate its joints and a shape of each mesh."""
+def moves(fields: dict[str, Any]) -> Iterator[tuple[int, str, np.ndarray, str]]:
+    """Rotations of joints, the way of the hips, and weights of a shape of the first mesh that has some, by frame."""
+    from scipy.spatial.transform import Rotation
+
+    frame = np.arange(FRAMES[-1])
+    share = np.sin(0.2 * frame)
+    nodes = {node.get("name"): index for index, node in enumerate(fields["nodes"])}
+    for name, angle in TURNED.items():
+        angles = angle * np.stack([share, 0.5 * np.cos(0.3 * frame), 0.3 * share], axis=1)
+        rest = Rotation.from_quat(fields["nodes"][nodes[name]].get("rotation", [0, 0, 0, 1]))
+        yield nodes[name], "rotation", (rest * Rotation.from_euler("xyz", angles)).as_quat(), "VEC4"
+    path = np.stack([0.1 * share, 0.05 * share, 0.01 * frame], axis=1)
+    yield nodes["Hips"], "translation", path + fields["nodes"][nodes["Hips"]].get("translation", [0, 0, 0]), "VEC3"
+    for index, node in enumerate(fields["nodes"]):
+        targets = fields["meshes"][node["mesh"]]["primitives"][0].get("targets", []) if "mesh" in node else []
+        if targets:
+            weights = np.zeros((len(frame), len(targets)))
+            weights[:, 1] = 0.5 + 0.5 * share
+            yield index, "weights", weights.reshape(-1), "SCALAR"
+            return
+
+
+def imported(path: Path) -> None:
+    """The character in an empty scene."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.import_scene.gltf(filepath=str(path))
     scene = bpy.context.scene
-    scene.render.fps, scene.frame_start, scene.frame_end = FPS, FRAMES[0], FRAMES[-1]
-    rig = armature()
-    for frame in range(FRAMES[0], FRAMES[-1] + 1, 3):
-        share = math.sin(0.2 * frame)
-        for name, angle in TURNED.items():
-            bone = rig.pose.bones[name]
-            bone.rotation_mode = "XYZ"
-            bone.rotation_euler = (share * angle, 0.5 * angle * math.cos(0.3 * frame), 0.3 * share * angle)
-            bone.keyframe_insert("rotation_euler", frame=frame)
-        rig.pose.bones["Hips"].location = (0.1 * share, 0.2 * share, 0.01 * frame)
-        rig.pose.bones["Hips"].keyframe_insert("location", frame=frame)
-        for thing in (thing for thing in bpy.data.objects if thing.type == "MESH" and thing.data.shape_keys):
-            key = thing.data.shape_keys.key_blocks[1]
-            key.value = 0.5 + 0.5 * share
-            key.keyframe_insert("value", frame=frame)
-    scene.frame_set(FRAMES[2])  # models are then written as they are in this frame
+    scene.render.fps = FPS
+    bpy.ops.import_scene.gltf(filepath=str(path))
+    first, last = map(round, armature().animation_data.action.frame_range)
+    scene.frame_start, scene.frame_end = first, last
+    scene.frame_set((first + last) // 2)  # models are then written as they are in this frame
 
 
 def armature() -> Any:
@@ -123,9 +149,10 @@ def save_reference(path: Path) -> None:
     arrays: dict[str, Any] = {"joint_names": names, "mesh_names": [thing.name for thing in meshes], "joints": []}
     vertices: dict[str, list[np.ndarray]] = {thing.name: [] for thing in meshes}
     rate = scene.render.fps / scene.render.fps_base
-    arrays["seconds"] = (np.array(FRAMES) - rig.animation_data.action.frame_range[0]) / rate
+    first = round(rig.animation_data.action.frame_range[0])
+    arrays["seconds"] = (np.array(FRAMES) - 1) / rate
     for frame in FRAMES:
-        scene.frame_set(frame)
+        scene.frame_set(first + frame - 1)
         arrays["joints"].append([Y_UP @ np.array(rig.matrix_world @ bone.head) for bone in bones])
         for thing in meshes:
             vertices[thing.name].append(posed(thing))
@@ -136,7 +163,7 @@ def save_reference(path: Path) -> None:
 
 def export(path: Path, folder: Path) -> None:
     """All FBX files of a character, and what Blender has of them."""
-    animate(path)
+    imported(path)
     for name, options in EXPORTS.items():
         settings = {"add_leaf_bones": False, "bake_anim_use_nla_strips": False, **options}
         bpy.ops.export_scene.fbx(filepath=str(folder / f"{name}.fbx"), **settings)
@@ -197,7 +224,7 @@ def main() -> int:
         print(f"{options.python} has no bpy: nothing was compared")
         return 0
     options.folder.mkdir(parents=True, exist_ok=True)
-    unpack(options.character, options.folder / "character.glb")
+    (options.folder / "character.glb").write_bytes(animated(options.character))
     subprocess.run([options.python, __file__, options.folder / "character.glb", options.folder], check=True)
     is_apart = False
     for name in EXPORTS:

@@ -266,6 +266,19 @@ def test_matrices_that_contradict_each_other_leave_models_as_they_are(tmp_path: 
     np.testing.assert_allclose(read(file, tmp_path).nodes.world[1:4, 1, 3], [2, 8, 9], atol=1e-12)
 
 
+def test_a_mesh_that_was_bound_in_another_unit_than_joints_are_in(tmp_path: Path) -> None:
+    """Bound in centimetres; a joint makes metres of them, and has moved since."""
+    file = bound_pair(lifted=5.0)
+    file.object(1001).child("Properties70").children += listed(Lcl__Scaling=(0.01, 0.01, 0.01)).children
+    layer = file.stack("nods")
+    file.curve(file.curve_node(layer, 1001, "Lcl Rotation"), "d|X", np.array([0.0, 1.0]), np.array([0.0, 0.0]))
+    found = read(file, tmp_path)
+    np.testing.assert_allclose(found.nodes.world[1:4, 1, 3], [2, 2.01, 2.02], atol=1e-12)
+    np.testing.assert_allclose(found.meshes[0].vertices, 0.01 * CUBE + np.array([0, 1.98, 0]), atol=1e-12)
+    (pose,) = poses_at(found, found.animations[0], np.array([0.5]))
+    np.testing.assert_allclose(pose.world[0, 1:4, 1, 3], [2, 2.06, 2.07], atol=1e-12)
+
+
 @pytest.mark.parametrize("how", [0, 1, 2])
 def test_scales_from_above(how: int, tmp_path: Path) -> None:
     """An even one is the same in the first two ways; in the third the parent's own is left out."""

@@ -15,6 +15,8 @@ MOST_JOINTS = 32
 BYTES_A_SHARE = 100  # while shares are sorted, and their joints and weights
 BIND_TOLERANCE = 1e-3
 """Within which two matrices say the same, in proportion to their largest number."""
+MOST_SCALE = 2.0
+"""By which a pose may be larger than that in which a mesh was bound; beyond it, the mesh was bound in another unit."""
 LEAST_WEIGHT = -1e-3
 """Weights that are smaller are refused; others below 0 are a rounding."""
 
@@ -80,10 +82,14 @@ def bind_pose(
     places = np.array([matrix[:3, 3] for matrix in bound.values()])
     if len(bound) < 2 or not np.ptp(places, axis=0).any():  # a file of one joint, or without matrices of use
         return {}
+    joints = {node: document.scene_from_file @ matrix for node, matrix in bound.items()}
+    scale = _scale(joints, scene.nodes.world)
+    if not 1 / MOST_SCALE < scale < MOST_SCALE:
+        return _resized(joints, scale, scene.nodes.world)
     posed = _posed(document, scene)
     if all(_is_same(bound[node], posed[node]) for node in bound.keys() & posed.keys()):
-        bound = posed | bound
-    return {node: document.scene_from_file @ matrix for node, matrix in bound.items()}
+        joints = {node: document.scene_from_file @ matrix for node, matrix in posed.items()} | joints
+    return joints
 
 
 def shares_of(
@@ -158,6 +164,26 @@ def _posed(document: FbxDocument, scene: FbxScene) -> dict[int, Float[np.ndarray
             if node is not None:
                 nodes.setdefault(node, matrix_of(record.required("Matrix")))
     return nodes
+
+
+def _scale(bound: dict[int, Float[np.ndarray, "4 4"]], world: Float[np.ndarray, "n 4 4"]) -> float:
+    """How much larger models are than when they were bound: the median of all joints; 1 without one of any size."""
+    sizes = np.abs([[np.linalg.det(world[node, :3, :3]), np.linalg.det(of[:3, :3])] for node, of in bound.items()])
+    usable = (sizes > 1e-30).all(axis=1)
+    return float(np.median(np.cbrt(sizes[usable, 0] / sizes[usable, 1]))) if usable.any() else 1.0
+
+
+def _resized(
+    bound: dict[int, Float[np.ndarray, "4 4"]], scale: float, world: Float[np.ndarray, "n 4 4"]
+) -> dict[int, Float[np.ndarray, "4 4"]]:
+    """The pose of bound joints as large as the models are, its first joint where that is now.
+
+    Meshes that are bound in centimetres to joints that are scaled to metres are exported so.
+    """
+    top = min(bound)
+    resized = np.diag([scale, scale, scale, 1.0])
+    resized[:3, 3] = world[top, :3, 3] - scale * bound[top][:3, 3]
+    return {node: resized @ matrix for node, matrix in bound.items()}
 
 
 def _is_same(first: Float[np.ndarray, "4 4"], second: Float[np.ndarray, "4 4"]) -> bool:

@@ -14,7 +14,7 @@ from quaffure.body.character_clip import animation_of, bind_pose, character_clip
 from quaffure.character.skeleton import rest_clip
 from quaffure.errors import InputError
 from quaffure.input_file import file_and_clip
-from quaffure.io.gltf import read_character
+from quaffure.io.read_character import read_character
 from tests.gltf_files import NAMES, GltfFile, figure
 
 TIMES = np.array([1.0, 2.0, 4.0])
@@ -145,6 +145,7 @@ def test_clips_by_name(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="an animation, found none"):
         animation_of(read(file, tmp_path))
     assert file_and_clip("a/b.GLB#x y#2") == (Path("a/b.GLB"), "x y#2")
+    assert file_and_clip("b.fbx#Armature|x") == (Path("b.fbx"), "Armature|x")
     assert file_and_clip("b.gltf") == (Path("b.gltf"), "")
     assert file_and_clip("b#2.bvh") == (Path("b#2.bvh"), "")
     (tmp_path / "a.glb#1").touch()

@@ -135,9 +135,6 @@ def test_joint_maps(body: BodyModel, tmp_path: Path, capfd: pytest.CaptureFixtur
     np.savez(tmp_path / "m.npz", body_pose=np.zeros((2, 81)), fps=30.0)
     with pytest.raises(InputError, match=r"a joint map for a file of \.bvh, \.glb, \.gltf"):
         read_motion(tmp_path / "m.npz", body, tmp_path / "map.toml")
-    (tmp_path / "a.fbx").touch()
-    with pytest.raises(InputError, match="Blender: File > Export > glTF"):
-        read_motion(tmp_path / "a.fbx", body)
 
 
 def test_inspect_says_what_a_character_holds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

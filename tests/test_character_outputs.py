@@ -18,7 +18,7 @@ from quaffure.hair.character_space import AnimatedSkin, CharacterSpace, skin_of
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.placed_clip import PlacedClip, placed_clip
 from quaffure.io import character_scene, read_drape, write_drape
-from quaffure.io.gltf import read_character
+from quaffure.io.read_character import read_character
 from quaffure.io.read_strands import read_strands
 from tests.characters import character
 from tests.test_own_motion import FPS, binding_of, drape_of, moving, own_body, scalp_vertices

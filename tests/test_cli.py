@@ -398,8 +398,12 @@ def test_unknown_formats(refusal: Refusal) -> None:
     line = refusal(*posed(path))
     assert f"{path}: expected a strand file" in line
     assert ".txt" in line
-    path = refusal.saved("dance.fbx", b"dance")
+    path = refusal.saved("dance.mov", b"dance")
     assert f"{path}: expected a motion file" in refusal(*posed("bob", "--motion", str(path)))
+    path = refusal.saved("dance.fbx", b"; FBX 7.4.0 project file")
+    line = refusal(*posed("bob", "--motion", str(path)))
+    assert f"{path}: expected a binary FBX file" in line
+    assert "found an FBX of text" in line
 
 
 # --- motion ----------------------------------------------------------------------------------------------------------

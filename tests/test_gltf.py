@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from quaffure.body.character import Character
 from quaffure.errors import InputError
-from quaffure.io.gltf import read_character
+from quaffure.io.read_character import read_character
 from tests.gltf_files import NAMES, PLACES, GltfFile, figure
 from tests.meshopt_streams import compressed
 
@@ -360,8 +360,6 @@ def test_what_is_no_gltf(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=message):
             read(content, tmp_path)
-    with pytest.raises(InputError, match="Blender: File > Export > glTF"):
-        read(b"Kaydara FBX Binary", tmp_path, ".fbx")
     with pytest.raises(InputError, match=r"suffix '\.obj'"):
         read_character(tmp_path / "file.obj")
 

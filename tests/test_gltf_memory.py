@@ -11,8 +11,8 @@ import pytest
 
 from quaffure.body.character import Character
 from quaffure.errors import InputError
-from quaffure.io.gltf import read_character
 from quaffure.io.gltf_document import MOST_COMPRESSION, open_gltf
+from quaffure.io.read_character import read_character
 from tests.gltf_files import GltfFile
 
 

@@ -147,9 +147,9 @@ def test_read_motion_knows_its_formats(tmp_path: Path, body: BodyModel) -> None:
     np.savez(tmp_path / "poses.npz", body_pose=np.full((4, 81), 0.1, dtype=np.float32), fps=25.0)
     motion = read_motion(tmp_path / "poses.npz", body)
     assert (motion.name, motion.fps, motion.body_pose.shape) == ("poses", 25.0, (4, 81))
-    (tmp_path / "walk.fbx").write_bytes(b"")
-    with pytest.raises(InputError, match=r"\.bvh, \.glb, \.gltf, \.npz.*export it as glTF"):
-        read_motion(tmp_path / "walk.fbx", body)
+    (tmp_path / "walk.mov").write_bytes(b"")
+    with pytest.raises(InputError, match=r"\.bvh, \.glb, \.gltf, \.fbx, \.npz.*suffix '\.mov'"):
+        read_motion(tmp_path / "walk.mov", body)
     with pytest.raises(InputError, match="no such file"):
         read_motion(tmp_path / "none.bvh", body)
     np.savez(tmp_path / "narrow.npz", body_pose=np.zeros((4, 72), dtype=np.float32), fps=25.0)

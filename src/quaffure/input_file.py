@@ -6,7 +6,7 @@ from pathlib import Path
 
 from quaffure.errors import InputError, refused
 
-_NAMED_CLIP = re.compile(r"(.+\.(?:glb|gltf))#(.*)", re.IGNORECASE | re.DOTALL)
+_NAMED_CLIP = re.compile(r"(.+\.(?:glb|gltf|fbx))#(.*)", re.IGNORECASE | re.DOTALL)
 
 
 def check_input_file(path: Path, expected: str) -> None:

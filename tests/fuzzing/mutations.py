@@ -31,6 +31,8 @@ def _change_of(seed: bytes, random_: random.Random) -> Callable[[bytes, random.R
         changes += [_member] * 16
     elif seed[8:9] == b"{":
         changes += [_header] * 12
+    elif seed.startswith(b"Kaydara"):
+        changes += [_record] * 12
     elif seed.startswith(b"glTF"):
         changes += [_document] * 16
     elif b"\0" not in seed:
@@ -129,6 +131,36 @@ def _document(content: bytes, random_: random.Random) -> bytes:
         text = _number(text, random_)
     text += b" " * (-len(text) % 4)
     return content[:12] + struct.pack("<I", len(text)) + content[16:20] + text + rest
+
+
+def _record(content: bytes, random_: random.Random) -> bytes:
+    """Changes near the name of a record of an .fbx: in its sizes, or in the properties after it."""
+    names = list(re.finditer(rb"[A-Z][A-Za-z0-9]{3,}", content))
+    if not names:
+        return content
+    place = random_.choice(names)
+    if random_.random() < 0.1:
+        start = max(place.start() - 13, 0)
+        return content[:start] + _word(content[start : place.start()], random_) + content[place.start() :]
+    start, end = place.end(), place.end() + 45
+    return content[:start] + _property(content[start:end], random_) + content[end:]
+
+
+def _property(content: bytes, random_: random.Random) -> bytes:
+    """Another number: a single one after the letter of its type, or one of the first of an array after its sizes."""
+    integer = random_.choice((*INTEGERS, random_.randrange(40), 1000 + random_.randrange(40)))
+    real = random_.choice((*FLOATS, 1e300, -1.0, 0.0, 1e9))
+    forms = {b"C": bytes([integer & 1]), b"I": struct.pack("<I", integer), b"L": struct.pack("<q", integer),
+             b"D": struct.pack("<d", real)}  # fmt: skip
+    arrays = {b"i": forms[b"I"], b"l": forms[b"L"], b"d": forms[b"D"], b"f": struct.pack("<f", _single(random_))}
+    written = arrays.get(content[:1])
+    if written is not None:
+        at = 13 + random_.randrange(4) * len(written)
+    else:
+        letters = [index for index in range(len(content)) if content[index : index + 1] in forms]
+        at = random_.choice(letters or [0])
+        written, at = forms.get(content[at : at + 1], b"\xff"), at + 1
+    return (content[:at] + written + content[at + len(written) :])[: len(content)]
 
 
 def _change_value(document: Any, random_: random.Random) -> None:

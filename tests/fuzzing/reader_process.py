@@ -21,9 +21,9 @@ from quaffure.body.character_animation import frame_times, poses_at
 from quaffure.errors import InputError
 from quaffure.extras import is_installed
 from quaffure.io import read_drape, read_head, usd_curves
-from quaffure.io.gltf import read_character
 from quaffure.io.groom_file import read_groom
 from quaffure.io.load_groom import load_groom
+from quaffure.io.read_character import read_character
 from quaffure.io.read_motion import read_joint_map, read_motion
 from quaffure.io.read_strands import read_strands
 from quaffure.model.checkpoint import load_network
@@ -42,7 +42,7 @@ def readers(body: BodyModel) -> dict[str, Callable[[Path], object]]:
         "npz drape": read_drape,
         "npz body": load_body,
         **dict.fromkeys(("npz motion", "npz amass", "bvh"), lambda path: read_motion(path, body)),
-        **dict.fromkeys(("glb", "gltf"), lambda path: _read_and_retarget(path, body)),
+        **dict.fromkeys(("glb", "gltf", "fbx"), lambda path: _read_and_retarget(path, body)),
         **dict.fromkeys(("obj", "ply head"), read_head),
         "toml joints": read_joint_map,
         "csv": lambda path: body_shape_of(str(path)),

@@ -16,12 +16,15 @@ from quaffure.config import HairMaterial
 from quaffure.extras import is_installed
 from quaffure.hair import DrapeSequence
 from quaffure.io import write_drape, write_groom, write_usd
+from quaffure.io.read_character import read_character
 from quaffure.model import NetworkConfig, build_network, save_network
 from quaffure.training.run_folder import RunFolder
+from tests.fbx_characters import FbxForm, fbx_of
 from tests.fuzzing.written_seeds import ply_heads, ply_of_properties, write_strands
 from tests.gltf_files import NAMES as RIG_NAMES
 from tests.gltf_files import GltfFile, figure
 from tests.meshopt_streams import compressed
+from tests.test_fbx_damaged import whole
 from tests.test_groom_files import EVEN, GOOD, RAGGED, npz_bytes, ragged_npz
 from tests.test_retarget import CHANNELS, NAMES, SKELETON, random_angles
 from tests.training_runs import tiny_groom
@@ -66,6 +69,7 @@ def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
         "toml joints": (".toml", (joint_map_text(bundled_joint_map("smpl")).encode(),)),
         "glb": (".glb", (_figure().glb(), _compressed())),
         "gltf": (".gltf", (_indented(_figure().gltf()),)),
+        "fbx": (".fbx", _fbx_files()),
         "obj": (".obj", (_obj(),)),
         "csv": (".csv", (b"0.5,-1,0,0,0,2e-1,0,0,0,0\n", b"0 1 0 1 0 1 0 1 0 1")),
         "csv characters": (".csv", (CHARACTERS,)),
@@ -167,6 +171,16 @@ def _compressed() -> bytes:
     file.add("meshes", primitives=[primitive])
     file.add("nodes", mesh=0)
     return file.glb()
+
+
+def _fbx_files() -> tuple[bytes, ...]:
+    """A figure that moves in every layout, and a file with everything."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "figure.glb"
+        path.write_bytes(_figure().glb())
+        character = read_character(path)
+    turned, plain = fbx_of(character, FbxForm(is_z_up=True, is_turned=True)), fbx_of(character)
+    return turned.content(7400), plain.content(7500, is_deflated=True), whole().content(7400), whole().content(7700)
 
 
 def _indented(document: bytes) -> bytes:

@@ -1,6 +1,7 @@
 """A character of another program: its nodes, the meshes that they move, and its animations, as a glTF file has them.
 
-Everything is in the axes and the unit of the file's scene; glTF prescribes metres, y up, facing +z.
+Everything is in the axes and the unit of the file's scene. That of glTF is metres, y up, facing +z, to which FBX is
+converted.
 """
 
 from dataclasses import dataclass, field
@@ -11,6 +12,9 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from quaffure.errors import InputError
+
+SHEAR_TOLERANCE = 1e-3
+"""Largest cosine between the axes of a node's matrix, which may turn and scale but not shear."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +198,21 @@ class Character:
         return sorted({above for node in moving for above in self.nodes.ancestors(node)})
 
 
+def parents_first(parents: Int[np.ndarray, " n"], children: list[list[int]]) -> list[int]:
+    """Nodes from the roots down, each subtree in one piece; without those that are below themselves.
+
+    Args:
+        parents: of every node, -1 of a root.
+        children: of every node, in order.
+    """
+    sequence: list[int] = []
+    waiting = [int(index) for index in np.flatnonzero(parents < 0)][::-1]  # files may be nested deep: no recursion
+    while waiting:
+        sequence.append(waiting.pop())
+        waiting.extend(reversed(children[sequence[-1]]))
+    return sequence
+
+
 def local_matrices(
     translation: Float[np.ndarray, "*f n 3"], rotation: Float[np.ndarray, "*f n 4"], scale: Float[np.ndarray, "*f n 3"]
 ) -> Float[np.ndarray, "*f n 4 4"]:
@@ -204,6 +223,25 @@ def local_matrices(
     matrices[..., :3, 3] = translation
     matrices[..., 3, 3] = 1.0
     return matrices
+
+
+def decomposed(
+    matrix: Float[np.ndarray, "4 4"],
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"], Float[np.ndarray, "3"]]:
+    """Translation, rotation (`xyzw`) and scale of a matrix; of a mirror image the first scale is below 0.
+
+    Raises:
+        ValueError: it has no inverse, or it shears; says which.
+    """
+    scale = np.linalg.norm(matrix[:3, :3], axis=0)
+    if scale.min() < 1e-12:
+        raise ValueError("one without an inverse")
+    axes = matrix[:3, :3] / scale
+    if np.linalg.det(axes) < 0:
+        axes[:, 0], scale[0] = -axes[:, 0], -scale[0]
+    if np.abs(axes.T @ axes - np.eye(3)).max() > SHEAR_TOLERANCE:
+        raise ValueError("one that shears")
+    return matrix[:3, 3].copy(), Rotation.from_matrix(axes).as_quat(), scale
 
 
 def world_matrices(

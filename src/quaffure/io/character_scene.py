@@ -10,8 +10,7 @@ from quaffure.body.character_clip import animation_of
 from quaffure.body.own_motion import is_own
 from quaffure.hair.character_space import AnimatedSkin, CharacterSpace, skin_of
 from quaffure.input_file import file_and_clip
-from quaffure.io.gltf import read_character
-from quaffure.io.gltf_document import GLTF_SUFFIXES
+from quaffure.io.read_character import CHARACTER_SUFFIXES, read_character
 
 
 def read_character_space(body: BodyModel, source: str | Path, times: Float[np.ndarray, " f"]) -> CharacterSpace | None:
@@ -29,7 +28,7 @@ def read_character_space(body: BodyModel, source: str | Path, times: Float[np.nd
         return None
     start = float(times[0])
     path, clip = file_and_clip(source)
-    if path.suffix.lower() not in GLTF_SUFFIXES or not is_own(body, character := read_character(path)):
+    if path.suffix.lower() not in CHARACTER_SUFFIXES or not is_own(body, character := read_character(path)):
         return CharacterSpace(body.origin, start)
     if not any(len(mesh.faces) for mesh in character.meshes):  # a file of animations alone
         return CharacterSpace(body.origin, start)

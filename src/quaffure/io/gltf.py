@@ -8,26 +8,20 @@ pygltflib and trimesh are not used: neither decodes meshopt, sparse morph target
 from pathlib import Path
 
 from quaffure.body.character import Character
-from quaffure.errors import InputError
 from quaffure.io.gltf_accessor import GltfArrays
 from quaffure.io.gltf_animation import read_animations
-from quaffure.io.gltf_document import EXPECTED, GLTF_SUFFIXES, open_gltf
+from quaffure.io.gltf_document import open_gltf
 from quaffure.io.gltf_mesh import read_meshes
 from quaffure.io.gltf_nodes import read_scene, read_skins
 
-FBX_ADVICE = "an .fbx, which is not read: export it as glTF (Blender: File > Export > glTF 2.0)"
 
-
-def read_character(path: Path) -> Character:
+def read_gltf(path: Path) -> Character:
     """What a .glb or .gltf file holds of a character.
 
     Raises:
-        InputError: no such file, an .fbx or another suffix, or what is damaged, contradicts itself or needs an
-            extension that is not read (Draco for instance); names the place.
+        InputError: no such file, or what is damaged, contradicts itself or needs an extension that is not read (Draco
+            for instance); names the place.
     """
-    suffix = path.suffix.lower()
-    if suffix not in GLTF_SUFFIXES:
-        raise InputError(path, EXPECTED, FBX_ADVICE if suffix == ".fbx" else f"suffix {path.suffix!r}")
     document = open_gltf(path)
     arrays = GltfArrays(document)
     scene = read_scene(document.root)

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from quaffure.errors import refused
+from quaffure.io.character_limits import LARGEST_NUMBER
 from quaffure.io.gltf_document import Bytes, GltfDocument
-from quaffure.io.gltf_entry import LARGEST_NUMBER, Entry
+from quaffure.io.gltf_entry import Entry
 from quaffure.io.meshopt import decode_meshopt, least_size
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

@@ -3,13 +3,14 @@
 import numpy as np
 
 from quaffure.body.character import AnimationChannel, CharacterAnimation, SkinnedMesh
+from quaffure.io.character_limits import LAST_SECOND
+from quaffure.io.distinct_names import DistinctNames
 from quaffure.io.gltf_accessor import GltfArrays
-from quaffure.io.gltf_entry import DistinctNames, Entry
+from quaffure.io.gltf_entry import Entry
 from quaffure.io.gltf_nodes import GltfScene
 
 KINDS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3", "weights": "SCALAR"}
 INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
-LAST_SECOND = 1e6
 SHORTEST_QUATERNION = 1e-3
 
 

@@ -14,7 +14,9 @@ from jaxtyping import UInt8
 from quaffure.errors import InputError, refused
 from quaffure.input_file import check_input_file
 from quaffure.io.binary import BinaryCursor
-from quaffure.io.gltf_entry import Entry, one_line
+from quaffure.io.character_limits import FREE_BYTES, MOST_COMPRESSION
+from quaffure.io.distinct_names import one_line
+from quaffure.io.gltf_entry import Entry
 
 GLTF_SUFFIXES = (".glb", ".gltf")
 EXPECTED = "a glTF 2.0 file (.glb, .gltf)"
@@ -23,9 +25,6 @@ KNOWN_EXTENSIONS = ("KHR_mesh_quantization", "EXT_meshopt_compression")
 # What these change is seen in pictures alone.
 IGNORED_EXTENSIONS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "MSFT_texture_", "KHR_lights_", "KHR_xmp")
 ADVICE = {"KHR_draco_mesh_compression": "KHR_draco_mesh_compression (export it without Draco compression)"}
-FREE_BYTES = 2**29
-"""What the arrays of any file may take [bytes]; beyond it at most `MOST_COMPRESSION` times the size of the file."""
-MOST_COMPRESSION = 64
 
 Bytes = UInt8[np.ndarray, " n"]
 

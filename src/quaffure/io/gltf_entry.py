@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from quaffure.errors import InputError
+from quaffure.io.character_limits import LARGEST_NUMBER
+from quaffure.io.distinct_names import one_line
 
 MOST = 2**31 - 1
-LARGEST_NUMBER = 1e9
 
 
 @dataclass(frozen=True)
@@ -109,27 +110,6 @@ class Entry:
             if not isinstance(value, dict):
                 self.fail(f"an object as {key}[{index}]", _shown(value))
             yield Entry(self.path, f"{prefix}{key}[{index}]", value)
-
-
-def one_line(text: str) -> str:
-    """A text of a file without what would break a line or a terminal."""
-    return "".join(character if character.isprintable() else " " for character in text)
-
-
-class DistinctNames:
-    """Names in one line that differ, by numbers where those of a file do not: joints and clips are found by name."""
-
-    def __init__(self) -> None:
-        self._counts: dict[str, int] = {}
-
-    def add(self, name: str) -> str:
-        """The name, with a number where it has been added before."""
-        base = unused = one_line(name).strip()
-        while unused in self._counts:
-            self._counts[base] += 1
-            unused = f"{base}#{self._counts[base]}"
-        self._counts[unused] = 1
-        return unused
 
 
 def _shown(value: Any) -> str:

@@ -9,8 +9,9 @@ from jaxtyping import Float, Int
 
 from quaffure.body.character import Skin, SkinnedMesh
 from quaffure.errors import InputError
+from quaffure.io.distinct_names import DistinctNames, one_line
 from quaffure.io.gltf_accessor import GltfArrays
-from quaffure.io.gltf_entry import DistinctNames, Entry, one_line
+from quaffure.io.gltf_entry import Entry
 from quaffure.io.gltf_nodes import GltfScene
 
 TRIANGLES, STRIP, FAN = 4, 5, 6

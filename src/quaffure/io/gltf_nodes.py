@@ -4,15 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
-from quaffure.body.character import CharacterNodes, Skin
+from quaffure.body.character import CharacterNodes, Skin, decomposed, parents_first
+from quaffure.io.character_limits import MOST_NODES
+from quaffure.io.distinct_names import DistinctNames
 from quaffure.io.gltf_accessor import GltfArrays
-from quaffure.io.gltf_entry import DistinctNames, Entry
+from quaffure.io.gltf_entry import Entry
 
-MOST_NODES = 2**16
-SHEAR_TOLERANCE = 1e-3
-"""Largest cosine between the axes of a node's matrix, which may turn and scale but not shear."""
 IDENTITY = tuple(float(number) for number in np.eye(4).flatten())
 
 
@@ -49,7 +47,9 @@ def read_scene(root: Entry) -> GltfScene:
             if parents[child] >= 0:
                 entries[child].fail("a node with one parent", "two")
             parents[child] = index
-    sequence = _parents_first(parents, children, root)
+    sequence = parents_first(parents, children)
+    if len(sequence) < len(entries):
+        root.fail("nodes in trees", "nodes below themselves")
     order = np.empty(len(entries), dtype=np.int64)
     order[sequence] = np.arange(len(sequence))
     roots = _scene_roots(root, parents)
@@ -89,18 +89,6 @@ def _skin(entry: Entry, arrays: GltfArrays, scene: GltfScene) -> Skin:
     return Skin(scene.order[joints], inverse_bind)
 
 
-def _parents_first(parents: Int[np.ndarray, " n"], children: list[list[int]], root: Entry) -> list[int]:
-    """Nodes from the roots down, each subtree in one piece. A loop with a stack: files may be nested deep."""
-    sequence: list[int] = []
-    waiting = [int(index) for index in np.flatnonzero(parents < 0)][::-1]
-    while waiting:
-        sequence.append(waiting.pop())
-        waiting.extend(reversed(children[sequence[-1]]))
-    if len(sequence) < len(parents):
-        root.fail("nodes in trees", "nodes below themselves")
-    return sequence
-
-
 def _scene_roots(root: Entry, parents: Int[np.ndarray, " n"]) -> set[int]:
     """Root nodes of the scene that the file shows; of all nodes where it has no scenes."""
     scenes = root.entries("scenes")
@@ -118,24 +106,13 @@ def _names(entries: list[Entry], indices: list[int]) -> tuple[str, ...]:
 def _transform(entry: Entry) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"], Float[np.ndarray, "3"]]:
     """Translation, rotation (`xyzw`) and scale of a node."""
     if "matrix" in entry:
-        return _from_matrix(entry, np.array(entry.numbers("matrix", IDENTITY)).reshape(4, 4).T)
+        try:
+            return decomposed(np.array(entry.numbers("matrix", IDENTITY)).reshape(4, 4).T)
+        except ValueError as error:
+            entry.fail("a matrix that turns and scales", str(error))
     rotation = np.array(entry.numbers("rotation", (0.0, 0.0, 0.0, 1.0)))
     length = float(np.linalg.norm(rotation))
     if length < 1e-6:
         entry.fail("a rotation of length 1", f"{length:.3g}")
     translation, scale = entry.numbers("translation", (0.0, 0.0, 0.0)), entry.numbers("scale", (1.0, 1.0, 1.0))
     return np.array(translation), rotation / length, np.array(scale)
-
-
-def _from_matrix(
-    entry: Entry, matrix: Float[np.ndarray, "4 4"]
-) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "4"], Float[np.ndarray, "3"]]:
-    scale = np.linalg.norm(matrix[:3, :3], axis=0)
-    if scale.min() < 1e-12:
-        entry.fail("a matrix that turns and scales", "one without an inverse")
-    axes = matrix[:3, :3] / scale
-    if np.linalg.det(axes) < 0:  # a mirror image: by convention along x
-        axes[:, 0], scale[0] = -axes[:, 0], -scale[0]
-    if np.abs(axes.T @ axes - np.eye(3)).max() > SHEAR_TOLERANCE:
-        entry.fail("a matrix that turns and scales", "one that shears")
-    return matrix[:3, 3].copy(), Rotation.from_matrix(axes).as_quat(), scale

@@ -15,7 +15,7 @@ FPS = 30.0
 def load_motion(
     source: str | Path, body: BodyModel | None = None, in_place: bool = False, joints: Path | None = None
 ) -> Motion:
-    """A bundled clip by name, or the motion in a file (.bvh, .glb, .gltf, .npz), at 30 frames per second.
+    """A bundled clip by name, or the motion in a file (.bvh, .glb, .gltf, .fbx, .npz), at 30 frames per second.
 
     Args:
         source: the name or the path; `FILE.glb#NAME` is one of several animations of a character.
@@ -32,7 +32,7 @@ def load_motion(
     body, name = body or load_body(), str(source)
     if name in CLIP_NAMES:
         if joints is not None:
-            raise InputError(joints, "a joint map for a .bvh, .glb or .gltf file", f"the bundled motion {name}")
+            raise InputError(joints, "a joint map for a motion file or a character", f"the bundled motion {name}")
         return bundled_clip(name, body)
     if not file_and_clip(name)[0].suffix:
         raise InputError(f"motion '{name}'", f"a file or one of {', '.join(CLIP_NAMES)}", "neither")

@@ -20,12 +20,11 @@ from quaffure.hair.character_morphs import surface_morphs
 from quaffure.input_file import check_input_file, file_and_clip, read_text
 from quaffure.io.amass import read_amass
 from quaffure.io.bvh import read_bvh
-from quaffure.io.gltf import FBX_ADVICE, read_character
-from quaffure.io.gltf_document import GLTF_SUFFIXES
+from quaffure.io.read_character import CHARACTER_SUFFIXES, read_character
 from quaffure.npz import array_names, read_numbers
 from quaffure.types import Float, Tensor
 
-SKELETON_SUFFIXES = (".bvh", *GLTF_SUFFIXES)
+SKELETON_SUFFIXES = (".bvh", *CHARACTER_SUFFIXES)
 """Files with a skeleton of their own, which is retargeted."""
 MOTION_SUFFIXES = (*SKELETON_SUFFIXES, ".npz")
 
@@ -34,13 +33,13 @@ def read_motion(path: Path, body: BodyModel, joints: Path | None = None) -> Moti
     """The motion in a file, on the body's joints; its suffix, in any case, selects the format.
 
     `.bvh` is retargeted from any skeleton whose joints are known by name or by a map; so is an animation of a character
-    (`.glb`, `.gltf`), which `FILE.glb#NAME` or `FILE.glb#0` selects where it has several, and which a body that was
-    imported from the character takes exactly. An `.npz` with `body_pose` [F,81] and `fps` (such as a drape file) is
+    (`.glb`, `.gltf`, `.fbx`), which `FILE.glb#NAME` or `FILE.glb#0` selects where it has several, and which a body that
+    was imported from the character takes exactly. An `.npz` with `body_pose` [F,81] and `fps` (such as a drape file) is
     taken as it is, with `body_translation` [F,3] where it has one; any other `.npz` is read as AMASS or SMPL-X. The
     motion is called after the file.
 
     Args:
-        joints: a joint map (.toml) for a .bvh, .glb or .gltf file (`quaffure.body.joint_map`).
+        joints: a joint map (.toml) for a file of `SKELETON_SUFFIXES` (`quaffure.body.joint_map`).
 
     Raises:
         InputError: no such file, a suffix without a reader, or what the format's reader refuses.
@@ -50,11 +49,11 @@ def read_motion(path: Path, body: BodyModel, joints: Path | None = None) -> Moti
     check_input_file(path, supported)
     suffix = path.suffix.lower()
     if suffix not in MOTION_SUFFIXES:
-        raise InputError(path, supported, FBX_ADVICE if suffix == ".fbx" else f"suffix {path.suffix!r}")
+        raise InputError(path, supported, f"suffix {path.suffix!r}")
     if joints is not None and suffix not in SKELETON_SUFFIXES:
         raise InputError(joints, f"a joint map for a file of {', '.join(SKELETON_SUFFIXES)}", f"the motion {path}")
     joint_map = None if joints is None else read_joint_map(joints)
-    if suffix in GLTF_SUFFIXES:
+    if suffix in CHARACTER_SUFFIXES:
         character = read_character(path)
         animation = animation_of(character, clip)
         name = f"{path.stem}_{animation.name}" if len(character.animations) > 1 else path.stem

@@ -14,8 +14,8 @@ from quaffure.digest import file_digest
 from quaffure.errors import InputError
 from quaffure.extras import require_extra
 from quaffure.io.body_file import write_body
-from quaffure.io.gltf import read_character
 from quaffure.io.output_path import check_output
+from quaffure.io.read_character import read_character
 from quaffure.io.read_motion import read_joint_map
 from quaffure.io.read_strands import read_strands
 
@@ -25,7 +25,7 @@ class ImportBody:
     """Make a body of a skinned character: joints, one closed surface to collide with, and a scalp."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="CHARACTER")]
-    """A character: .glb or .gltf."""
+    """A character: .glb, .gltf or binary .fbx."""
     out: Path
     """Where to write (.npz), for --body of other commands."""
     joints: Path | None = None

@@ -10,12 +10,12 @@ from quaffure.body.character import CharacterAnimation, SkinnedMesh
 from quaffure.body.character_clip import character_clip
 from quaffure.body.joint_names import check_joint_map, guess_joint_map
 from quaffure.errors import InputError
-from quaffure.io.gltf import read_character
+from quaffure.io.read_character import read_character
 from quaffure.io.read_motion import read_joint_map
 
 
 def character_summary(path: Path, body: BodyModel, joints: Path | None = None) -> Summary:
-    """What a .glb or .gltf file holds, and its first animation on the body's joints.
+    """What a file of a character holds, and its first animation on the body's joints.
 
     Args:
         joints: a joint map.

@@ -66,7 +66,7 @@ class DrapeCommand:
     .hair, .ply, .data and .bin (of one frame), .png, .mp4. An .abc, for Unreal a groom cache, comes with its groom
     asset: walk_groom.abc beside walk.abc."""
     motion: str = "neck_turn"
-    """A bundled clip, or a file: .bvh of any skeleton, a character (.glb, .gltf; FILE#NAME is one of several
+    """A bundled clip, or a file: .bvh of any skeleton, a character (.glb, .gltf, .fbx; FILE#NAME is one of several
     animations), .npz of AMASS, SMPL-X or poses of this body."""
     joints: Path | None = None
     """A joint map (.toml) for a motion whose joint names are not known; `quaffure inspect` writes one to edit."""

@@ -20,11 +20,10 @@ from quaffure.hair.strands import held_parts_of
 from quaffure.io.amass import ROTATION_KEYS
 from quaffure.io.bvh import read_bvh
 from quaffure.io.drape_file import read_drape
-from quaffure.io.gltf import read_character
-from quaffure.io.gltf_document import GLTF_SUFFIXES
 from quaffure.io.groom_file import is_groom_file, read_groom
 from quaffure.io.load_groom import read_head
 from quaffure.io.ply_tables import read_ply_tables
+from quaffure.io.read_character import CHARACTER_SUFFIXES, read_character
 from quaffure.io.read_motion import SKELETON_SUFFIXES, read_joint_map
 from quaffure.io.read_strands import STRAND_READERS, read_strands
 from quaffure.model.checkpoint import load_network
@@ -34,7 +33,7 @@ DRAPE_ARRAYS = {"strands", "posed", "body_vertices"}
 MOTION_ARRAYS = ({"body_pose", "fps"}, *({*keys} for keys in ROTATION_KEYS))
 MOST_NAMES = 12
 """Longest list of groups in a summary."""
-SUFFIXES = (".bvh", *GLTF_SUFFIXES, ".obj", ".safetensors", *sorted(STRAND_READERS))
+SUFFIXES = (*SKELETON_SUFFIXES, ".obj", ".safetensors", *sorted(STRAND_READERS))
 
 
 def summary_of(path: Path, body: BodyModel, joints: Path | None = None, frame: FileFrame = UNKNOWN) -> Summary:
@@ -42,7 +41,7 @@ def summary_of(path: Path, body: BodyModel, joints: Path | None = None, frame: F
     name what there is to know of it; `REFUSED` where it cannot be used.
 
     Args:
-        joints: a joint map for a .bvh, .glb or .gltf file.
+        joints: a joint map for a motion file or a character.
         frame: what is known of a groom file's axes and unit.
 
     Raises:
@@ -53,7 +52,7 @@ def summary_of(path: Path, body: BodyModel, joints: Path | None = None, frame: F
         raise InputError(path, f"a file that is read ({', '.join(SUFFIXES)})", f"suffix {path.suffix!r}")
     if suffix == ".bvh":
         return _bvh(path, body, joints)
-    if suffix in GLTF_SUFFIXES:
+    if suffix in CHARACTER_SUFFIXES:
         return character_summary(path, body, joints)
     if suffix == ".obj" or (suffix == ".ply" and _is_mesh(path)):
         return _head(path)
@@ -71,7 +70,7 @@ def summary_of(path: Path, body: BodyModel, joints: Path | None = None, frame: F
 
 
 def joint_map_of(path: Path) -> str:
-    """The joint map of a .bvh, .glb or .gltf file by its names, as the text of a TOML file, complete or not.
+    """The joint map of a motion file or a character by its names, as the text of a TOML file, complete or not.
 
     Raises:
         InputError: another file.

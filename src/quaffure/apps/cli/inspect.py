@@ -22,12 +22,12 @@ class InspectCommand:
     be refused."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    """Strands, a groom, a motion, a character (.glb, .gltf), a drape, a head mesh (.obj, .ply) or weights
+    """Strands, a groom, a motion, a character (.glb, .gltf, .fbx), a drape, a head mesh (.obj, .ply) or weights
     (.safetensors)."""
     joints: Path | None = None
-    """A joint map (.toml) for a .bvh, .glb or .gltf file, instead of the map by names."""
+    """A joint map (.toml) for a .bvh file or a character, instead of the map by names."""
     save_joints: Path | None = None
-    """Write the joint map of a .bvh, .glb or .gltf file by its names to this file (.toml), to edit and to give to
+    """Write the joint map of a .bvh file or a character by its names to this file (.toml), to edit and to give to
     --joints."""
     up: str = ""
     """Axis of a strand file that points up, as in +y or z; guessed without it."""

@@ -31,7 +31,7 @@ class ViewCommand:
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")] = "long_straight"
     """A bundled groom (see `quaffure grooms`) or a file: .abc, .bin, .data, .hair, .npy, .npz, .ply, .tfx, .usd."""
     motion: str = "nod"
-    """A bundled clip, `rest` for the rest pose, or a file: .bvh, .glb, .gltf (FILE#NAME), .npz."""
+    """A bundled clip, `rest` for the rest pose, or a file: .bvh, .glb, .gltf, .fbx (FILE#NAME), .npz."""
     joints: Path | None = None
     """A joint map (.toml) for a motion whose joint names are not known; `quaffure inspect` writes one to edit."""
     in_place: bool = False

@@ -12,7 +12,7 @@ import tyro
 
 from quaffure.apps.cli.console import console, progress_bar
 from quaffure.apps.cli.drape_report import Stopwatch, frames_text, print_drape_json, report_drape
-from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, character_space_of, motion_of
+from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, character_space_of, clip_of
 from quaffure.apps.cli.kept_frames import kept_frames
 from quaffure.apps.cli.kernel_cache import is_cached
 from quaffure.apps.cli.outputs import PICTURES, check_frames, check_outputs, is_export, write_output, written_text
@@ -128,7 +128,7 @@ class DrapeCommand:
         check_outputs(self.out, inputs)
         times = Stopwatch()
         body = load_body(self.body)
-        motion = motion_of(self.motion, body, self.in_place, self.joints).frames(self.frames)
+        motion = clip_of(self.motion, body, self.in_place, self.joints, self.frames)
         check_frames(self.out, range(0, len(motion), self.export.every), self.export, inputs)
         space = character_space_of(self.motion, body, motion.times, self.export, self.joints)
         body_shape = body_shape_of(self.shape)

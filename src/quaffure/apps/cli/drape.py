@@ -12,6 +12,7 @@ import tyro
 
 from quaffure.apps.cli.console import console, progress_bar
 from quaffure.apps.cli.drape_report import Stopwatch, frames_text, print_drape_json, report_drape
+from quaffure.apps.cli.groom_report import loaded_groom
 from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, character_space_of, clip_of
 from quaffure.apps.cli.kept_frames import kept_frames
 from quaffure.apps.cli.kernel_cache import is_cached
@@ -38,7 +39,6 @@ from quaffure.hair.groom import Groom
 from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.placed_clip import placed_clip
 from quaffure.io.drape_file import read_drape
-from quaffure.io.load_groom import load_groom
 from quaffure.model.initial_shape_kernels import initial_shape_kernel
 from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_model import MODELS
@@ -138,8 +138,7 @@ class DrapeCommand:
         self._check_options()
         if not all(map(is_cached, self._kernels)):
             console.print("compiling kernels, first run only: some minutes more")
-        console.print(f"reading the groom {self.groom}")
-        groom = load_groom(self.groom, body, self.head)
+        groom = loaded_groom(self.groom, body, self.head)
         draper, terms = self._draper(groom, body)
         interpolation = (
             None if self.strands is None else strands_between(self.strands, self.groom, groom, body, self.head)

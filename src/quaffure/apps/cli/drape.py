@@ -11,7 +11,14 @@ import numpy as np
 import tyro
 
 from quaffure.apps.cli.console import console, progress_bar
-from quaffure.apps.cli.drape_report import Stopwatch, frames_text, print_drape_json, report_drape
+from quaffure.apps.cli.drape_report import (
+    DRAPING,
+    PREPARATION,
+    Stopwatch,
+    frames_text,
+    print_drape_json,
+    report_drape,
+)
 from quaffure.apps.cli.groom_report import loaded_groom
 from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, character_space_of, clip_of
 from quaffure.apps.cli.kept_frames import kept_frames
@@ -150,10 +157,10 @@ class DrapeCommand:
         checks, measured = DrapeChecks(motion.fps), None
         if self._measures:
             measured = DrapeMetrics(groom, draper.material, reference, terms, motion.fps)
-        times.lap("loading")
+        times.lap(PREPARATION)
 
         def on_frames(draped: Positions, scene: Scene) -> None:
-            times.lap("draping")
+            times.lap(DRAPING)
             checks.add(draped, scene)
             times.lap("checks")
             if measured is not None:
@@ -169,7 +176,7 @@ class DrapeCommand:
 
                 sequence = drape_motion(draper, groom, body, motion, body_shape, on_batch, store=frames)
             self._describe(sequence.meta)
-            times.lap("draping")
+            times.lap(DRAPING)
             is_bound = is_export(self.out) or space is not None
             binding = groom_binding(groom, body, body_shape) if is_bound else None
             clip = ExportClip(sequence, interpolation, binding, self.export)

@@ -179,7 +179,7 @@ def test_reports_say_which_strands_are_used_and_why_not_the_others(
     assert f"strands: {used} of {used + 10} are hair of the scalp; left out: {reasons}" in lines
     (draped,) = [line for line in lines if line.startswith("draped: ")]
     assert draped.startswith(f"draped: {used - 5} of these {used}, one in each cell of a 64 x 64 grid")
-    assert "the other 5 follow them with quaffure drape --strands original" in draped
+    assert "quaffure drape --strands original shows all of them" in draped
     report = [line for line in lines if line.split(":")[0] in (str(file), "strands", "roots", "skin", "draped")]
     assert len(report) == 5
     main(["drape", str(file), "--draper", "posed", "--frames", "0", "--out", str(tmp_path / "drape.npz")])

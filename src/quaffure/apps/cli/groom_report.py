@@ -36,7 +36,7 @@ def print_shared_texels(kept: int, draped: int) -> None:
     if draped < kept:
         console.print(
             f"draped: {draped} of these {kept}, one in each cell of a {TEXTURE_SIZE} x {TEXTURE_SIZE} grid over the "
-            f"scalp; the other {kept - draped} follow them with quaffure drape --strands original",
+            "scalp; quaffure drape --strands original shows all of them",
             highlight=False,
             soft_wrap=True,
         )

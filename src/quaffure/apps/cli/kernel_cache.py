@@ -30,8 +30,8 @@ def _seconds(kind: str) -> float:
 
 @cache
 def _listener(kind: str) -> TimingListener:
-    listener = TimingListener()
-    register(kind, listener)
+    listener = TimingListener()  # type: ignore[no-untyped-call]
+    register(kind, listener)  # type: ignore[no-untyped-call]
     return listener
 
 

@@ -2,19 +2,22 @@
 
 import importlib.util
 import json
+import re
 import struct
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+from numba import njit
 from pxr import Sdf
 
 from quaffure.apps.cli.drape_report import Stopwatch, duration, with_preparation
-from quaffure.apps.cli.kernel_cache import is_cached
+from quaffure.apps.cli.kernel_cache import KernelSeconds, is_cached, kernel_seconds
 from quaffure.apps.cli.main import main
 from quaffure.baselines import PosedDraper
 from quaffure.benchmark.metrics import UNITS, DrapeMetrics
@@ -151,8 +154,9 @@ def test_drape_writes_every_format_and_prints_figures(
     assert printed["meta"]["groom"] == groom.name
     assert printed["milliseconds"] > 0
     assert printed["with_preparation"] is True
-    assert list(printed["seconds"]) == ["loading", "draping", "checks", "metrics", "files", "pictures"]
-    assert all(seconds > 0 for seconds in printed["seconds"].values())
+    steps = ["kernels", "preparation", "draping", "checks", "metrics", "files", "pictures"]
+    assert list(printed["seconds"]) == steps
+    assert all(printed["seconds"][step] > 0 for step in steps[1:])
     metrics = printed["per_frame"]["posed"]
     assert all(len(per_frame) == 3 for per_frame in metrics.values())
     assert max(metrics["orientation_error_deg"]) < 1e-3
@@ -169,7 +173,9 @@ def test_adam_settles_one_frame_and_serves_as_reference(
     assert "body_intersection_percent │ %" in table
     assert "energy                    │ m g L per vertex" in table
     assert "definitions: docs/metrics.md" in table
-    assert "time: loading " in table
+    assert re.search(
+        r"^time: kernels .* \((compiled|loaded).*\), preparation .*, draping .* \(1 frame\), ", table, re.M
+    )
     assert str(reference) in table.replace("\n", "")
     out = ["--out", str(tmp_path / "posed.npz"), "--json"]
     main([*posed(groom, "--frames", "40:41", "--reference", str(reference)), *out])
@@ -252,7 +258,32 @@ def test_time_is_counted_to_the_step_that_ends() -> None:
         before = sum(times.seconds.values())
         times.lap(step)
         assert sum(times.seconds.values()) >= before
-    assert list(times.seconds) == ["draping", "metrics"]
+    assert list(times.seconds) == ["kernels", "draping", "metrics"]
+
+
+def test_the_compilation_of_kernels_is_no_part_of_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel that is compiled while a frame is draped is not draping."""
+    clock = iter([0.0, 5.0, 105.0, 106.0])
+    kernels = iter([KernelSeconds(1, 0), KernelSeconds(3, 0), KernelSeconds(93, 80), KernelSeconds(93, 80)])
+    monkeypatch.setattr("quaffure.apps.cli.drape_report.kernel_seconds", lambda: next(kernels))
+    monkeypatch.setattr("quaffure.apps.cli.drape_report.time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    times = Stopwatch()
+    times.lap("preparation")
+    assert times.text({}) == "kernels 2 s (loaded), preparation 3 s"
+    times.lap("draping")
+    times.lap("checks")
+    assert times.text({"draping": "2 frames"}) == (
+        "kernels 92 s (compiled, in the first run only), preparation 3 s, draping 10 s (2 frames), checks 1 s"
+    )
+
+
+def test_numba_says_how_long_it_compiles() -> None:
+    before = kernel_seconds()
+    njit(lambda x: np.sort(x).sum())(np.ones(3))
+    after = kernel_seconds()
+    assert after.compiling > before.compiling
+    assert after.total - before.total >= after.compiling - before.compiling
+    assert kernel_seconds() == after
 
 
 def test_a_cold_cache_of_kernels_is_noticed(tmp_path: Path) -> None:

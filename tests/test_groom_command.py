@@ -162,6 +162,30 @@ def test_import_registers_and_shows(
     assert 0.02 < before < after  # no body on the left
 
 
+def test_reports_say_which_strands_are_used_and_why_not_the_others(
+    tmp_path: Path, foreign: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """`groom import` and `drape` print the same about a strand file."""
+    strands = np.load(foreign / "a.npz")["strands"]
+    few = strands[::2].copy()
+    few[:7] += np.float32([0, 40, 0])  # cm above the head
+    few[7:10] = few[7:10, :1]
+    file, out = tmp_path / "some.npz", tmp_path / "out.npz"
+    np.savez(file, strands=np.concatenate([few, few[20:25] + np.float32(1e-3)]))
+    main(["groom", "import", str(file), "--out", str(out), "--ties", "none"])
+    lines = capfd.readouterr().out.splitlines()
+    used = len(few) - 10 + 5
+    reasons = "3 far shorter than the others, 7 with a root more than 35 mm from the scalp"
+    assert f"strands: {used} of {used + 10} are hair of the scalp; left out: {reasons}" in lines
+    (draped,) = [line for line in lines if line.startswith("draped: ")]
+    assert draped.startswith(f"draped: {used - 5} of these {used}, one in each cell of a 64 x 64 grid")
+    assert "quaffure drape --strands original shows all of them" in draped
+    report = [line for line in lines if line.split(":")[0] in (str(file), "strands", "roots", "skin", "draped")]
+    assert len(report) == 5
+    main(["drape", str(file), "--draper", "posed", "--frames", "0", "--out", str(tmp_path / "drape.npz")])
+    assert [line for line in capfd.readouterr().out.splitlines() if line in report] == report
+
+
 def test_import_says_what_a_file_gets_from_another(
     tmp_path: Path, foreign: Path, body: BodyModel, capfd: pytest.CaptureFixture[str]
 ) -> None:

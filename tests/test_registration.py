@@ -106,6 +106,13 @@ def test_the_heads_own_mesh_gives_the_place_when_roots_are_few(groom: Groom, bod
     registered, report = register_groom(as_file((half + shift).numpy()), body, "half", head)
     assert 1e3 * (registered.rest_strands - half)[:, 0].norm(dim=-1).median() < 6.0
     assert report.scale == pytest.approx(1.0, abs=0.03)
+    assert report.head is not None
+    assert report.head.median < report.head.p95 < 10  # mm: the head is ours
+    vertices = head.vertices * [1.15, 1.0, 1.0]
+    wide = HeadMesh(vertices - vertices.mean(0) + head.vertices.mean(0), head.faces)
+    _, report_of_wide = register_groom(as_file((half + shift).numpy()), body, "half", wide)
+    assert report_of_wide.head is not None
+    assert report_of_wide.head.median > 2 * report.head.median
 
 
 def test_roots_beside_the_scalp_move_to_it_and_far_ones_are_dropped(
@@ -116,7 +123,11 @@ def test_roots_beside_the_scalp_move_to_it_and_far_ones_are_dropped(
     registered, report = register_groom(as_file(rest), body, "some far")
     assert (report.kept, report.dropped) == (len(groom) - 50, 50)
     assert report.max_residual < 35
-    assert f"{report.kept} strands kept, 50 dropped" in str(report)
+    assert report.unused == (0, 0, 50)
+    said = (
+        f"{report.kept} of {len(groom)} are hair of the scalp; left out: 50 with a root more than 35 mm from the scalp"
+    )
+    assert said in str(report)
     checked(registered, body, surface)
 
 
@@ -176,6 +187,11 @@ def test_sintel_fits_our_scalp(shared_data: Path, body: BodyModel, surface: Surf
     _, with_head = register_groom(strands, body, "sintel", read_head(folder / "sintel_head.obj"))
     assert with_head.kept >= 11300
     assert with_head.median_residual < 6
+    assert "head:" not in str(report)
+    assert with_head.head is not None
+    assert f"head: the skull of the head mesh is {with_head.head.median:.1f} mm from ours in the median" in str(
+        with_head
+    )
 
 
 @pytest.mark.shared_data
@@ -252,7 +268,7 @@ def test_a_beard_is_recognised_and_left_out(shared_data: Path, body: BodyModel) 
     assert rotation_from_y_up(report) < 5.0
     assert 1e3 * report.scale == pytest.approx(10.0, abs=0.05)
     assert (report.kept, report.dropped, report.beard) == (400, 0, 200)
-    assert "200 of a beard left out" in str(report)
+    assert "strands: 400 of 600 are hair of the scalp; left out: 200 of a beard" in str(report).splitlines()
 
 
 @pytest.mark.shared_data
@@ -279,8 +295,8 @@ def test_bald_roots_of_a_file_are_counted(shared_data: Path, body: BodyModel) ->
     strands = read_strands(shared_data / "cases" / "one_point_strands.hair")
     assert strands.dropped == 40
     _, report = register_groom(strands, body, "one point")
-    assert (report.kept, report.dropped) == (360, 40)
-    assert "360 strands kept, 40 dropped" in str(report)
+    assert (report.kept, report.dropped, report.unused) == (360, 40, (40, 0, 0))
+    assert "strands: 360 of 400 are hair of the scalp; left out: 40 bald roots (fewer than two points)" in str(report)
     assert concatenate_strands([strands, strands]).dropped == 80
 
 
@@ -289,7 +305,7 @@ def test_what_is_known_is_not_guessed(shared_data: Path, body: BodyModel) -> Non
     strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
     guessed, report = register_groom(strands, body, "base")
     assert (report.unit, report.up_axis, report.forward_axis) == ("cm", "+y", "+z")
-    assert "guessed: unit, up axis, facing" in str(report)
+    assert "guessed: unit (--units), up axis (--up), facing (--forward)" in str(report)
     known, report = register_groom(strands, body, "base", frame=FileFrame("y", "+z", "cm"))
     assert torch.allclose(known.rest_strands, guessed.rest_strands, atol=2e-3)
     assert "guessed" not in str(report)
@@ -379,4 +395,4 @@ def test_eyebrows_are_recognised_and_left_out(shared_data: Path, body: BodyModel
     points = np.concatenate([strands.points.reshape(400, 24, 3), hairs.astype(np.float32)])
     _, report = register_groom(as_file(points), body, "brows")
     assert (report.kept, report.eyebrows, report.beard, report.dropped) == (400, len(hairs), 0, 0)
-    assert f"{len(hairs)} of eyebrows left out" in str(report)
+    assert f"left out: {len(hairs)} of eyebrows" in str(report)

@@ -8,7 +8,7 @@ import pytest
 from quaffure.apps.render import Camera, StrandRenderer, encode_video, scene
 from quaffure.apps.render.framing import facing_deg, frame_hair
 from quaffure.apps.render.pictures import write_picture
-from quaffure.apps.render.scene import samples_of, width_of
+from quaffure.apps.render.scene import hair_cover, samples_of, width_of
 from quaffure.apps.render.video import write_video
 from quaffure.errors import InputError
 from tests.synthetic_drape import HEAD_CENTRE, ball, drape, patch_of_strands
@@ -216,3 +216,15 @@ def test_cameras_turn_with_the_body() -> None:
     assert facing_deg(seq, 0) == pytest.approx(0)
     assert facing_deg(turned, 0) == pytest.approx(90)
     assert Camera.view("front", (0, 0, 0), 1, 90).eye[0] > 1
+
+
+def test_scalp_between_sparse_roots_has_no_bare_spots() -> None:
+    """Dark spots round the roots of a hundred strands would look like a skin disease; a hairline stays sharp."""
+    for spacing, beyond in ((0.02, 0.045), (0.004, 0.013)):
+        grid = spacing * np.arange(8)
+        roots = np.stack([*np.meshgrid(grid, grid), np.zeros((8, 8))], axis=-1).reshape(-1, 3)
+        between = roots.reshape(8, 8, 3)[:-1, :-1].reshape(-1, 3) + 0.5 * spacing * np.array([1, 1, 0])
+        assert hair_cover(between, roots).min() > 0.7
+        off = roots[:8] - np.array([0, beyond, 0])
+        assert not hair_cover(off, roots).any()
+    assert hair_cover(np.zeros((1, 3)), np.zeros((1, 3))).tolist() == [1.0]

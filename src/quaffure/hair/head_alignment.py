@@ -154,6 +154,11 @@ def refine(
     return replace(alignment, transform=transform)
 
 
+def misfit(transform: Similarity, points: Float[np.ndarray, "p 3"], target: ScalpTarget) -> Float[np.ndarray, " p"]:
+    """Distance of points [file units], once transformed, from the surface of the target [m]."""
+    return np.abs(_offsets(transform(points), target)[0])
+
+
 def _starts(roots: Float[np.ndarray, "s 3"], target: ScalpTarget, frame: FileFrame) -> list[_Start]:
     scalp = target.scalp_points
     size = _spread(scalp) / _spread(roots)

@@ -15,8 +15,14 @@ from quaffure.hair.clearance import inside_share, pushed_out
 from quaffure.hair.file_frame import MIRROR, UNKNOWN, FileFrame
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_alignment import GroomAlignment, align_groom, standing_groom
-from quaffure.hair.head_alignment import Alignment, refine
-from quaffure.hair.registration_report import RegistrationReport
+from quaffure.hair.head_alignment import Alignment, misfit, refine
+from quaffure.hair.registration_report import (
+    FARTHEST_ROOT,
+    LARGEST_MEDIAN_RESIDUAL,
+    Dropped,
+    HeadFit,
+    RegistrationReport,
+)
 from quaffure.hair.resample import (
     has_length,
     resample_by_arc_length,
@@ -27,10 +33,7 @@ from quaffure.hair.scalp_target import head_target
 from quaffure.hair.strands import UNASKED, Strands
 from quaffure.types import Tensor
 
-FARTHEST_ROOT = 0.035
-"""Largest distance of a root from the scalp [m]; others are dropped."""
 FEWEST_STRANDS = 20
-LARGEST_MEDIAN_RESIDUAL = 0.012  # m
 LEAST_KEPT = 0.2  # of the strands
 MOST_INSIDE = 5e-4  # of the vertices
 MOST_INSIDE_ON_ARRIVAL = 0.4
@@ -80,7 +83,7 @@ def register_groom(
             this body whose roots are not on its scalp.
     """
     usable, degenerate = without_degenerate(_mirrored(strands, frame))
-    found, alignment = _aligned(usable, body, head, frame)
+    found, alignment, head_fit = _aligned(usable, body, head, frame)
     surface = body.rest_surface
     kept_parts = found.on_scalp
     aligned = alignment.transform(found.polylines[kept_parts])
@@ -106,10 +109,9 @@ def register_groom(
     }
     uv = body.scalp.uv_at(faces[kept], barycentric[kept])
     groom = Groom(name, rest, faces[kept], barycentric[kept], uv, licence, **held_parts)
-    lost = strands.dropped + degenerate + int((~near).sum())
-    decisions = _of_the_file(strands, found, near)
-    shares = inside, inside_share(rest, surface)
-    return groom, _report(strands.source, frame, found, alignment, 1e3 * residual[near], lost, (*decisions, *shares))
+    unused = Dropped(strands.dropped, degenerate, int((~near).sum()))
+    details = (*_of_the_file(strands, found, near), inside, inside_share(rest, surface), head_fit)
+    return groom, _report(strands.source, frame, found, alignment, 1e3 * residual[near], unused, details)
 
 
 def _of_the_file(
@@ -133,22 +135,22 @@ def _mirrored(strands: Strands, frame: FileFrame) -> Strands:
 
 def _aligned(
     strands: Strands, body: BodyModel, head: HeadMesh | None, frame: FileFrame
-) -> tuple[GroomAlignment, Alignment]:
-    """Which strands are which, and the transform to our body."""
+) -> tuple[GroomAlignment, Alignment, HeadFit | None]:
+    """Which strands are which, the transform to our body, and how a head fits ours."""
     if frame.registered and (strands.counts == VERTICES_PER_STRAND).all():
         polylines = strands.points.reshape(-1, VERTICES_PER_STRAND, 3).astype(np.float64)
     else:
         polylines = resample_by_arc_length(strands, VERTICES_PER_STRAND).astype(np.float64)
     if frame.registered:
         found = standing_groom(polylines, frame)
-        return found, found.alignment
+        return found, found.alignment, None
     _check_roots(polylines[:, 0], strands.source)
     found = align_groom(polylines, body, frame)
     if head is None:
-        return found, found.alignment
+        return found, found.alignment, None
     if frame.mirror:
         head = HeadMesh(head.vertices @ MIRROR, head.faces[:, ::-1])
-    return found, _align_heads(found.alignment, head, found.polylines[found.on_scalp][:, 0], body)
+    return found, *_align_heads(found.alignment, head, found.polylines[found.on_scalp][:, 0], body)
 
 
 def _unasked_where(values: np.ndarray, turned: Bool[np.ndarray, " s"], part: str) -> np.ndarray:
@@ -163,14 +165,14 @@ def _report(
     found: GroomAlignment,
     alignment: Alignment,
     residual: Float[np.ndarray, " k"],
-    lost: int,
-    details: tuple[Bool[np.ndarray, " s"], Bool[np.ndarray, " s"], float, float],
+    unused: Dropped,
+    details: tuple[Bool[np.ndarray, " s"], Bool[np.ndarray, " s"], float, float, HeadFit | None],
 ) -> RegistrationReport:
     median, high, largest = np.quantile(residual, (0.5, 0.95, 1.0))
     rotation = alignment.transform.rotation @ (MIRROR if frame.mirror else np.eye(3))
     report = RegistrationReport(
         source, alignment.unit, axis_name(rotation[2]), axis_name(-rotation[1]), alignment.transform.scale, rotation,
-        alignment.transform.translation, frame, float(median), float(high), float(largest), len(residual), lost,
+        alignment.transform.translation, frame, float(median), float(high), float(largest), len(residual), unused,
         int(found.beard.sum()), int(found.eyebrow.sum()), found.turned, int(found.turned_strands.sum()), *details,
     )  # fmt: skip
     if report.inside_after > MOST_INSIDE and not frame.registered:
@@ -200,14 +202,19 @@ def nearest_on_scalp(
     return torch.cat(faces), torch.cat(weights), torch.cat(closest)
 
 
-def _align_heads(alignment: Alignment, head: HeadMesh, roots: Float[np.ndarray, "s 3"], body: BodyModel) -> Alignment:
+def _align_heads(
+    alignment: Alignment, head: HeadMesh, roots: Float[np.ndarray, "s 3"], body: BodyModel
+) -> tuple[Alignment, HeadFit]:
     """Fit the cranium of the groom's head, the part above its lowest root, to ours."""
     lowest = np.quantile(alignment.transform(roots)[:, 2], 0.02)
     vertices = head.vertices[np.unique(head.faces)]
     cranium = vertices[alignment.transform(vertices)[:, 2] > lowest]
     if len(cranium) < FEWEST_STRANDS:
         raise InputError("head", "a head that reaches above the roots of its groom", f"{len(cranium)} vertices there")
-    return refine(alignment, cranium, head_target(body, lowest - 0.03), (0.9, 1.1))
+    target = head_target(body, lowest - 0.03)
+    refined = refine(alignment, cranium, target, (0.9, 1.1))
+    median, high = np.quantile(1e3 * misfit(refined.transform, cranium, target), (0.5, 0.95))
+    return refined, HeadFit(float(median), float(high))
 
 
 def _check_roots(roots: Float[np.ndarray, "s 3"], source: str) -> None:

@@ -1,6 +1,7 @@
 """A groom from whatever names one: a bundled style, a registered groom file, or strands of any supported format."""
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +28,11 @@ from quaffure.procedural.hair_style import STYLES
 
 
 def load_groom(
-    groom: str | Path, body: BodyModel | None = None, head: Path | None = None, frame: FileFrame = UNKNOWN
+    groom: str | Path,
+    body: BodyModel | None = None,
+    head: Path | None = None,
+    frame: FileFrame = UNKNOWN,
+    on_report: Callable[[RegistrationReport], object] = lambda report: None,
 ) -> Groom:
     """A groom on `body`, 24 vertices a strand, at most one strand in a texel of the scalp's texture.
 
@@ -36,6 +41,7 @@ def load_groom(
         body: the shipped one where none is given.
         head: the mesh (.obj, .ply) of the head that a strand file's hair belongs to, in the same units and axes.
         frame: what is known of a strand file's axes and unit.
+        on_report: called with what was guessed and found when a strand file was registered.
 
     Raises:
         InputError: no such name or file, a broken file, or strands that cannot be registered.
@@ -54,7 +60,9 @@ def load_groom(
             raise InputError(path, f"{VERTICES_PER_STRAND} vertices a strand", found)
         return _opened(select_guides(loaded))
     mesh = read_head(head) if head is not None else None
-    return _opened(select_guides(_registered(read_strands(path), body, path.stem, mesh, frame)[0]))
+    registered, _, report = _registered(read_strands(path), body, path.stem, mesh, frame)
+    on_report(report)
+    return _opened(select_guides(registered))
 
 
 def _read_groom(path: Path, body: BodyModel) -> Groom:

@@ -11,12 +11,28 @@ import numpy as np
 import tyro
 
 from quaffure.apps.cli.console import console, progress_bar
-from quaffure.apps.cli.drape_report import Stopwatch, frames_text, print_drape_json, report_drape
-from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, character_space_of, motion_of
+from quaffure.apps.cli.drape_report import (
+    DRAPING,
+    PREPARATION,
+    Stopwatch,
+    frames_text,
+    print_drape_json,
+    report_drape,
+)
+from quaffure.apps.cli.groom_report import loaded_groom
+from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, character_space_of, clip_of
 from quaffure.apps.cli.kept_frames import kept_frames
 from quaffure.apps.cli.kernel_cache import is_cached
-from quaffure.apps.cli.outputs import PICTURES, check_frames, check_outputs, is_export, write_output, written_text
-from quaffure.apps.cli.shown_strands import strands_between
+from quaffure.apps.cli.outputs import (
+    PICTURES,
+    check_frames,
+    check_outputs,
+    is_export,
+    write_output,
+    writing_text,
+    written_text,
+)
+from quaffure.apps.cli.shown_strands import clip_of_pictures, strands_between
 from quaffure.benchmark.drape_checks import DrapeChecks
 from quaffure.benchmark.metrics import DrapeMetrics
 from quaffure.body.body_model import BodyModel, load_body
@@ -38,7 +54,6 @@ from quaffure.hair.groom import Groom
 from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.placed_clip import placed_clip
 from quaffure.io.drape_file import read_drape
-from quaffure.io.load_groom import load_groom
 from quaffure.model.initial_shape_kernels import initial_shape_kernel
 from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_model import MODELS
@@ -63,8 +78,9 @@ class DrapeCommand:
     """A bundled groom (see `quaffure grooms`) or a file: .abc, .bin, .data, .hair, .npy, .npz, .ply, .tfx, .usd."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
     """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .abc, .glb,
-    .hair, .ply, .data and .bin (of one frame), .png, .mp4. An .abc, for Unreal a groom cache, comes with its groom
-    asset: walk_groom.abc beside walk.abc."""
+    .hair, .ply, .data and .bin (of one frame), .png (up to four frames, evenly spaced from the first to the last, each
+    from four sides), .mp4 (every frame). An .abc, for Unreal a groom cache, comes with its groom asset:
+    walk_groom.abc beside walk.abc."""
     motion: str = "neck_turn"
     """A bundled clip, or a file: .bvh of any skeleton, a character (.glb, .gltf, .fbx; FILE#NAME is one of several
     animations), .npz of AMASS, SMPL-X or poses of this body."""
@@ -113,8 +129,9 @@ class DrapeCommand:
     """Exit with 3 where a tip jumps or hair is inside the body; the files are written all the same."""
     strands: str | None = None
     """Strands for all files but .npz: a number of them to interpolate between the draped ones, 10,000 to 100,000 make
-    a full head of hair; or `original`, every strand of a groom file as it was made, driven by the draped ones
-    (docs/guides.md). Without it, the draped strands are shown. An .npz always holds the draped strands."""
+    a full head of hair; `original`, every strand of a groom file as it was made, driven by the draped ones
+    (docs/guides.md); or `guides`, the draped ones. Without it, files have the draped strands, and so have pictures,
+    unless there are fewer than 1,500: then they show 12,000 between them. An .npz always holds the draped strands."""
     export: ExportSettings = field(default_factory=ExportSettings)
     resume: bool = False
     """Continue an interrupted run of the same command after its last frames, which are kept beside the first output."""
@@ -128,7 +145,7 @@ class DrapeCommand:
         check_outputs(self.out, inputs)
         times = Stopwatch()
         body = load_body(self.body)
-        motion = motion_of(self.motion, body, self.in_place, self.joints).frames(self.frames)
+        motion = clip_of(self.motion, body, self.in_place, self.joints, self.frames)
         check_frames(self.out, range(0, len(motion), self.export.every), self.export, inputs)
         space = character_space_of(self.motion, body, motion.times, self.export, self.joints)
         body_shape = body_shape_of(self.shape)
@@ -138,12 +155,9 @@ class DrapeCommand:
         self._check_options()
         if not all(map(is_cached, self._kernels)):
             console.print("compiling kernels, first run only: some minutes more")
-        console.print(f"reading the groom {self.groom}")
-        groom = load_groom(self.groom, body, self.head)
+        groom = loaded_groom(self.groom, body, self.head)
         draper, terms = self._draper(groom, body)
-        interpolation = (
-            None if self.strands is None else strands_between(self.strands, self.groom, groom, body, self.head)
-        )
+        interpolation = strands_between(self.strands, self.groom, groom, body, self.head)
         shape = (len(motion), *groom.rest_strands.shape)
         if reference is not None and reference.strands.shape != shape:
             raise InputError(f"{self.reference}", f"strands {shape}", f"{reference.strands.shape}")
@@ -151,10 +165,10 @@ class DrapeCommand:
         checks, measured = DrapeChecks(motion.fps), None
         if self._measures:
             measured = DrapeMetrics(groom, draper.material, reference, terms, motion.fps)
-        times.lap("loading")
+        times.lap(PREPARATION)
 
         def on_frames(draped: Positions, scene: Scene) -> None:
-            times.lap("draping")
+            times.lap(DRAPING)
             checks.add(draped, scene)
             times.lap("checks")
             if measured is not None:
@@ -170,21 +184,23 @@ class DrapeCommand:
 
                 sequence = drape_motion(draper, groom, body, motion, body_shape, on_batch, store=frames)
             self._describe(sequence.meta)
-            times.lap("draping")
+            times.lap(DRAPING)
             is_bound = is_export(self.out) or space is not None
             binding = groom_binding(groom, body, body_shape) if is_bound else None
             clip = ExportClip(sequence, interpolation, binding, self.export)
-            self._write(clip if space is None else placed_clip(clip, space), times)
+            self._write(clip if space is None else placed_clip(clip, space), groom, body, times)
         (print_drape_json if self.json else report_drape)(sequence, checks, measured, times)
         console.print(f"written: {written_text(self.out, clip.frames, self.export)}")
         if self.strict and checks.findings():
             sys.exit(FAULTS_FOUND)
 
-    def _write(self, clip: ExportClip, times: Stopwatch) -> None:
+    def _write(self, clip: ExportClip, groom: Groom, body: BodyModel, times: Stopwatch) -> None:
+        shown = clip_of_pictures(clip, self.strands, groom, body, self.out)
         for path in self.out:
-            console.print(f"writing {path}")
-            write_output(path, clip)
-            times.lap("pictures" if path.suffix.lower() in PICTURES else "files")
+            is_picture = path.suffix.lower() in PICTURES
+            console.print(writing_text(path, len(clip.sequence)), markup=False, highlight=False, soft_wrap=True)
+            write_output(path, shown if is_picture else clip)
+            times.lap("pictures" if is_picture else "files")
 
     def _settings(self, groom: Groom, motion: Motion, body_shape: Float[Tensor, "10"]) -> dict[str, Any]:
         """All that the frames depend on."""

@@ -5,35 +5,54 @@ from collections.abc import Sized
 from typing import Any
 
 from quaffure.apps.cli.console import console, print_json, print_rows
+from quaffure.apps.cli.kernel_cache import kernel_seconds
 from quaffure.benchmark.drape_checks import MOST_INSIDE_PERCENT, DrapeChecks
 from quaffure.benchmark.metrics import UNITS, DrapeMetrics, PerFrame
 from quaffure.drape_motion import FRAMES_AT_ONCE
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.types import Float, Tensor
 
+KERNELS, PREPARATION, DRAPING = "kernels", "preparation", "draping"
+"""Steps: compiled code of the solver, made once in an installation; files read and the rest shape found, once in a run;
+and what takes longer the more frames there are."""
 DEFINITIONS = "docs/metrics.md"
 NO_FAULT = f"no tip jumps, and in no frame more than {MOST_INSIDE_PERCENT:g} % of the vertices are inside the body"
 
 
 class Stopwatch:
-    """Adds up the wall time of steps, from the end of the step before.
+    """Adds up the wall time of steps, from the end of the step before. What numba takes to compile kernels, or to read
+    them, is no part of the step in which it happens.
 
     Attributes:
-        seconds: by step, in the order of their first laps.
+        seconds: by step, `KERNELS` first, then in the order of their first laps.
+        compiled: whether a kernel was compiled.
     """
 
     def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
+        self.seconds = {KERNELS: 0.0}
+        self.compiled = False
+        self._last, self._kernels = time.perf_counter(), kernel_seconds()
 
     def lap(self, step: str) -> None:
         """Count the time since the last lap as that of this step."""
-        now = time.perf_counter()
-        self.seconds[step] = self.seconds.get(step, 0.0) + now - self._last
-        self._last = now
+        now, kernels = time.perf_counter(), kernel_seconds()
+        in_kernels = kernels.total - self._kernels.total
+        self.seconds[KERNELS] += in_kernels
+        self.seconds[step] = self.seconds.get(step, 0.0) + max(now - self._last - in_kernels, 0.0)
+        self.compiled |= kernels.compiling > self._kernels.compiling
+        self._last, self._kernels = now, kernels
 
-    def __str__(self) -> str:
-        return ", ".join(f"{step} {duration(1000 * seconds)}" for step, seconds in self.seconds.items())
+    def text(self, notes: dict[str, str]) -> str:
+        """The time of every step.
+
+        Args:
+            notes: what is added to steps, in brackets.
+        """
+        notes = {KERNELS: "compiled, in the first run only" if self.compiled else "loaded"} | notes
+        steps = [f"{step} {duration(1000 * seconds)}" for step, seconds in self.seconds.items()]
+        return ", ".join(
+            f"{text} ({notes[step]})" if step in notes else text for step, text in zip(self.seconds, steps)
+        )
 
 
 def report_drape(sequence: DrapeSequence, checks: DrapeChecks, measured: DrapeMetrics | None, times: Stopwatch) -> None:
@@ -46,9 +65,17 @@ def report_drape(sequence: DrapeSequence, checks: DrapeChecks, measured: DrapeMe
         print_rows([_table_row(key, named, draped[key]) for key in draped], title)
         console.print(f"means over frames unless marked as worst; definitions: {DEFINITIONS}")
     console.print(f"checked: {'; '.join(checks.findings()) or NO_FAULT}")
-    first = ", with the preparation of kernels and groom" if with_preparation(sequence) else ""
-    taken = duration(float(sequence.meta["milliseconds"]))
-    console.print(f"time: {times}; {taken} a drape{first}")
+    console.print(f"time: {times.text({DRAPING: _frame_text(sequence, times)})}", soft_wrap=True)
+
+
+def _frame_text(sequence: DrapeSequence, times: Stopwatch) -> str:
+    """What one frame of a clip took: the mean of a few frames, whose median would hold the preparation of kernels."""
+    frames = frames_text(len(sequence))
+    if len(sequence) == 1:
+        return frames
+    if with_preparation(sequence):
+        return f"{frames}, {duration(1000 * times.seconds[DRAPING] / len(sequence))} each"
+    return f"{frames}, {duration(float(sequence.meta['milliseconds']))} each in the median"
 
 
 def print_drape_json(

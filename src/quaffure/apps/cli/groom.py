@@ -11,6 +11,7 @@ import tyro
 
 from quaffure.apps.cli.console import console, print_json, print_rows, progress_bar
 from quaffure.apps.cli.groom_hold import HoldGroom
+from quaffure.apps.cli.groom_report import print_report, print_shared_texels
 from quaffure.apps.cli.outputs import check_packages
 from quaffure.apps.cli.style_settings import with_settings
 from quaffure.body.body_model import BodyModel, load_body
@@ -40,8 +41,6 @@ HELD_COLOUR = (0.02, 0.09, 0.35)
 """Colour of held parts in pictures, linear RGB."""
 FILLED = {"width": ("widths", "the median"), "colour": ("colours", "the mean")}
 """Attributes that strands of a file without them get from other files: what they are, and what is taken."""
-SHARE_OF_WARNING = 0.5
-"""The import prints a warning if a smaller share of the strands is in the file."""
 
 
 @dataclass(frozen=True)
@@ -147,16 +146,12 @@ class ImportGroom:
         guides = select_guides(groom)
         source = place_strands(strands, report, body)
         write_groom(self.out, guides, source if self.parts == "keep" else source.select(source.on_scalp))
-        console.print(str(report))
+        print_report(report)
         console.print(ties)
         for note in _filled(parts):
             console.print(note)
-        console.print(f"{self.out}: {_summary(guides)}, one in each texel of the scalp's texture")
-        if len(guides) < SHARE_OF_WARNING * len(groom):
-            console.print(
-                f"{len(groom) - len(guides)} strands share their texel with another and are not in the file: hair with "
-                "roots close together, such as a tail, loses the most (quaffure drape --strands original draws all)"
-            )
+        print_shared_texels(report.kept, len(guides))
+        console.print(f"{self.out}: {_summary(guides)}")
         if self.picture is not None:
             self._draw(self.picture, strands, mesh, guides, report, body)
 

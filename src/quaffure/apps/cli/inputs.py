@@ -8,6 +8,7 @@ import torch
 
 from quaffure.apps.cli.console import console
 from quaffure.body.body_model import BodyModel
+from quaffure.body.calibration_pose import calibration_pose
 from quaffure.body.motion import Motion
 from quaffure.body.pose_limits import check_body_shape
 from quaffure.energies.gravity import Acceleration
@@ -30,6 +31,16 @@ def motion_of(text: str, body: BodyModel, in_place: bool = False, joints: Path |
     for note in motion.notes:
         console.print(f"{text}: {note}", markup=False, highlight=False)
     return motion
+
+
+def clip_of(text: str, body: BodyModel, in_place: bool, joints: Path | None, frames: str) -> Motion:
+    """Some frames of `motion_of`, with a note where a calibration pose is among them."""
+    motion = motion_of(text, body, in_place, joints)
+    clip = motion.frames(frames)
+    pose = calibration_pose(motion, body)
+    if pose is not None and round((clip.start - motion.start) * motion.fps) < pose.frames:
+        console.print(f"{text}: {pose}", markup=False, highlight=False, soft_wrap=True)
+    return clip
 
 
 def character_space_of(

@@ -1,11 +1,11 @@
 """The command line: subcommands; one line and exit code 2 for bad input."""
 
 import io
-import re
 import signal
 import sys
 import threading
 from contextlib import redirect_stderr
+from importlib.metadata import version
 from typing import Annotated, NoReturn
 
 import tyro
@@ -22,6 +22,7 @@ from quaffure.apps.cli.groom import GroomCommand, GroomsCommand
 from quaffure.apps.cli.groomgen import GroomgenDataCommand, TrainGroomgenCommand
 from quaffure.apps.cli.info import InfoCommand
 from quaffure.apps.cli.inspect import InspectCommand
+from quaffure.apps.cli.option_errors import option_error
 from quaffure.apps.cli.render import RenderCommand
 from quaffure.apps.cli.rig import RigCommand
 from quaffure.apps.cli.train import TrainCommand
@@ -69,30 +70,27 @@ def main(arguments: list[str] | None = None) -> None:
 def parse(arguments: list[str] | None = None) -> Command:
     """The subcommand with its options, which `run` does not check yet.
 
-    Exits with 2 and one line on the error stream, in place of tyro's boxed message, for words that are no command.
+    Exits with 0 after `--version`, and with 2 and one line on the error stream, in place of tyro's boxed message, for
+    words that are no command.
     """
+    words = sys.argv[1:] if arguments is None else arguments
+    if words == ["--version"]:
+        print(f"quaffure {version('quaffure')}")
+        sys.exit()
     message = io.StringIO()
     try:
         with redirect_stderr(message):
             return tyro.cli(
                 Command,
                 prog="quaffure",
-                description="Drape strand hair on a posed, shaped body.",
-                args=arguments,
+                description="Drape strand hair on a posed, shaped body. `quaffure --version` prints the version.",
+                args=words,
                 config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
             )
     except SystemExit as stop:
         if not stop.code:  # --help
             raise
-        _refuse(_without_box(message.getvalue()))
-
-
-def _without_box(message: str) -> str:
-    """The text between the title of a box and its first rule."""
-    lines = re.findall(r"^│(.*)│$", message, re.MULTILINE) or [message]
-    # tyro adds a name of its own to errors of dataclasses that refuse their values.
-    text = "\n".join(lines).partition("──")[0].replace("__tyro-dummy-inner__.", "")
-    return f"{text.strip().rstrip('.')} (see quaffure --help)"
+        _refuse(option_error(message.getvalue(), words, Command))
 
 
 def _refuse(reason: str) -> NoReturn:

@@ -8,9 +8,11 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.bvh_clip import BvhClip
+from quaffure.body.calibration_pose import calibration_pose
 from quaffure.body.joint_map import JointMap
-from quaffure.body.motion import Motion
+from quaffure.body.motion import Motion, resample
 from quaffure.errors import InputError
+from quaffure.io.load_motion import FPS
 from quaffure.io.read_motion import read_motion
 
 REFUSED = "refused"
@@ -38,13 +40,14 @@ def usable_motion(path: Path, body: BodyModel, joints: Path | None = None) -> Su
         motion = read_motion(path, body, joints)
     except InputError as error:
         return {REFUSED: f"expected {error.expected}, found {error.found}"}
+    first = calibration_pose(resample(motion, FPS), body)
     return {
         "frames": len(motion),
         "fps": round(motion.fps, 3),
         "seconds": round(motion.seconds, 2),
         "travels_m": None if motion.translation is None else extent(motion.translation.numpy()),
         "head_above_hips_m": _head_height(motion, body),
-        "notes": list(motion.notes),
+        "notes": [*motion.notes, *([] if first is None else [str(first)])],
     }
 
 

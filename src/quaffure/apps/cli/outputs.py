@@ -1,11 +1,13 @@
 """Output files of a drape; the suffix selects the format."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from quaffure.apps.cli.console import progress_bar
+from quaffure.apps.render.camera import AZIMUTHS
+from quaffure.apps.render.framing import frames_of_picture
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.extras import require_extra
@@ -129,9 +131,12 @@ def known_groom(sequence: DrapeSequence, body: BodyModel) -> Groom | None:
         return None
 
 
-def write_output(path: Path, clip: ExportClip) -> None:
+def write_output(path: Path, clip: ExportClip, shows_progress: bool = True) -> None:
     """Write a drape in the format of the suffix: with an interpolation the strands between its guides, without one the
     guides. An .npz, which other commands read, always holds the guides. Each format's library is imported on first use.
+
+    Args:
+        shows_progress: whether how far it is, and how long the rest takes, is shown for pictures and videos.
     """
     check_packages(path)
     suffix = path.suffix.lower()
@@ -144,11 +149,14 @@ def write_output(path: Path, clip: ExportClip) -> None:
     elif suffix == ".png":
         from quaffure.apps.render.pictures import write_picture
 
-        write_picture(path, clip.sequence, clip.interpolation)
+        views = len(AZIMUTHS) * len(frames_of_picture(len(clip.sequence)))
+        with _parts_shown(path, views, shows_progress) as on_view:
+            write_picture(path, clip.sequence, clip.interpolation, on_view)
     elif suffix == ".mp4":
         from quaffure.apps.render.video import write_video
 
-        write_video(path, clip.sequence, clip.interpolation)
+        with _parts_shown(path, len(clip.sequence), shows_progress) as on_frame:
+            write_video(path, clip.sequence, clip.interpolation, on_frame)
     elif suffix == ".abc":
         from quaffure.io.alembic_groom import write_groom_asset, write_groom_cache
 
@@ -185,11 +193,28 @@ def write_output(path: Path, clip: ExportClip) -> None:
             write_usd(path, clip, on_frame)
 
 
+def writing_text(path: Path, frames: int) -> str:
+    """What is being written; of a picture, which frames it shows.
+
+    Args:
+        frames: of the drape.
+    """
+    if path.suffix.lower() != ".png":
+        return f"writing {path}"
+    *before, last = map(str, frames_of_picture(frames))
+    shown = f"frames {', '.join(before)} and {last} of 0 to {last}" if before else "the only frame"
+    return f"writing {path}: {shown}, from {len(AZIMUTHS)} sides"
+
+
+def _progress(path: Path, clip: ExportClip) -> AbstractContextManager[Callable[[], None]]:
+    """Show the frames that are written, of a file that takes a while."""
+    return _parts_shown(path, len(clip.frames), _size(clip) >= SHOWN_BYTES)
+
+
 @contextmanager
-def _progress(path: Path, clip: ExportClip) -> Iterator[Callable[[], None]]:
-    """Show the frames that are written, of a file that takes a while; yields what to call after each."""
-    disable = _size(clip) < SHOWN_BYTES
-    with progress_bar(f"writing {path.name}", len(clip.frames), transient=True, disable=disable) as update:
+def _parts_shown(path: Path, parts: int, is_shown: bool) -> Iterator[Callable[[], None]]:
+    """Show how many parts of a file are written; yields what to call after each."""
+    with progress_bar(f"writing {path.name}", parts, transient=True, disable=not is_shown) as update:
         yield lambda: update(advance=1)
 
 

@@ -9,8 +9,16 @@ import tyro
 
 from quaffure.apps.cli.console import console
 from quaffure.apps.cli.inputs import character_space_of
-from quaffure.apps.cli.outputs import check_frames, check_outputs, is_export, known_groom, write_output
-from quaffure.apps.cli.shown_strands import ORIGINAL, source_of_drape, strands_between
+from quaffure.apps.cli.outputs import (
+    PICTURES,
+    check_frames,
+    check_outputs,
+    is_export,
+    known_groom,
+    write_output,
+    writing_text,
+)
+from quaffure.apps.cli.shown_strands import GUIDES, ORIGINAL, clip_of_pictures, source_of_drape, strands_between
 from quaffure.body.body_model import load_body
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip, ExportSettings
@@ -27,16 +35,18 @@ class RenderCommand:
     drape: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DRAPE")]
     """A drape file (.npz)."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
-    """Where to write; may be given several times. The suffix picks the format: .png, .mp4, .usd, .usda, .usdc, .glb,
-    .hair, .ply, .data and .bin (of one frame), .abc (with its groom asset beside it: walk_groom.abc beside
-    walk.abc)."""
+    """Where to write; may be given several times. The suffix picks the format: .png (up to four frames, evenly spaced
+    from the first to the last, each from four sides), .mp4 (every frame), .usd, .usda, .usdc, .glb, .hair, .ply, .data
+    and .bin (of one frame), .abc (with its groom asset beside it: walk_groom.abc beside walk.abc)."""
     body: Path | None = None
     """A body of your own (.npz, from `quaffure body import`) that the drape is of."""
     motion: str = ""
     """The character's file that the drape is of, and its animation (FILE.glb#NAME): its skin then moves the roots."""
     strands: str | None = None
-    """A number of strands to interpolate between the draped ones, 10,000 to 100,000 are a full head of hair; or
-    `original`, every strand of the groom file that was draped (--groom). Without it, the draped strands are drawn."""
+    """A number of strands to interpolate between the draped ones, 10,000 to 100,000 are a full head of hair;
+    `original`, every strand of the groom file that was draped (--groom); or `guides`, the draped ones. Without it,
+    files have the draped strands, and so have pictures, unless there are fewer than 1,500: then they show 12,000
+    between them."""
     groom: Path | None = None
     """With --strands original: the groom file that was draped."""
     head: Path | None = None
@@ -52,7 +62,7 @@ class RenderCommand:
         sequence = read_drape(self.drape)
         check_frames(self.out, range(0, len(sequence), self.export.every), self.export, inputs)
         body, groom, interpolation, binding = load_body(self.body), None, None, None
-        if self.strands is not None:
+        if self.strands not in (None, GUIDES):
             groom, source = groom_of_drape(sequence, body), str(self.drape)
             if self.strands == ORIGINAL:
                 groom, source = source_of_drape(groom, self.groom, body, self.head), str(self.groom)
@@ -65,6 +75,7 @@ class RenderCommand:
         space = character_space_of(self.motion, body, sequence.times, self.export)
         if space is not None:
             clip = placed_clip(clip, space)
+        shown = clip_of_pictures(clip, self.strands, groom or known_groom(sequence, body), body, self.out)
         for path in self.out:
-            console.print(f"writing {path}")
-            write_output(path, clip)
+            console.print(writing_text(path, len(sequence)), markup=False, highlight=False, soft_wrap=True)
+            write_output(path, shown if path.suffix.lower() in PICTURES else clip)

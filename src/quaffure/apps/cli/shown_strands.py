@@ -1,24 +1,33 @@
 """Which strands are shown with a drape: more between the draped ones, or those of the groom's source."""
 
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
+from quaffure.apps.cli.console import console
+from quaffure.apps.cli.outputs import PICTURES
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
+from quaffure.hair.export_clip import ExportClip
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of
 from quaffure.hair.source_strands import original_strands
 from quaffure.io.load_groom import load_groom, load_source
 
-ORIGINAL = "original"
+ORIGINAL, GUIDES = "original", "guides"
 OPTION = "--strands"
+SPARSE = 1500
+"""Fewer strands than these, drawn as wide as strands are at most, leave the scalp bare between them."""
+STRANDS_OF_PICTURES = 12_000
+"""Strands in pictures of sparse grooms."""
 SAME_STRAND = 1e-3
 """Largest distance of roots, and difference of lengths, of one strand of a drape and of its groom [m]."""
 
 
 def strands_between(
-    strands: str, source: str, groom: Groom, body: BodyModel, head: Path | None = None
-) -> GuideInterpolation:
-    """Strands of a drape by a number of them, or `ORIGINAL`.
+    strands: str | None, source: str, groom: Groom, body: BodyModel, head: Path | None = None
+) -> GuideInterpolation | None:
+    """Strands of a drape by a number of them, or `ORIGINAL`; None for the draped ones, `GUIDES`.
 
     Args:
         source: what named the groom: a bundled style or a file.
@@ -26,13 +35,43 @@ def strands_between(
         head: the head mesh of a strand file.
 
     Raises:
-        InputError: neither a number nor `ORIGINAL`, or a groom without a source.
+        InputError: neither a number nor one of these words, or a groom without a source.
     """
+    if strands is None or strands == GUIDES:
+        return None
     if strands == ORIGINAL:
         return original_strands(load_source(source, body, head), groom, body)
     if not strands.isdecimal() or len(strands) > 18:
-        raise InputError(OPTION, f"a number of strands, or {ORIGINAL}", repr(strands))
+        raise InputError(OPTION, f"a number of strands, {ORIGINAL} or {GUIDES}", repr(strands))
     return interpolation_of(groom, body, int(strands))
+
+
+def clip_of_pictures(
+    clip: ExportClip, strands: str | None, groom: Groom | None, body: BodyModel, outputs: Iterable[Path]
+) -> ExportClip:
+    """What pictures and videos show. Where nobody asked for certain strands and the draped ones are too few to cover
+    the scalp, it is strands between them, and a line is printed about it.
+
+    Args:
+        strands: what was asked for.
+        groom: that was draped, where it is known.
+        outputs: all that is written.
+    """
+    draped = clip.sequence.strands.shape[1]
+    is_drawn = any(path.suffix.lower() in PICTURES for path in outputs)
+    if strands is not None or groom is None or draped >= SPARSE or not is_drawn:
+        return clip
+    try:
+        between = interpolation_of(groom, body, STRANDS_OF_PICTURES)
+    except InputError:  # too few for a triangle
+        return clip
+    console.print(
+        f"pictures show {len(between)} strands between the {draped} draped ones, which would leave the scalp bare "
+        f"({OPTION} {GUIDES}: the draped ones alone; {OPTION} N: another number)",
+        highlight=False,
+        soft_wrap=True,
+    )
+    return replace(clip, interpolation=between)
 
 
 def source_of_drape(draped: Groom, path: Path | None, body: BodyModel, head: Path | None) -> Groom:

@@ -86,4 +86,4 @@ class ViewCommand:
 
 
 def _write_picture(path: Path, sequence: DrapeSequence, interpolation: GuideInterpolation | None) -> None:
-    write_output(path, ExportClip(sequence, interpolation))
+    write_output(path, ExportClip(sequence, interpolation), shows_progress=False)

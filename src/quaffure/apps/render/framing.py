@@ -9,6 +9,17 @@ from quaffure.hair.drape_sequence import DrapeSequence
 # A ball of this radius around the mean root contains the face and the chin of any adult head.
 HEAD_RADIUS = 0.24  # m
 MARGIN = 1.12
+MOST_FRAMES = 4
+"""Rows of a contact sheet."""
+
+
+def frames_of_picture(count: int) -> list[int]:
+    """Frames that the picture of a drape shows: all of up to four, else four evenly spaced from the first to the last.
+
+    Args:
+        count: frames of the drape.
+    """
+    return [int(frame) for frame in np.linspace(0, count - 1, min(MOST_FRAMES, count)).round()]
 
 
 def facing_deg(seq: DrapeSequence, frame: int) -> float:

@@ -1,6 +1,6 @@
 """Still pictures: frames of a drape, and a groom before and after registration."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image
 
 from quaffure.apps.render.camera import AZIMUTHS, Camera
-from quaffure.apps.render.framing import MARGIN, facing_deg, frame_hair, hair_box
+from quaffure.apps.render.framing import MARGIN, facing_deg, frame_hair, frames_of_picture, hair_box
 from quaffure.apps.render.scene import CHESTNUT, StrandRenderer
 from quaffure.errors import InputError
 from quaffure.hair.drape_sequence import DrapeSequence
@@ -19,7 +19,6 @@ from quaffure.io.output_path import check_output
 
 VIEWS_BEFORE_AFTER = ("front", "side", "back")
 TILE = 512
-MOST_FRAMES = 4
 
 
 class Subject(NamedTuple):
@@ -43,14 +42,19 @@ class Subject(NamedTuple):
 
 
 def write_picture(
-    path: Path, seq: DrapeSequence, interpolation: GuideInterpolation | None = None, tile: int = TILE
+    path: Path,
+    seq: DrapeSequence,
+    interpolation: GuideInterpolation | None = None,
+    on_view: Callable[[], object] = lambda: None,
+    tile: int = TILE,
 ) -> None:
-    """Write a contact sheet (.png): up to four evenly spaced frames, one row each, from front to back of the head.
+    """Write a contact sheet (.png): a row for each of `frames_of_picture`, from front to back of the head.
 
     The cameras travel with the body.
 
     Args:
         interpolation: of strands between the drape's guides; without it the guides themselves are drawn.
+        on_view: called after each of the views, `len(AZIMUTHS)` a frame.
         tile: width and height of one view [pixels].
 
     Raises:
@@ -59,12 +63,11 @@ def write_picture(
     check_output(path, ".png")
     seq = seq.in_place()
     centre, extent = frame_hair(seq)
-    frames = np.unique(np.linspace(0, len(seq) - 1, min(MOST_FRAMES, len(seq))).round().astype(int)).tolist()
     with StrandRenderer(tile, tile) as renderer:
         rows = []
-        for f in frames:
+        for f in frames_of_picture(len(seq)):
             cameras = [Camera.view(view, centre, extent, facing_deg(seq, f)) for view in AZIMUTHS]
-            rows.append(draw_frame(renderer, seq, f, interpolation, cameras))
+            rows.append(draw_frame(renderer, seq, f, interpolation, cameras, on_view))
     save_tiles(path, rows)
 
 
@@ -97,12 +100,21 @@ def draw_frame(
     frame: int,
     interpolation: GuideInterpolation | None,
     cameras: Sequence[Camera],
+    on_view: Callable[[], object] = lambda: None,
 ) -> list[UInt8[np.ndarray, "h w 3"]]:
-    """Draw a frame by every camera: the strands between its guides, or without interpolation the guides."""
+    """Draw a frame by every camera: the strands between its guides, or without interpolation the guides.
+
+    Args:
+        on_view: called after each camera.
+    """
     strands, body = seq.strands[frame], seq.body_vertices[frame]
     if interpolation is not None:
         strands = interpolation.strands(strands, body)
-    return [renderer.render(strands, body, seq.body_faces, camera) for camera in cameras]
+    views = []
+    for camera in cameras:
+        views.append(renderer.render(strands, body, seq.body_faces, camera))
+        on_view()
+    return views
 
 
 def write_before_after(path: Path, *subjects: Subject, tile: int = TILE) -> None:

@@ -19,6 +19,8 @@ from quaffure.hair.strand_width import width_of
 CHESTNUT = (0.15, 0.062, 0.025)
 CLAY = (0.64, 0.475, 0.385)
 SCALP_RADIUS = 0.012  # m, around a root
+# Where roots are further apart, the radius is so many of their distances, up to a limit [m]: no spots between them.
+RADIUS_OF_SPACING, LARGEST_SCALP_RADIUS = 2.2, 0.04
 SHADOW_MARGIN = 0.1  # m, around hair and head: shadow falls on the body up to there
 MOST_SAMPLES = 3  # of a segment, where strands are curly
 ANGLE_OF_SAMPLE = math.radians(9.0)
@@ -181,9 +183,12 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray,
 
 
 def hair_cover(vertices: np.ndarray, roots: np.ndarray) -> Float[np.ndarray, " v"]:
-    """Share of scalp colour of each body vertex: 1 next to a root, 0 farther than `SCALP_RADIUS` from all roots."""
-    distance, _ = cKDTree(roots).query(vertices, distance_upper_bound=SCALP_RADIUS)
-    return np.clip(2.0 - 2.0 * distance / SCALP_RADIUS, 0.0, 1.0)
+    """Share of scalp colour of each body vertex: 1 next to a root, 0 farther than a radius from all roots."""
+    tree = cKDTree(roots)
+    spacing = float(np.quantile(tree.query(roots, k=[min(2, len(roots))])[0], 0.9))
+    radius = float(np.clip(RADIUS_OF_SPACING * spacing, SCALP_RADIUS, LARGEST_SCALP_RADIUS))
+    distance, _ = tree.query(vertices, distance_upper_bound=radius)
+    return np.clip(2.0 - 2.0 * distance / radius, 0.0, 1.0)
 
 
 def _create_context() -> moderngl.Context:

@@ -1,6 +1,6 @@
 """A drape as a video."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 
@@ -27,7 +27,11 @@ CONSTANT_RATE_FACTOR = 20
 
 
 def write_video(
-    path: Path, seq: DrapeSequence, interpolation: GuideInterpolation | None = None, tile: int = TILE
+    path: Path,
+    seq: DrapeSequence,
+    interpolation: GuideInterpolation | None = None,
+    on_frame: Callable[[], object] = lambda: None,
+    tile: int = TILE,
 ) -> None:
     """Write front and side views next to each other (.mp4, H.264).
 
@@ -35,6 +39,7 @@ def write_video(
 
     Args:
         interpolation: of strands between the drape's guides; without it the guides themselves are drawn.
+        on_frame: called after each frame.
         tile: width and height of one view, even [pixels].
 
     Raises:
@@ -48,6 +53,7 @@ def write_video(
         with StrandRenderer(tile, tile, supersampling=SUPERSAMPLING) as renderer:
             for frame in range(len(seq)):
                 yield np.hstack(draw_frame(renderer, seq, frame, interpolation, cameras))
+                on_frame()
 
     encode_video(path, pictures(), seq.fps)
 

@@ -1,0 +1,92 @@
+"""What commands print while they draw a drape, and what pictures of sparse grooms show."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from quaffure.apps.cli.main import main
+from quaffure.apps.cli.outputs import writing_text
+from quaffure.apps.render.framing import frames_of_picture
+from quaffure.io import write_drape, write_groom
+from quaffure.io.read_strands import read_strands
+from quaffure.procedural import STYLES, make_groom
+from tests.synthetic_drape import drape, patch_of_strands
+
+pytestmark = pytest.mark.usefixtures("small_pictures")
+
+
+def printed(capfd: pytest.CaptureFixture[str], *words: str | Path) -> list[str]:
+    main([*map(str, words)])
+    return capfd.readouterr().out.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("count", "frames", "text"),
+    [
+        (1, [0], "the only frame"),
+        (2, [0, 1], "frames 0 and 1 of 0 to 1"),
+        (5, [0, 1, 3, 4], "frames 0, 1, 3 and 4 of 0 to 4"),
+        (91, [0, 30, 60, 90], "frames 0, 30, 60 and 90 of 0 to 90"),
+    ],
+)
+def test_a_picture_names_its_frames(count: int, frames: list[int], text: str) -> None:
+    assert frames_of_picture(count) == frames
+    assert writing_text(Path("a/hair.png"), count) == f"writing a/hair.png: {text}, from 4 sides"
+    assert writing_text(Path("a/hair.mp4"), count) == "writing a/hair.mp4"
+
+
+def test_pictures_and_videos_show_how_far_they_are(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write_drape(tmp_path / "drape.npz", drape(patch_of_strands((0.0, 0.0, 1.0)), frames=5))
+    lines = printed(
+        capfd, "render", tmp_path / "drape.npz", "--out", tmp_path / "hair.png", "--out", tmp_path / "hair.mp4"
+    )
+    assert f"writing {tmp_path}/hair.png: frames 0, 1, 3 and 4 of 0 to 4, from 4 sides" in lines
+    assert f"writing {tmp_path}/hair.mp4" in lines
+    progress = [line for line in lines if " left: writing " in line]
+    assert re.fullmatch(r"1 of 16, \d+:\d\d:\d\d left: writing hair.png", progress[0])
+    assert any(re.fullmatch(r"1 of 5, \d+:\d\d:\d\d left: writing hair.mp4", line) for line in progress)
+    for command in ("drape", "render"):
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        said = " ".join(capfd.readouterr().out.replace("│", " ").split())
+        assert ".png (up to four frames, evenly spaced from the first to the last, each from four sides)" in said
+
+
+@pytest.fixture
+def sparse(tmp_path: Path, body) -> Path:
+    write_groom(tmp_path / "sparse.npz", make_groom(STYLES["bob"], body).thinned(200))
+    return tmp_path / "sparse.npz"
+
+
+def pixels(path: Path) -> np.ndarray:
+    with Image.open(path) as image:
+        return np.asarray(image).astype(int)
+
+
+def test_the_first_picture_of_a_sparse_groom_has_a_full_head_of_hair(
+    tmp_path: Path, sparse: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    drape_file, first, guides, drawn, usd = (tmp_path / name for name in ("d.npz", "a.png", "b.png", "c.png", "d.usd"))
+    words = ("drape", sparse, "--draper", "posed", "--frames", "0", "--out", drape_file, "--out", first, "--out", usd)
+    lines = printed(capfd, *words)
+    (hint,) = [line for line in lines if line.startswith("pictures show 12000 strands between the 200 draped ones")]
+    assert "--strands guides" in hint
+    assert len(read_strands(usd).counts) == 200
+    lines = printed(capfd, "render", drape_file, "--out", drawn)
+    assert hint in lines
+    assert np.abs(pixels(drawn) - pixels(first)).mean() < 0.5
+    lines = printed(capfd, "render", drape_file, "--strands", "guides", "--out", guides)
+    assert not [line for line in lines if line.startswith("pictures show")]
+    assert np.abs(pixels(guides) - pixels(first)).mean() > 2
+    lines = printed(capfd, "render", drape_file, "--out", tmp_path / "e.usd")
+    assert not [line for line in lines if line.startswith("pictures show")]
+
+
+def test_two_strands_are_drawn_as_they_are(tmp_path: Path, body, capfd: pytest.CaptureFixture[str]) -> None:
+    write_groom(tmp_path / "two.npz", make_groom(STYLES["bob"], body).thinned(2))
+    words = ("drape", tmp_path / "two.npz", "--draper", "posed", "--frames", "0", "--out", tmp_path / "two.png")
+    assert not [line for line in printed(capfd, *words) if line.startswith("pictures show")]
+    assert (tmp_path / "two.png").is_file()

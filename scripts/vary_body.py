@@ -1,4 +1,6 @@
-"""The shipped body with other proportions, to train on: `vary_body.py OUT.npz [--neck M] [--shoulders M] [--head FACTOR]`.
+"""The shipped body with other proportions, to train on.
+
+    python scripts/vary_body.py OUT.npz [--neck METRES] [--shoulders METRES] [--head FACTOR]
 
 Vertices move with the joints that move them, by their skin weights; shapes and poses work as on the shipped body.
 """

@@ -135,7 +135,7 @@ class DecoderRecipe(Recipe):
     def _scenes(self, indices: Iterable[int], body_pose: BodyPose, body_shape: BodyShape) -> list[Scene]:
         """Grooms, each on its body in all poses and shapes; those of one body share its posed surface.
 
-        The shape of an imported body is its own: nothing of it changes with the coefficients, but the network reads them.
+        The shape of an imported body is its own: nothing of it changes with the coefficients, which the network reads.
         """
         pose, shape = body_pose.to(self.worker.device), body_shape.to(self.worker.device)
         batches: dict[BodyModel, BodyBatch] = {}

@@ -57,9 +57,9 @@ class TrainCommand:
     motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
     """Motion files to train on with the pose prior; may be given several times. Evaluation clips are refused."""
     body: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """`shipped`, the default, or a body file (.npz): that of a character (`quaffure body import`), which bundled grooms are
-    moved to, or one that a script made (`scripts/vary_body.py`). May be given several times: every groom is trained on
-    each."""
+    """`shipped`, the default, or a body file (.npz): that of a character (`quaffure body import`), which bundled grooms
+    are moved to, or one that a script made (`scripts/vary_body.py`). May be given several times: every groom is trained
+    on each."""
     weights: str | None = None
     """Weights to start from: a file, or `shipped`. The options of the network are then those of the weights."""
     device: Device = "auto"

@@ -22,7 +22,15 @@ from quaffure.energies import hair_energy
 from quaffure.io.load_groom import load_groom
 from quaffure.model import NeuralDraper
 from quaffure.scene import BodyBatch
-from quaffure.training import AveragedAdam, DecoderRecipe, PoseSampler, TrainConfig, Training, prior_validation
+from quaffure.training import (
+    AveragedAdam,
+    DecoderRecipe,
+    GroomedBody,
+    PoseSampler,
+    TrainConfig,
+    Training,
+    prior_validation,
+)
 
 WARM_UP, STEPS = 8, 24
 
@@ -52,7 +60,7 @@ def main() -> None:
     # A step that is logged evaluates the energies once more, for their terms.
     config = TrainConfig(runs=3, frames=2, bf16=True, log_every=10_000)
     with TemporaryDirectory() as folder:
-        recipe = DecoderRecipe(config, body, grooms, PoseSampler(load_pose_prior()), prior_validation())
+        recipe = DecoderRecipe(config, (GroomedBody(body, grooms),), PoseSampler(load_pose_prior()), prior_validation())
         measure(Training(recipe, Path(folder)))
 
 

@@ -15,7 +15,7 @@ from torch import nn
 import quaffure as qf
 from quaffure.body import load_pose_prior
 from quaffure.model import DirectionNetwork, NetworkConfig, NetworkInputs, NeuralDraper, feature_size
-from quaffure.training import DecoderRecipe, PoseSampler, TrainConfig, Training, prior_validation
+from quaffure.training import DecoderRecipe, GroomedBody, PoseSampler, TrainConfig, Training, prior_validation
 from quaffure.types import Float, Tensor
 
 
@@ -40,7 +40,7 @@ def main(steps: int = 3) -> list[float]:
     sampler = PoseSampler(load_pose_prior())
     with TemporaryDirectory() as folder:
         network = SkipNetwork(config.network)
-        recipe = DecoderRecipe(config, body, (groom,), sampler, prior_validation(), network=network)
+        recipe = DecoderRecipe(config, (GroomedBody(body, (groom,)),), sampler, prior_validation(), network=network)
         losses = [metrics["loss"] for metrics in Training(recipe, Path(folder)).steps()]
     model = qf.Quaffure(body, NeuralDraper(network, config.material), notes={})
     hair = model.drape(groom, torch.zeros(1, 81), torch.zeros(1, 10))

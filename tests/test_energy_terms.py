@@ -13,7 +13,7 @@ from quaffure.energies.loading import STANDARD_LOADING
 from quaffure.errors import InputError
 from quaffure.scene import BodyBatch, HairScene, Scene
 from quaffure.solvers import AdamDraper, DescentDraper, LbfgsDraper, XpbdDraper
-from quaffure.training import DecoderRecipe, PoseSampler
+from quaffure.training import DecoderRecipe, GroomedBody, PoseSampler
 from quaffure.types import Energy, Float, Tensor
 from tests.scenes import bent_inwards, posed_scene, sphere_groom
 from tests.training_runs import TINY, tiny_groom, validation
@@ -100,7 +100,9 @@ def test_a_stiff_spring_brings_its_vertex_to_the_point(make: type[DescentDraper]
 def test_the_training_loss_reaches_the_networks_weights_through_a_term(body: BodyModel) -> None:
     groom, config = tiny_groom(body), replace(TINY, material=HairMaterial(k_pose_reg=0.0))
     bodies = BodyBatch(body, *PoseSampler(load_pose_prior()).sample(1, 2, torch.Generator().manual_seed(0)))
-    recipe = DecoderRecipe(config, body, (groom,), PoseSampler(load_pose_prior()), validation(), terms=(SPRING,))
+    recipe = DecoderRecipe(
+        config, (GroomedBody(body, (groom,)),), PoseSampler(load_pose_prior()), validation(), terms=(SPRING,)
+    )
     objective, terms = recipe._objective(Scene(groom, bodies), recipe.energies[0], STANDARD_LOADING, 1, 0)
     objective.backward()
     assert terms["point_spring"] == pytest.approx(terms["loss"], rel=1e-4)

@@ -4,7 +4,7 @@ import torch
 
 from quaffure.body import BodyModel, load_pose_prior
 from quaffure.energies.loading import STANDARD_LOADING, Loading
-from quaffure.training import DecoderRecipe, PoseSampler
+from quaffure.training import DecoderRecipe, GroomedBody, PoseSampler
 from quaffure.training.loading_sampler import ACCELERATION_RANGE, MOST_TILT, STIFFNESS_RANGE, draw_loading
 from tests.training_runs import TINY, tiny_groom, validation
 
@@ -30,7 +30,7 @@ def test_loadings_cover_their_ranges() -> None:
 
 def test_the_energy_of_a_step_is_that_of_the_loading(body: BodyModel) -> None:
     groom = tiny_groom(body)
-    recipe = DecoderRecipe(TINY, body, (groom,), PoseSampler(load_pose_prior()), validation())
+    recipe = DecoderRecipe(TINY, (GroomedBody(body, (groom,)),), PoseSampler(load_pose_prior()), validation())
     loaded = recipe._loaded(0, Loading(2.0, (1.0, 2.0, -3.0)))
     assert loaded.acceleration == (1.0, 2.0, -3.0)
     rod = next(term for term in loaded.terms if term.name == "elastic")

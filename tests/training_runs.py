@@ -12,7 +12,7 @@ from quaffure.body import FEATURE_COUNT, BodyModel, load_pose_prior
 from quaffure.hair import Groom
 from quaffure.model import NetworkConfig
 from quaffure.procedural import make_groom
-from quaffure.training import DecoderRecipe, PoseSampler, TrainConfig, Training, Validation, Worker
+from quaffure.training import DecoderRecipe, GroomedBody, PoseSampler, TrainConfig, Training, Validation, Worker
 from quaffure.training.distributed import SINGLE_PROCESS
 
 TINY = TrainConfig(
@@ -60,7 +60,7 @@ def training(
     """A run on one groom or several, with poses of the shipped prior."""
     grooms = groom if isinstance(groom, tuple) else (groom,)
     sampler = sampler or PoseSampler(load_pose_prior())
-    return Training(DecoderRecipe(config, body, grooms, sampler, validation(), worker), folder)
+    return Training(DecoderRecipe(config, (GroomedBody(body, grooms),), sampler, validation(), worker), folder)
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from quaffure.training.pose_sampler import PoseSampler
     from quaffure.training.run_folder import RunFolder
     from quaffure.training.train_config import TrainConfig
-    from quaffure.training.train_decoder import DecoderRecipe
+    from quaffure.training.train_decoder import DecoderRecipe, GroomedBody
     from quaffure.training.train_groom_code import GroomCodeConfig, GroomCodeRecipe
     from quaffure.training.train_groomgen import GroomGenConfig, GroomGenRecipe
     from quaffure.training.validation import Validation, loss_unit, prior_validation, validation_metrics

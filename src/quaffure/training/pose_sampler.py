@@ -21,15 +21,12 @@ class PoseSampler:
         clips: motions at 30 fps; may be empty.
         clip_share: how many of the runs come from the clips when there are any.
         calm_share: how many of the runs are brought closer to the rest pose, by a share drawn anew.
-        draws_shapes: without it all shapes are zero, for a body whose shape is its own: nothing of it would change,
-            but the network reads the coefficients.
     """
 
     prior: PosePrior
     clips: tuple[Motion, ...] = ()
     clip_share: float = 0.5
     calm_share: float = 0.3
-    draws_shapes: bool = True
 
     def sample(self, runs: int, frames: int, generator: torch.Generator) -> tuple[BodyPose, BodyShape]:
         """Poses [runs * frames, 81], run after run, and shapes, the same along a run."""
@@ -40,7 +37,6 @@ class PoseSampler:
             if torch.rand((), generator=generator) < self.calm_share:
                 poses[run] *= torch.rand((), generator=generator)
         shapes = torch.randn(runs, 1, 10, generator=generator).clamp(-LARGEST_COEFFICIENT, LARGEST_COEFFICIENT)
-        shapes = shapes if self.draws_shapes else torch.zeros_like(shapes)
         return poses.flatten(0, 1), shapes.expand(-1, frames, -1).flatten(0, 1)
 
     def _from_clip(self, frames: int, generator: torch.Generator) -> Float[Tensor, "f 81"]:

@@ -1,6 +1,7 @@
 """Self-supervised training of the deformation decoder, Sec. 3.5: fresh poses in, energy down."""
 
-from dataclasses import asdict
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +29,20 @@ from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.run_folder import body_digest
 from quaffure.training.train_config import TrainConfig
 from quaffure.training.validation import Validation, energy_above_offset, loss_unit, validation_metrics
-from quaffure.types import Tensor
+from quaffure.types import BodyPose, BodyShape, Tensor
 
 EMA_DECAY = 0.998
 """Decay of the weights' exponential average: over the last thousand steps or so."""
 VALIDATED_GROOMS = 16
 """A validation measures about as many of the grooms, evenly spread over their list."""
+
+
+@dataclass(frozen=True)
+class GroomedBody:
+    """A body to train on, and the grooms that are registered to it, at most one strand a texel."""
+
+    body: BodyModel
+    grooms: tuple[Groom, ...]
 
 
 class DecoderRecipe(Recipe):
@@ -42,6 +51,7 @@ class DecoderRecipe(Recipe):
     Random numbers of a step follow from seed, rank and step only.
 
     Attributes:
+        grooms: of all bodies, one body's after another's.
         energies: of each groom, in the material that hair has.
     """
 
@@ -51,8 +61,7 @@ class DecoderRecipe(Recipe):
     def __init__(
         self,
         config: TrainConfig,
-        body: BodyModel,
-        grooms: tuple[Groom, ...],
+        groomed: tuple[GroomedBody, ...],
         sampler: PoseSampler,
         validation: Validation,
         worker: Worker = SINGLE_PROCESS,
@@ -61,34 +70,36 @@ class DecoderRecipe(Recipe):
     ) -> None:
         """
         Args:
-            grooms: registered to `body`, at most one strand a texel.
+            groomed: bodies with the same joints as the sampler's poses, and their grooms.
             worker: this process among those that share the run.
             terms: of the energy; those of `config.elastic` where none are given.
             network: a new one of `config.network` where none is given.
         """
         torch.manual_seed(config.seed)
         self.config, self.sampler, self.validation, self.worker = config, sampler, validation, worker
-        self.body, self.grooms = body.to(worker.device), tuple(groom.to(worker.device) for groom in grooms)
+        bodies = [one.body.to(worker.device) for one in groomed]
+        self.bodies = tuple(body for body, one in zip(bodies, groomed) for _ in one.grooms)
+        self.grooms = tuple(groom.to(worker.device) for one in groomed for groom in one.grooms)
         self.network = (network or build_network(config.network)).to(worker.device)
         self.network.encoder.load_state_dict(load_groom_encoder().state_dict())
         self.draper = NeuralDraper(self.network, config.material, config.bf16)
         self.own_terms = terms
-        self.energies = [self._energy(groom) for groom in self.grooms]
+        self.energies = [self._energy(*pair) for pair in zip(self.grooms, self.bodies)]
         self.log_every, self.validate_every, self.score = config.log_every, config.validate_every, "log_energy"
-        drapes = config.runs * config.frames * min(config.grooms_per_step, len(grooms))
+        drapes = config.runs * config.frames * min(config.grooms_per_step, len(self.grooms))
         self.samples_per_step = drapes * worker.world_size
 
-    def _energy(self, groom: Groom) -> HairEnergy:
+    def _energy(self, groom: Groom, body: BodyModel) -> HairEnergy:
         terms, material = self.own_terms or hair_terms(self.config.elastic), self.config.material
         if self.own_terms is None and self.config.elastic == ROD:
-            terms = terms_of_design(groom, self.body, material)
+            terms = terms_of_design(groom, body, material)
         return HairEnergy(groom, material, terms)
 
     def _loaded(self, index: int, loading: Loading) -> HairEnergy:
         """The energy of a groom under a loading."""
         if loading is STANDARD_LOADING:
             return self.energies[index]
-        terms = terms_of_design(self.grooms[index], self.body, self.config.material, loading)
+        terms = terms_of_design(self.grooms[index], self.bodies[index], self.config.material, loading)
         return self.energies[index].of_terms(terms)
 
     @property
@@ -102,12 +113,11 @@ class DecoderRecipe(Recipe):
         """The loss [`loss_unit`]; in the first step and every `log_every` steps also every term of it."""
         config = self.config
         generator = torch.Generator().manual_seed(_step_seed(config.seed, self.worker.rank, step))
-        body_pose, body_shape = self.sampler.sample(config.runs, config.frames, generator)
-        bodies = BodyBatch(self.body, body_pose.to(self.worker.device), body_shape.to(self.worker.device))
+        drawn_bodies = self.sampler.sample(config.runs, config.frames, generator)
         drawn = self._drawn_grooms(generator)
+        scenes = self._scenes(drawn, *drawn_bodies)
         metrics: dict[str, float] = {}
-        for index in drawn:
-            scene = Scene(self.grooms[index], bodies)
+        for index, scene in zip(drawn, scenes):
             loading = draw_loading(generator) if self.draws_loadings else STANDARD_LOADING
             objective, of_groom = self._objective(scene, self._loaded(index, loading), loading, len(drawn), step)
             (objective / len(drawn)).backward()
@@ -122,6 +132,18 @@ class DecoderRecipe(Recipe):
         drawn: list[int] = order[: self.config.grooms_per_step].tolist()
         return drawn
 
+    def _scenes(self, indices: Iterable[int], body_pose: BodyPose, body_shape: BodyShape) -> list[Scene]:
+        """Grooms, each on its body in all poses and shapes; those of one body share its posed surface.
+
+        The shape of an imported body is its own: nothing of it changes with the coefficients, which the network reads.
+        """
+        pose, shape = body_pose.to(self.worker.device), body_shape.to(self.worker.device)
+        batches: dict[BodyModel, BodyBatch] = {}
+        for body in (self.bodies[index] for index in indices):
+            if body not in batches:
+                batches[body] = BodyBatch(body, pose, shape if body.origin is None else torch.zeros_like(shape))
+        return [Scene(self.grooms[index], batches[self.bodies[index]]) for index in indices]
+
     def _objective(
         self, scene: Scene, energy: HairEnergy, loading: Loading, grooms: int, step: int
     ) -> tuple[Tensor, dict[str, float]]:
@@ -135,7 +157,7 @@ class DecoderRecipe(Recipe):
         draped = self.draper.with_loading(loading).deform(scene, projects=True)
         positions = draped.view_as(draped)
         total = energy.total(positions, scene)
-        head = world_from_head(self.body, scene.bodies.posed.joint_rotations)[:, None]
+        head = world_from_head(scene.bodies.body, scene.bodies.posed.joint_rotations)[:, None]
         deformation = ((positions - scene.posed) @ head).unflatten(0, (config.runs, config.frames))
         smoothness = energy_pose_regularization(deformation, config.material.k_pose_reg).mean() / config.frames
         metrics = {"loss": float((total.mean() + smoothness).detach()) / unit}
@@ -151,11 +173,9 @@ class DecoderRecipe(Recipe):
     def validate(self, averaged: QuaffureNetwork) -> dict[str, float]:
         """See `validation_metrics`, under `STANDARD_LOADING`."""
         draper = NeuralDraper(averaged, self.config.material, self.config.bf16)
-        device = self.worker.device
-        bodies = BodyBatch(self.body, self.validation.body_pose.to(device), self.validation.body_shape.to(device))
-        every = -(-len(self.grooms) // VALIDATED_GROOMS)
-        scenes = (Scene(groom, bodies) for groom in self.grooms[::every])
-        return validation_metrics(draper, zip(scenes, self.energies[::every]))
+        chosen = range(0, len(self.grooms), -(-len(self.grooms) // VALIDATED_GROOMS))
+        scenes = self._scenes(chosen, self.validation.body_pose, self.validation.body_shape)
+        return validation_metrics(draper, zip(scenes, (self.energies[index] for index in chosen)))
 
     def save_weights(
         self, path: Path, averaged: QuaffureNetwork, metrics: dict[str, float], notes: dict[str, str]
@@ -179,9 +199,10 @@ class DecoderRecipe(Recipe):
         """
         config, names = self.config, [groom.name for groom in self.grooms]
         added = "" if self.own_terms is None else f"terms {[term.name for term in self.own_terms]}, "
+        digests = dict.fromkeys(body_digest(body) for body in self.bodies)
         return {
             "identity": f"{names}, {config.network}, {config.material}, {config.elastic}, {added}seed {config.seed}",
-            "geometry": f"body {body_digest(self.body)}, strands {[len(groom) for groom in self.grooms]}",
+            "geometry": f"body {' '.join(digests)}, strands {[len(groom) for groom in self.grooms]}",
         }
 
 

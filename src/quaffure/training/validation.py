@@ -29,15 +29,12 @@ class Validation:
     body_shape: BodyShape
 
 
-def prior_validation(draws_shapes: bool = True) -> Validation:
+def prior_validation() -> Validation:
     """Poses and shapes drawn once, by a generator of their own, from the shipped prior only: frames of clips are poses
     that the network may have been trained on.
-
-    Args:
-        draws_shapes: see `PoseSampler`.
     """
     generator = torch.Generator().manual_seed(_SEED)
-    return Validation(*PoseSampler(load_pose_prior(), draws_shapes=draws_shapes).sample(_POSES, 1, generator))
+    return Validation(*PoseSampler(load_pose_prior()).sample(_POSES, 1, generator))
 
 
 STIFF_SHARE = 0.1

@@ -25,10 +25,11 @@ from quaffure.training.loop import BEST, LAST, Training
 from quaffure.training.pose_sampler import PoseSampler
 from quaffure.training.run_folder import RUN
 from quaffure.training.train_config import TrainConfig
-from quaffure.training.train_decoder import DecoderRecipe
+from quaffure.training.train_decoder import DecoderRecipe, GroomedBody
 from quaffure.training.validation import prior_validation
 
 SHIPPED = "shipped"
+"""Name of the weights and of the body in the package."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,10 @@ class TrainCommand:
     """Samples of the continuous family of hairstyles to train on, in addition or instead."""
     motion: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
     """Motion files to train on with the pose prior; may be given several times. Evaluation clips are refused."""
-    body: Path | None = None
-    """A body file (.npz) instead of the shipped body: that of a character (`quaffure body import`), which bundled
-    grooms are moved to, or one that `scripts/bake_body.py` made."""
+    body: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """`shipped`, the default, or a body file (.npz): that of a character (`quaffure body import`), which bundled grooms
+    are moved to, or one that a script made (`scripts/vary_body.py`). May be given several times: every groom is trained
+    on each."""
     weights: str | None = None
     """Weights to start from: a file, or `shipped`. The options of the network are then those of the weights."""
     device: Device = "auto"
@@ -67,12 +69,12 @@ class TrainCommand:
         with joined_workers(self.device) as worker:
             started = self._weights()
             config = self.config if started is None else replace(self.config, network=started.config)
-            body = self._body()
-            sampler = self._sampler(body)
-            validation = prior_validation(sampler.draws_shapes)
+            bodies = [_body(name) for name in self.body or (SHIPPED,)]
+            sampler = self._sampler(bodies[0])
             if worker.is_first:
                 console.print("reading the grooms")
-            recipe = DecoderRecipe(config, body, self._grooms(body), sampler, validation, worker)
+            groomed = tuple(GroomedBody(body, self._grooms(body)) for body in bodies)
+            recipe = DecoderRecipe(config, groomed, sampler, prior_validation(), worker)
             run_training(Training(recipe, self.out), _bar_text, _validation_text, start=started)
 
     def _check(self) -> None:
@@ -84,13 +86,6 @@ class TrainCommand:
         if self.family < 0:
             raise InputError("--family", "0 or more", f"{self.family}")
         refuse_evaluation_data(self.groom, self.motion)
-
-    def _body(self) -> BodyModel:
-        body, shipped = load_body(self.body), load_body()
-        if body.joint_names != shipped.joint_names:
-            # The pose prior, the clips and the pose features are indexed by joint.
-            raise InputError(f"{self.body}", f"the joints {list(shipped.joint_names)}", f"{list(body.joint_names)}")
-        return body
 
     @property
     def _groom_names(self) -> tuple[str, ...]:
@@ -107,7 +102,7 @@ class TrainCommand:
         for clip in clips:
             if len(clip) < self.config.frames:
                 raise InputError(f"motion '{clip.name}'", f"at least {self.config.frames} frames", f"{len(clip)}")
-        return PoseSampler(load_pose_prior(), clips, draws_shapes=body.origin is None)
+        return PoseSampler(load_pose_prior(), clips)
 
     def _weights(self) -> QuaffureNetwork | None:
         if self.weights is None:
@@ -116,6 +111,14 @@ class TrainCommand:
         if self.config.network not in (TrainConfig().network, network.config):
             raise InputError("--weights", f"the options of their network, {network.config}", f"{self.config.network}")
         return network
+
+
+def _body(name: str) -> BodyModel:
+    body, shipped = load_body(None if name == SHIPPED else name), load_body()
+    if body.joint_names != shipped.joint_names:
+        # The pose prior, the clips and the pose features are indexed by joint.
+        raise InputError(name, f"the joints {list(shipped.joint_names)}", f"{list(body.joint_names)}")
+    return body
 
 
 def _bar_text(values: dict[str, float]) -> str:

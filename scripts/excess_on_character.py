@@ -2,6 +2,7 @@
 
     quaffure body import CHARACTER.glb --out my_body.npz
     python scripts/excess_on_character.py my_body.npz MOTION ... [--grooms GROOM ...] [--frames N] [--strands N]
+        [--weights FILE]
 
 Excess is over the lower of `strand_newton` from its own start and from the network's drape, in m g L per vertex, and
 what each kind of energy adds to it. The first clip is the rest pose.
@@ -61,6 +62,7 @@ def main(
     grooms: tuple[str, ...] = ("bob", "long_wavy", "ponytail"),
     frames: int = 6,
     strands: int = 4096,
+    weights: Path | None = None,
 ) -> None:
     """Compare the network on two bodies.
 
@@ -70,8 +72,9 @@ def main(
         grooms: bundled names or files.
         frames: of each clip, evenly spaced, its ends left out.
         strands: of each groom at most, evenly spaced; fewer are faster, and press less on each other.
+        weights: of the network; the shipped ones by default.
     """
-    bodies, model = {"ours": load_body(), "character": load_body(body)}, load_model()
+    bodies, model = {"ours": load_body(), "character": load_body(body)}, load_model(weights)
     print(f"| {' | '.join(COLUMNS)} |")
     print("|---" * len(COLUMNS) + "|")
     for name in grooms:

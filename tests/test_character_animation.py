@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from quaffure.body.character import AnimationChannel, Character, CharacterNodes
 from quaffure.body.character_animation import frame_times, poses_at, sampled
-from quaffure.body.character_clip import animation_of, bind_pose, character_clip
+from quaffure.body.character_clip import _turned, animation_of, bind_pose, character_clip
 from quaffure.character.skeleton import rest_clip
 from quaffure.errors import InputError
 from quaffure.input_file import file_and_clip
@@ -194,3 +194,13 @@ def test_the_time_of_a_rest_pose_is_linear_in_its_joints() -> None:
     assert time.process_time() - start < 2
     np.testing.assert_array_equal(clip.parents, np.arange(count + 1) - 1)
     np.testing.assert_array_equal(clip.offsets[1:], np.tile([0, 1, 0], (count, 1)))
+
+
+def test_joints_that_are_sheared_flat_do_not_turn() -> None:
+    """The determinant of such a matrix is a rounding, above 0 or below."""
+    long, rest = np.array([1.0, 1.0, 1e-5]), np.eye(3)[None]
+    turns = Rotation.from_rotvec(np.random.default_rng(0).normal(size=(50, 3))).as_matrix()
+    sheared = 1e5 * (turns * long**3) @ turns.mT
+    np.testing.assert_array_equal(_turned(sheared[:, None], rest), np.tile(np.eye(3), (50, 1, 1, 1)))
+    turned = _turned((turns * [3, 3, 3])[:, None], rest)
+    np.testing.assert_allclose(turned[:, 0], turns, atol=1e-12)

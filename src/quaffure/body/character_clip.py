@@ -20,6 +20,8 @@ from quaffure.geometry.axes import nearest_axis
 ROTATION_CHANNELS = ("Zrotation", "Xrotation", "Yrotation")
 POSE_TOLERANCE = 1e-3
 """Within which a pose is another one, in sizes of the figure."""
+FLAT = 1e-9
+"""Determinant of a matrix, of the cube of its longest column, below which it has no rotation to speak of."""
 MOVED = 1e-5
 """Change of an offset that is motion, in lengths of the figure."""
 
@@ -153,11 +155,11 @@ def _turned_and_placed(
 
 
 def _turned(world: Float[np.ndarray, "f j 3 3"], rest: Float[np.ndarray, "j 3 3"]) -> Float[np.ndarray, "f j 3 3"]:
-    """Rotations from rest to a pose, whatever the scale of each; none of joints that are scaled to nothing."""
+    """Rotations from rest to a pose, whatever the scale of each; none of joints that are scaled or sheared flat."""
     lengths = np.linalg.norm(rest, axis=-2).max(-1), np.linalg.norm(world, axis=-2).max(-1)
-    flat = (np.abs(np.linalg.det(rest)) < 1e-9 * lengths[0] ** 3) | (lengths[0] == 0)
+    flat = (np.abs(np.linalg.det(rest)) < FLAT * lengths[0] ** 3) | (lengths[0] == 0)
     change = world @ np.linalg.inv(np.where(flat[:, None, None], np.eye(3), rest))
     size = np.linalg.det(change)
-    usable = ~flat & (size > 1e-30)
+    usable = ~flat & (size > np.maximum(1e-30, FLAT * np.linalg.norm(change, axis=-2).max(-1) ** 3))
     change = np.where(usable[..., None, None], change, np.eye(3)) / np.cbrt(np.where(usable, size, 1))[..., None, None]
     return Rotation.from_matrix(change.reshape(-1, 3, 3)).as_matrix().reshape(change.shape)

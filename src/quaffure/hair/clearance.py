@@ -1,5 +1,7 @@
 """Projection of strands out of the body: exact distances, displacements that fade along the strand, kept lengths."""
 
+from functools import lru_cache
+
 import torch
 
 from quaffure.body.body_model import BodyModel
@@ -25,6 +27,7 @@ LONGEST_MOVED = 1.03
 STEP = 0.9
 
 
+@lru_cache(maxsize=4)
 def rest_surface(body: BodyModel) -> Surface:
     """The mean body in its rest pose, ready for nearest-face searches."""
     return posed_surface(body.surface_topology, body.rest_vertices[None])

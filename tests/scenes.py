@@ -1,6 +1,7 @@
 """Small synthetic scenes that many tests share."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -9,8 +10,12 @@ from scipy.spatial import ConvexHull
 from quaffure.body import BodyModel, bundled_clip
 from quaffure.geometry import Surface, directors, posed_surface, surface_topology
 from quaffure.hair import Groom
+from quaffure.hair.registration_report import RegistrationReport
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, PosedScene, Scene
+
+Registered = Callable[..., tuple[Groom, RegistrationReport]]
+"""The fixture `registered`."""
 
 
 def sphere_mesh(radius: float = 0.1, count: int = 400) -> tuple[torch.Tensor, torch.Tensor]:

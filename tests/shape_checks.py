@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import wraps
 from inspect import isfunction
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import WeakSet
 
 import jaxtyping
 from beartype import BeartypeConf, beartype
@@ -16,13 +16,13 @@ from jaxtyping import _import_hook, install_import_hook
 
 import quaffure.config  # noqa: F401  its numbers may be tensors, where derivatives by them are wanted: not checked
 
-CHECKED_CALLS = 200
-"""Calls of a function that are checked in each test file. To check every one takes a fifth of the tests' time: small
-functions are called in long loops."""
+CHECKED_CALLS, SPACING = 20, 1.1
+"""First calls of a function that are checked in each test file, and the factor from each later call that is checked to
+the next. To check every one takes a fifth of the tests' time: small functions are called in long loops."""
 check_types = beartype(conf=BeartypeConf(is_pep484_tower=True))
 """An int may stand for a float."""
 _check_shapes = jaxtyping.jaxtyped
-_calls: WeakKeyDictionary[Callable[..., Any], int] = WeakKeyDictionary()  # functions in functions come and go
+_counts: WeakSet["_Count"] = WeakSet()  # functions in functions come and go
 
 
 def install() -> None:
@@ -35,21 +35,45 @@ def install() -> None:
 
 def restart() -> None:
     """Check the next calls of every function again."""
-    _calls.clear()
+    for count in _counts:
+        count.restart()
+
+
+class _Count:
+    """Calls of a function in this file, and the next that is checked."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        self.calls, self.next = 0, 1
+
+    def is_checked(self) -> bool:
+        """Of one more call."""
+        self.calls += 1
+        if self.calls < self.next:
+            return False
+        self.next = max(self.calls + 1, int(SPACING * self.calls) if self.calls > CHECKED_CALLS else 0)
+        return True
 
 
 def _checked(typechecker: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A decorator that checks the first calls of a function, and all of a class' constructor."""
+    """A decorator that checks some calls of a function, and all of a class' constructor."""
 
     def decorate(annotated: Any) -> Any:
-        checked = _check_shapes(annotated, typechecker=typechecker)
         if not isfunction(annotated):
-            return checked
+            return _check_shapes(annotated, typechecker=typechecker)
+        checked, count = None, _Count()
+        _counts.add(count)
 
         @wraps(annotated)
         def call(*arguments: Any, **named: Any) -> Any:
-            calls = _calls[annotated] = _calls.get(annotated, 0) + 1
-            return (checked if calls <= CHECKED_CALLS else annotated)(*arguments, **named)
+            nonlocal checked
+            if not count.is_checked():
+                return annotated(*arguments, **named)
+            if checked is None:  # the code of a check takes milliseconds to make, and many functions are never called
+                checked = _check_shapes(annotated, typechecker=typechecker)
+            return checked(*arguments, **named)
 
         return call
 

@@ -23,7 +23,6 @@ from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import Groom, select_guides
 from quaffure.io import write_groom
-from quaffure.io.load_groom import load_groom
 from quaffure.model import GroomAutoencoder, load_groom_autoencoder, strands_from_features
 from quaffure.model.groom_autoencoder import decoded_channels, relative_distance
 from quaffure.model.groom_code import WEIGHTS, groom_code, load_groom_encoder, save_autoencoder, save_encoder
@@ -39,6 +38,7 @@ from quaffure.procedural import HELD_OUT, STYLES, make_groom
 from quaffure.training import GroomCodeConfig, GroomCodeRecipe, Training, train
 from quaffure.training.groom_batches import batch_of, mean_strands, mirrored, part_of, patch_of, scaled
 from quaffure.training.train_groom_code import finish
+from tests.scenes import Registered
 
 NARROW = (16, 16, 16, 16)
 TINY = GroomCodeConfig(steps=6, batch=4, warmup=1, widths=NARROW, save_every_seconds=0)
@@ -394,8 +394,8 @@ def test_codes_tell_styles_apart_grown_anew_and_thinned(
 
 
 @pytest.mark.shared_data
-def test_real_grooms_have_codes_of_ordinary_size(body: BodyModel, shared_data: Path) -> None:
-    groom = load_groom(shared_data / "grooms" / "mohawk" / "Ratboy_mohawk.tfx", body)
+def test_real_grooms_have_codes_of_ordinary_size(body: BodyModel, registered: Registered) -> None:
+    groom, _ = registered("grooms/mohawk/Ratboy_mohawk.tfx")
     code = groom_code(select_guides(groom), body)
     assert code.isfinite().all()
     assert code.abs().max() < 8

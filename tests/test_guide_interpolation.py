@@ -1,7 +1,6 @@
 """Strands between guides: they follow them, part where they part, and keep their lengths, curls and distance."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from quaffure.hair import (
     GuideInterpolation,
     groom_of_drape,
     interpolation_of,
-    register_groom,
     select_guides,
 )
 from quaffure.hair.guide_interpolation import axis_projection
@@ -30,8 +28,8 @@ from quaffure.hair.guide_triangles import (
     sample_roots,
     triangulate,
 )
-from quaffure.io.read_strands import read_strands
 from quaffure.scene import BodyBatch, Scene
+from tests.scenes import Registered
 
 ROWS, LENGTH, VERTICES = 24, 0.2, 24
 SHARE = torch.linspace(0, 1, VERTICES)
@@ -290,9 +288,8 @@ def test_bad_input_is_named(body: BodyModel, parted: Groom) -> None:
 
 
 @pytest.mark.shared_data
-def test_strands_of_a_real_groom_stay_out_of_the_body(body: BodyModel, shared_data: Path) -> None:
-    path = shared_data / "grooms" / "sintel" / "sintel_hair_16points.tfx"
-    groom = select_guides(register_groom(read_strands(path), body, "sintel")[0])
+def test_strands_of_a_real_groom_stay_out_of_the_body(body: BodyModel, registered: Registered) -> None:
+    groom = select_guides(registered("grooms/sintel/sintel_hair_16points.tfx")[0])
     interpolation = interpolation_of(groom, body, 3000)
     rest, vertices = numpy_rest(groom, body)
     strands = interpolation.strands(rest, vertices)

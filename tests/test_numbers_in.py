@@ -175,14 +175,15 @@ torch.set_num_threads(int(sys.argv[1]))
 numba.set_num_threads(int(sys.argv[1]))
 from quaffure.digest import array_digest
 from quaffure.model.quaffure_model import load_model
-from quaffure.procedural.generator import make_groom
+from dataclasses import replace
+from quaffure.procedural import STYLES, make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers.by_name import solver
 model = load_model()
 pose, shape = torch.linspace(-0.2, 0.2, 81)[None], torch.zeros(1, 10)
-groom = make_groom("long_wavy", model.body)
+groom = make_groom(replace(STYLES["long_wavy"], root_rows=24), model.body)
 print(array_digest(*groom.arrays().values()), array_digest(model.drape(groom, pose, shape)))
-few = groom.select(torch.arange(0, len(groom), 40))
+few = groom.select(torch.arange(0, len(groom), 8))
 print(array_digest(solver("strand_newton").drape(Scene(few, BodyBatch(model.body, pose, shape)))))
 """
 

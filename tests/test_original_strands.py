@@ -35,6 +35,7 @@ from quaffure.io.groom_file import read_source, write_groom
 from quaffure.io.load_groom import load_source
 from quaffure.io.read_strands import read_strands
 from quaffure.scene import BodyBatch, Scene
+from tests.scenes import Registered
 from tests.synthetic_drape import through_the_ear
 
 pytestmark = pytest.mark.shared_data
@@ -58,10 +59,8 @@ class Case:
 
 
 @pytest.fixture(scope="module")
-def case(shared_data: Path, body: BodyModel, surface: Surface) -> Case:
-    strands = read_strands(shared_data / "cases/beard200.hair")
-    groom, report = register_groom(strands, body, "beard")
-    return Case(strands, groom, report, body)
+def case(registered: Registered, shared_data: Path, body: BodyModel) -> Case:
+    return Case(read_strands(shared_data / "cases/beard200.hair"), *registered("cases/beard200.hair"), body)
 
 
 def lengths_of(points: np.ndarray, like: PlacedStrands) -> np.ndarray:
@@ -506,11 +505,20 @@ def still(case: Case) -> DrapeSequence:
     return drape_motion(PosedDraper(), case.groom, case.body, motion, torch.zeros(10))
 
 
-def test_the_command_writes_the_source(shared_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture(scope="module")
+def imported(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The case as `quaffure groom import` writes it."""
+    path = tmp_path_factory.mktemp("imported") / "mine.npz"
+    main(["groom", "import", str(shared_data / "cases/beard200.hair"), "--ties", "none", "--out", str(path)])
+    return path
+
+
+def test_the_command_writes_the_source(
+    imported: Path, shared_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("pxr")
     groom, out = tmp_path / "mine.npz", tmp_path / "drape.usda"
-    main(["groom", "import", str(shared_data / "cases/beard200.hair"), "--ties", "none", "--out", str(groom)])
-    command = ["drape", str(groom), "--draper", "posed", "--frames", "0"]
+    command = ["drape", str(imported), "--draper", "posed", "--frames", "0"]
     main([*command, "--strands", "original", "--out", str(out)])
     # Guides are written besides, and left out by the reader.
     assert len(read_strands(out)) == 600
@@ -522,11 +530,9 @@ def test_the_command_writes_the_source(shared_data: Path, tmp_path: Path, capfd:
 
 
 def test_render_shows_the_source_of_a_drape_file(
-    shared_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    imported: Path, shared_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    groom, other, drape = tmp_path / "mine.npz", tmp_path / "other.npz", tmp_path / "drape.npz"
-    beard = str(shared_data / "cases/beard200.hair")
-    main(["groom", "import", beard, "--ties", "none", "--out", str(groom)])
+    groom, other, drape = imported, tmp_path / "other.npz", tmp_path / "drape.npz"
     main(["groom", "import", str(shared_data / "cases/cap60_other_head.hair"), "--out", str(other)])
     out = [str(tmp_path / f"{name}.hair") for name in ("drape", "render")]
     shown = ["--strands", "original"]

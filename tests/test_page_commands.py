@@ -1,15 +1,22 @@
 """Every command on a how-to page runs as it stands there, page by page, in one folder; slow ones with the slow tests.
 
-What makes that cheap is around the commands and not in them: bundled grooms have about 60 strands, pictures are small,
-and few strands are interpolated. The files of the reader that pages name are written before (`write_inputs`).
+What makes that cheap is around the commands and not in them: bundled grooms have about 60 strands, bundled clips take a
+second, pictures are small, few strands are interpolated, and a table is draped in this process. The files of the reader
+that pages name are written before (`write_inputs`).
 """
 
+from collections.abc import Iterator
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from quaffure.apps import character_table
 from quaffure.apps.cli.main import main, parse
+from quaffure.apps.row_workers import Outcome
+from quaffure.body import CLIP_NAMES
+from quaffure.io.load_motion import load_motion
 from quaffure.procedural import STYLES
 from tests.page_commands import PROGRAMS, commands, write_inputs
 
@@ -21,16 +28,43 @@ HOW_TO = [ROOT / "README.md", *(DOCS / f"{page}.md" for page in (
 )), *sorted(DOCS.glob("own_*.md"))]  # fmt: skip
 ROOT_ROWS = 10
 STRANDS_BETWEEN = 100
+FRAMES_OF_CLIPS = 31
+"""Of the bundled clips: up to the last frame that a page names."""
 every_page = pytest.mark.parametrize("page", HOW_TO, ids=lambda path: path.stem)
 
 
+class ThisProcess:
+    """In place of the processes that drape a table, where grooms are not small."""
+
+    in_flight = 1
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def submit(self, row: character_table.CharacterRow, draper: str) -> "Future[Outcome]":
+        character_table.drape_row(row, draper)
+        done = Future[Outcome]()
+        done.set_result(Outcome())
+        return done
+
+    def close(self) -> None:
+        pass
+
+
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_pictures: None) -> Path:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_pictures: None) -> Iterator[Path]:
     """An empty working folder where grooms, pictures and interpolated hair are small."""
     small = {name: replace(style, root_rows=ROOT_ROWS) for name, style in STYLES.items()}
     for module in ("procedural.generator", "apps.cli.groom"):
         monkeypatch.setattr(f"quaffure.{module}.STYLES", small)
     from quaffure.hair import interpolation_of
+
+    def shorter(source, *more):
+        motion = load_motion(source, *more)
+        return motion.frames(f":{FRAMES_OF_CLIPS}") if source in CLIP_NAMES else motion
+
+    monkeypatch.setattr("quaffure.apps.cli.inputs.load_motion", shorter)
+    monkeypatch.setattr("quaffure.apps.cli.characters.LocalProcesses", ThisProcess)
 
     def fewer(groom, body, count, *rest, **more):
         return interpolation_of(groom, body, min(count, STRANDS_BETWEEN), *rest, **more)
@@ -39,7 +73,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_pictures: None
     monkeypatch.setattr("quaffure.apps.render.contact_sheet.DRAWN_STRANDS", STRANDS_BETWEEN)
     monkeypatch.setattr("quaffure.apps.render.contact_sheet.SUPERSAMPLING", 1)
     monkeypatch.chdir(tmp_path)
-    return tmp_path
+    character_table._groom.cache_clear()
+    yield tmp_path
+    character_table._groom.cache_clear()
 
 
 def run_page(path: Path, folder: Path, slow_too: bool) -> int:
@@ -52,6 +88,11 @@ def run_page(path: Path, folder: Path, slow_too: bool) -> int:
         failure = failure_of(command.arguments)
         assert not failure, f"{path.name}: {command.line}: {failure}"
     return len(chosen)
+
+
+def is_slow(path: Path) -> bool:
+    """Whether commands of a page run with the slow tests alone."""
+    return any(command.runs and command.is_slow for command in commands(path.read_text(encoding="utf-8")))
 
 
 def failure_of(arguments: list[str]) -> str:
@@ -75,17 +116,21 @@ def test_the_commands_of_a_page_exist(page: Path) -> None:
 
 
 @every_page
-def test_the_commands_of_a_page_run(page: Path, folder: Path) -> None:
+def test_the_commands_of_a_page_run(page: Path, folder: Path, request: pytest.FixtureRequest) -> None:
+    if f"{SLOW_TEST}[{page.stem}]" in {item.name for item in request.session.items}:
+        pytest.skip("they run with the slow ones of the page")
     if not run_page(page, folder, slow_too=False):
         pytest.skip("slow ones alone")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "page", [path for path in HOW_TO if "<!-- test: slow" in path.read_text("utf-8")], ids=lambda path: path.stem
-)
+@pytest.mark.parametrize("page", [path for path in HOW_TO if is_slow(path)], ids=lambda path: path.stem)
 def test_the_slow_commands_of_a_page_run(page: Path, folder: Path) -> None:
+    """With the others of the page, whose files they read."""
     assert run_page(page, folder, slow_too=True)
+
+
+SLOW_TEST = test_the_slow_commands_of_a_page_run.__name__
 
 
 def test_blocks_their_kinds_and_continued_lines_are_found() -> None:

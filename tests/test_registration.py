@@ -13,10 +13,12 @@ from quaffure.hair import Groom, HeadMesh, Strands, concatenate_strands, inside_
 from quaffure.hair.file_frame import FileFrame
 from quaffure.hair.registration import nearest_on_scalp
 from quaffure.hair.registration_report import RegistrationReport
-from quaffure.io import read_head
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom
+from tests.scenes import Registered
 
+SINTEL, SINTEL_HEAD = "grooms/sintel/sintel_hair_16points.tfx", "grooms/sintel/sintel_head.obj"
+BASE = "cases/base_cm_yup.hair"
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from our axes to a file whose y is up and whose face is +z
 
 
@@ -173,18 +175,16 @@ def test_styles_register_onto_themselves(name: str, body: BodyModel) -> None:
 
 
 @pytest.mark.shared_data
-def test_sintel_fits_our_scalp(shared_data: Path, body: BodyModel, surface: Surface) -> None:
-    folder = shared_data / "grooms" / "sintel"
-    strands = read_strands(folder / "sintel_hair_16points.tfx")
-    registered, report = register_groom(strands, body, "sintel")
+def test_sintel_fits_our_scalp(registered: Registered, body: BodyModel, surface: Surface) -> None:
+    groom, report = registered(SINTEL)
     assert (report.unit, report.up_axis) == ("m", "+y")
     assert report.kept >= 11300
     assert report.median_residual < 4
     assert report.p95_residual < 10
     # Sintel faces +z and stands upright.
     assert np.degrees(Rotation.from_matrix(np.array(report.rotation) @ Y_UP).magnitude()) < 10
-    checked(registered, body, surface)
-    _, with_head = register_groom(strands, body, "sintel", read_head(folder / "sintel_head.obj"))
+    checked(groom, body, surface)
+    _, with_head = registered(SINTEL, head=SINTEL_HEAD)
     assert with_head.kept >= 11300
     assert with_head.median_residual < 6
     assert "head:" not in str(report)
@@ -195,25 +195,25 @@ def test_sintel_fits_our_scalp(shared_data: Path, body: BodyModel, surface: Surf
 
 
 @pytest.mark.shared_data
-def test_ponytail_registers_from_its_four_parts(shared_data: Path, body: BodyModel, surface: Surface) -> None:
-    parts = [read_strands(path) for path in sorted((shared_data / "grooms" / "ponytail").glob("*.tfx"))]
-    registered, report = register_groom(concatenate_strands(parts), body, "ponytail")
+def test_ponytail_registers_from_its_four_parts(registered: Registered, body: BodyModel, surface: Surface) -> None:
+    groom, report = registered(*(f"grooms/ponytail/{part}.tfx" for part in ("back", "front_top", "side", "tail")))
     assert report.kept >= 4900
     assert report.median_residual < 4
     # In no known unit; y up, and the face looks to -z.
     assert report.scale == pytest.approx(2.98e-3, rel=0.05)
     assert np.array(report.rotation)[1, 2] > 0.9
-    checked(registered, body, surface)
+    checked(groom, body, surface)
 
 
 @pytest.mark.shared_data
-def test_mohawk_from_another_species_registers_upright(shared_data: Path, body: BodyModel, surface: Surface) -> None:
-    strands = read_strands(shared_data / "grooms" / "mohawk" / "Ratboy_mohawk.tfx")
-    registered, report = register_groom(strands, body, "mohawk")
+def test_mohawk_from_another_species_registers_upright(
+    registered: Registered, body: BodyModel, surface: Surface
+) -> None:
+    groom, report = registered("grooms/mohawk/Ratboy_mohawk.tfx")
     assert report.kept >= 1800
     assert report.median_residual < 9
-    assert abs(float(registered.rest_strands[:, 0, 0].mean())) < 5e-3
-    checked(registered, body, surface)
+    assert abs(float(groom.rest_strands[:, 0, 0].mean())) < 5e-3
+    checked(groom, body, surface)
 
 
 def rotation_from_y_up(report: RegistrationReport) -> float:
@@ -262,9 +262,8 @@ def test_a_cap_of_roots_from_another_head_is_not_pitched(shared_data: Path, body
 
 
 @pytest.mark.shared_data
-def test_a_beard_is_recognised_and_left_out(shared_data: Path, body: BodyModel) -> None:
-    strands = read_strands(shared_data / "cases" / "beard200.hair")
-    _, report = register_groom(strands, body, "beard")
+def test_a_beard_is_recognised_and_left_out(registered: Registered) -> None:
+    _, report = registered("cases/beard200.hair")
     assert rotation_from_y_up(report) < 5.0
     assert 1e3 * report.scale == pytest.approx(10.0, abs=0.05)
     assert (report.kept, report.dropped, report.beard) == (400, 0, 200)
@@ -272,13 +271,12 @@ def test_a_beard_is_recognised_and_left_out(shared_data: Path, body: BodyModel) 
 
 
 @pytest.mark.shared_data
-def test_a_reversed_file_registers_like_the_one_it_was_made_of(shared_data: Path, body: BodyModel) -> None:
-    registered = {}
-    for name in ("base_cm_yup", "reversed"):
-        strands = read_strands(shared_data / "cases" / f"{name}.hair")
-        registered[name], report = register_groom(strands, body, name)
-        assert report.turned == (name == "reversed")
-    assert torch.allclose(registered["reversed"].rest_strands, registered["base_cm_yup"].rest_strands, atol=1e-4)
+def test_a_reversed_file_registers_like_the_one_it_was_made_of(registered: Registered) -> None:
+    base, report = registered(BASE)
+    assert not report.turned
+    back, report = registered("cases/reversed.hair")
+    assert report.turned
+    assert torch.allclose(back.rest_strands, base.rest_strands, atol=1e-4)
 
 
 def test_a_tip_beyond_all_measure_raises_no_warning(groom: Groom, body: BodyModel) -> None:
@@ -301,9 +299,11 @@ def test_bald_roots_of_a_file_are_counted(shared_data: Path, body: BodyModel) ->
 
 
 @pytest.mark.shared_data
-def test_what_is_known_is_not_guessed(shared_data: Path, body: BodyModel) -> None:
-    strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
-    guessed, report = register_groom(strands, body, "base")
+def test_what_is_known_is_not_guessed(
+    registered: Registered, shared_data: Path, body: BodyModel, surface: Surface
+) -> None:
+    strands = read_strands(shared_data / BASE)
+    guessed, report = registered(BASE)
     assert (report.unit, report.up_axis, report.forward_axis) == ("cm", "+y", "+z")
     assert "guessed: unit (--units), up axis (--up), facing (--forward)" in str(report)
     known, report = register_groom(strands, body, "base", frame=FileFrame("y", "+z", "cm"))
@@ -319,7 +319,7 @@ def test_what_is_known_is_not_guessed(shared_data: Path, body: BodyModel) -> Non
 @pytest.mark.shared_data
 def test_a_left_handed_file_is_mirrored(shared_data: Path, body: BodyModel) -> None:
     """Hair parted at the side shows which side it is."""
-    strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
+    strands = read_strands(shared_data / BASE)
     one_sided = strands.select(strands.roots[:, 0] > -2)
     expected, _ = register_groom(one_sided, body, "base", frame=FileFrame("y", "z", "cm"))
     mirrored = replace(one_sided, points=one_sided.points * np.float32([1, 1, -1]))
@@ -361,7 +361,7 @@ def test_axes_and_units_that_are_none(frame: dict[str, str], message: str) -> No
 @pytest.mark.shared_data
 def test_a_groom_inside_the_body_is_refused(shared_data: Path, body: BodyModel) -> None:
     """Strands that all grow into the head."""
-    strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
+    strands = read_strands(shared_data / BASE)
     points = strands.points.reshape(400, -1, 3)
     centre = points[:, :1].mean(axis=0, keepdims=True)
     share = np.linspace(0, 1, points.shape[1])[:, None]
@@ -372,9 +372,11 @@ def test_a_groom_inside_the_body_is_refused(shared_data: Path, body: BodyModel) 
 
 
 @pytest.mark.shared_data
-def test_single_reversed_strands_are_turned_round(shared_data: Path, body: BodyModel) -> None:
-    strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
-    expected, report = register_groom(strands, body, "base")
+def test_single_reversed_strands_are_turned_round(
+    registered: Registered, shared_data: Path, body: BodyModel, surface: Surface
+) -> None:
+    strands = read_strands(shared_data / BASE)
+    expected, report = registered(BASE)
     assert report.turned_strands == 0
     points = strands.points.reshape(400, -1, 3).copy()
     points[::16] = points[::16, ::-1]
@@ -385,8 +387,8 @@ def test_single_reversed_strands_are_turned_round(shared_data: Path, body: BodyM
 
 
 @pytest.mark.shared_data
-def test_eyebrows_are_recognised_and_left_out(shared_data: Path, body: BodyModel) -> None:
-    strands = read_strands(shared_data / "cases" / "base_cm_yup.hair")
+def test_eyebrows_are_recognised_and_left_out(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+    strands = read_strands(shared_data / BASE)
     ear = body.rest_vertices[body.ear_vertices]
     x, y, z = body.rest_vertices.unbind(1)
     brow = (y < ear[:, 1].min() - 0.05) & ((z - ear[:, 2].max()).abs() < 0.012) & (x.abs() > 0.01) & (x.abs() < 0.05)

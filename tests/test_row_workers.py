@@ -86,11 +86,11 @@ def test_rows_whose_process_ended_are_tried_again_one_by_one() -> None:
 
 
 @pytest.mark.slow
-def test_a_process_that_ends_takes_no_other_row_with_it(tmp_path: Path) -> None:
+def test_a_process_that_ends_takes_no_other_row_with_it(tiny_groom_file: Path, tmp_path: Path) -> None:
     """The groom of one row ends its process, each time it is read."""
     groom = tmp_path / "fatal.usda"
     out = [tmp_path / f"{index}.npz" for index in range(4)]
-    rows = [CharacterRow("bob", "nod", str(path), "0") for path in out]
+    rows = [CharacterRow(str(tiny_groom_file), "nod", str(path), "0") for path in out]
     rows[1] = CharacterRow(str(groom), "nod", str(out[1]), "0")
     groom.write_text("ends")
     patch = (

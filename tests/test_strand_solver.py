@@ -343,7 +343,7 @@ def test_clips_are_the_same_bits_with_any_number_of_threads(body: BodyModel) -> 
     drapes = []
     threads = numba.get_num_threads()
     try:
-        for count in (1, threads):
+        for count in (1, numba.config.NUMBA_NUM_THREADS):
             numba.set_num_threads(count)
             drapes.append(CoherentDraper().drape(scene))
     finally:

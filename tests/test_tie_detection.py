@@ -9,10 +9,10 @@ import torch
 
 from quaffure.body import BodyModel
 from quaffure.geometry import Surface
-from quaffure.hair import Groom, Strands, concatenate_strands, find_ties, register_groom
-from quaffure.io import read_head
+from quaffure.hair import Groom, find_ties
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom
+from tests.scenes import Registered
 
 LAST = 23
 
@@ -116,17 +116,13 @@ def test_bundled_styles_with_few_strands(style: str, wound: bool | None, body: B
         assert (held_to - groom.tie_vertex).abs().float().mean() < 0.5
 
 
-def real_groom(folder: Path, *names: str) -> Strands:
-    return concatenate_strands([read_strands(folder / "grooms" / name) for name in names])
-
-
 @pytest.mark.slow
 @pytest.mark.shared_data
-def test_the_ponytail_of_tressfx_is_found(shared_data: Path, body: BodyModel, surface: Surface) -> None:
+def test_the_ponytail_of_tressfx_is_found(registered: Registered, shared_data: Path) -> None:
     """The strands of `back`, which TressFX pins at both ends, end at the tail; the others hang over them."""
-    parts = [f"ponytail/{part}.tfx" for part in ("back", "front_top", "side", "tail")]
-    back = len(real_groom(shared_data, parts[0]))
-    groom, report = register_groom(real_groom(shared_data, *parts), body, "ponytail")
+    parts = [f"grooms/ponytail/{part}.tfx" for part in ("back", "front_top", "side", "tail")]
+    back = len(read_strands(shared_data / parts[0]))
+    groom, report = registered(*parts)
     assert report.dropped == 0
     held_to, (tie,) = find_ties(groom)
     assert tie.centre[1] > 0.03
@@ -136,7 +132,6 @@ def test_the_ponytail_of_tressfx_is_found(shared_data: Path, body: BodyModel, su
 
 @pytest.mark.slow
 @pytest.mark.shared_data
-def test_sintel_has_no_tie(shared_data: Path, body: BodyModel, surface: Surface) -> None:
-    strands = real_groom(shared_data, "sintel/sintel_hair_16points.tfx")
-    head = read_head(shared_data / "grooms" / "sintel" / "sintel_head.obj")
-    assert find_ties(register_groom(strands, body, "sintel", head)[0])[1] == []
+def test_sintel_has_no_tie(registered: Registered) -> None:
+    groom, _ = registered("grooms/sintel/sintel_hair_16points.tfx", head="grooms/sintel/sintel_head.obj")
+    assert find_ties(groom)[1] == []

@@ -6,14 +6,13 @@ with matching speed. Angles are rotation vectors in degrees about the axes of th
 
 import tomllib
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 from torch import Tensor
 
 from quaffure.body.body_model import BodyModel
@@ -56,10 +55,15 @@ def bundled_clip(name: str, body: BodyModel) -> Motion:
     """
     if name not in CLIP_NAMES:
         raise InputError(f"motion '{name}'", f"one of {', '.join(CLIP_NAMES)}", f"'{name}'")
+    return Motion(_body_pose(name, body).clone(), CLIP_FPS, name)
+
+
+@lru_cache(maxsize=2 * len(CLIP_NAMES))
+def _body_pose(name: str, body: BodyModel) -> Float[Tensor, "f 81"]:
     clip = _read_clip(name, tuple(body.joint_names))
     frames = round(clip.seconds * CLIP_FPS)
     rotations = [_joint_rotations(clip, joint, frames, body) for joint in body.joint_names]
-    return Motion(pose_from_matrices(torch.stack(rotations, dim=1)), CLIP_FPS, name)
+    return pose_from_matrices(torch.stack(rotations, dim=1))
 
 
 @cache
@@ -97,6 +101,8 @@ def _joint_rotations(clip: KeyedClip, joint: str, frames: int, body: BodyModel) 
 
 def _looped(keys: Keys, frames: int) -> Float[Tensor, "f 3"]:
     """Keys [degrees] over one loop, in radians."""
+    from scipy.interpolate import CubicSpline  # takes a fifth of the time of `import quaffure.apps.cli.main`
+
     closed = np.concatenate([keys, keys[:1]])
     spline = CubicSpline(np.linspace(0.0, 1.0, len(closed)), closed, bc_type="periodic")
     return torch.from_numpy(np.radians(spline(np.arange(frames) / frames)))

@@ -59,9 +59,9 @@ def align_groom(polylines: Float[np.ndarray, "s n 3"], body: BodyModel, frame: F
     target = scalp_target(body)
     turned = polylines[:, ::-1]
     as_stored = align(polylines[:, 0], _hang(polylines), target, frame)
-    from_tips = align(turned[:, 0], _hang(turned), target, frame)
-    stored_cost = _cost_with_direction(as_stored, polylines, target)
-    is_turned = _cost_with_direction(from_tips, turned, target) < LESS_TURNED * stored_cost
+    highest_cost = LESS_TURNED * _cost_with_direction(as_stored, polylines, target)
+    from_tips = align(turned[:, 0], _hang(turned), target, frame, highest_cost)
+    is_turned = _cost_with_direction(from_tips, turned, target) < highest_cost
     found, alignment = (turned, from_tips) if is_turned else (polylines, as_stored)
     beard = np.zeros(len(found), dtype=bool)
     off_scalp = _distance(alignment.transform(found[:, 0]), target) > BEARD_CLEARANCE

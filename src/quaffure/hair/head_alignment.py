@@ -24,6 +24,8 @@ COARSE_WIDTHS, FINE_WIDTHS = (0.05, 0.025), (0.025, 0.015)
 COARSE_ROUNDS, FINE_ROUNDS = 12, 30
 COARSE_ROOTS, FINE_ROOTS = 300, 1500
 BEST_STARTS = 4
+# After so many of the fine rounds, fits that cost so many times more than the best one, or than what is asked for, end.
+TRIAL_ROUNDS, HOPELESS = 10, 1.3
 # Rotation and scale are measured as motion at this distance [m], so that one damping suits all seven unknowns.
 HEAD_RADIUS = 0.1
 DAMPING = 1e-3
@@ -92,7 +94,11 @@ class _Start:
 
 
 def align(
-    roots: Float[np.ndarray, "s 3"], hang: Float[np.ndarray, "3"], target: ScalpTarget, frame: FileFrame
+    roots: Float[np.ndarray, "s 3"],
+    hang: Float[np.ndarray, "3"],
+    target: ScalpTarget,
+    frame: FileFrame,
+    highest_cost: float = np.inf,
 ) -> Alignment:
     """Fit the roots to the scalp from every plausible unit, up axis and facing, and keep the best.
 
@@ -101,14 +107,20 @@ def align(
         hang: mean over the strands of the unit direction of their outer part; hair hangs rather than stands.
         target: our scalp.
         frame: what is known of the file; it is not tried otherwise.
+        highest_cost: a fit that costs clearly more is of no use, and stays a rough one.
     """
-    sparse = target.thinned(COARSE_ROOTS)
-    ranked = _ranked(
-        _starts(roots, target, frame), _thinned(roots, COARSE_ROOTS), sparse, hang, COARSE_WIDTHS, COARSE_ROUNDS
-    )
+    sparse, coarse_widths = target.thinned(COARSE_ROOTS), _widths(COARSE_WIDTHS, COARSE_ROUNDS)
+    ranked = _ranked(_starts(roots, target, frame), _thinned(roots, COARSE_ROOTS), sparse, hang, coarse_widths)
     upright = bool(frame.up)
     best = [variant for _, start in ranked[:BEST_STARTS] for variant in _tilts(start, hang, upright)]
-    cost, start = _ranked(best, _thinned(roots, FINE_ROOTS), target, hang, FINE_WIDTHS, FINE_ROUNDS)[0]
+    points, widths = _thinned(roots, FINE_ROOTS), _widths(FINE_WIDTHS, FINE_ROUNDS)
+    tried = _ranked(best, points, target, hang, widths[:TRIAL_ROUNDS])
+    hopeful = [
+        start
+        for cost, start in tried
+        if cost < HOPELESS * tried[0][0] and cost < HOPELESS * start.penalty * highest_cost
+    ]
+    cost, start = _ranked(hopeful, points, target, hang, widths[TRIAL_ROUNDS:])[0] if hopeful else tried[0]
     transform = start.transform
     size = frame.units or f"{transform.scale:.2g}"
     unit = start.unit if start.unit in UNITS else f"units of {size} m"
@@ -134,11 +146,10 @@ def _ranked(
     points: Float[np.ndarray, "p 3"],
     target: ScalpTarget,
     hang: Float[np.ndarray, "3"],
-    widths: tuple[float, float],
-    rounds: int,
+    widths: list[float],
 ) -> list[tuple[float, _Start]]:
     """The starts with fitted transforms and their penalized costs, best first."""
-    fitted = [replace(start, transform=_fit(points, target, start, widths, rounds)) for start in starts]
+    fitted = [replace(start, transform=_fit(points, target, start, widths)) for start in starts]
     costs = [_cost(start, points, target, hang) for start in fitted]
     return sorted(zip(costs, fitted), key=lambda entry: entry[0])
 
@@ -150,7 +161,7 @@ def refine(
     scale = alignment.transform.scale
     bounds = (scale_range[0] * scale, scale_range[1] * scale)
     start = _Start(alignment.transform, alignment.unit, bounds, 1.0, alignment.transform.rotation[2])
-    transform = _fit(_thinned(points, FINE_ROOTS), target, start, FINE_WIDTHS, FINE_ROUNDS)
+    transform = _fit(_thinned(points, FINE_ROOTS), target, start, _widths(FINE_WIDTHS, FINE_ROUNDS))
     return replace(alignment, transform=transform)
 
 
@@ -206,16 +217,21 @@ def _offsets(
     return np.where(beyond, distance, height), direction
 
 
-def _fit(
-    roots: Float[np.ndarray, "p 3"], target: ScalpTarget, start: _Start, widths: tuple[float, float], rounds: int
-) -> Similarity:
+def _widths(ends: tuple[float, float], rounds: int) -> list[float]:
+    """Width of the robust weight in each round, falling by the same factor."""
+    return [ends[0] * (ends[1] / ends[0]) ** (index / max(rounds - 1, 1)) for index in range(rounds)]
+
+
+def _fit(roots: Float[np.ndarray, "p 3"], target: ScalpTarget, start: _Start, widths: list[float]) -> Similarity:
     """Gauss-Newton on the distances of the roots to the scalp, and of the scalp to the roots, robustly weighted.
 
     Point-to-plane distances rather than pairs of points: rotations converge in few rounds.
+
+    Args:
+        widths: of the robust weight, one a round [m].
     """
     transform = start.transform
-    for index in range(rounds):
-        width = widths[0] * (widths[1] / widths[0]) ** (index / max(rounds - 1, 1))
+    for width in widths:
         moved = transform(roots)
         residual, direction = _offsets(moved, target)
         tree = cKDTree(moved)

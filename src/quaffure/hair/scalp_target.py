@@ -1,7 +1,7 @@
 """Points of the body that the roots of a groom are fitted to: the scalp and, under a beard, the lower face."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
@@ -46,6 +46,7 @@ class ScalpTarget:
         return ScalpTarget(self.points[kept], self.normals[kept], self.rim[kept], self.face[kept])
 
 
+@lru_cache(maxsize=4)
 def scalp_target(body: BodyModel) -> ScalpTarget:
     """Points of the scalp on a grid of its chart; those with a neighbour off the scalp are the rim."""
     centre = (torch.arange(TARGET_ROWS) + 0.5) / TARGET_ROWS
@@ -97,6 +98,7 @@ def _joined(first: ScalpTarget, second: ScalpTarget) -> ScalpTarget:
     )
 
 
+@lru_cache(maxsize=4)
 def _vertex_normals(body: BodyModel) -> Float[Tensor, "v 3"]:
     normals = angle_weighted_vertex_normals(body.rest_vertices[None], body.faces)[0]
     return torch.nn.functional.normalize(normals, dim=-1)

@@ -144,8 +144,9 @@ class BodyModel:
         poses, shapes = self.checked(body_pose, body_shape)
         return self.skin(shapes, *self.posed_joints(poses, shapes))
 
-    def checked(self, body_pose: Rows, body_shape: Rows) -> tuple[BodyPose, BodyShape]:
-        """Poses theta and shapes beta as tensors like the body's. Arguments and errors as of `pose`."""
+    def checked(self, body_pose: Rows, body_shape: Rows) -> tuple[Tensor, Tensor]:
+        """Poses theta and shapes beta as tensors like the body's, of one perhaps more rows than of the other. Arguments
+        and errors as of `pose`."""
         poses = rows_of(body_pose, 3 * JOINT_COUNT, self.rest_vertices, "body_pose")
         shapes = rows_of(body_shape, SHAPE_COUNT, self.rest_vertices, "body_shape")
         check_body_pose(poses, "body_pose")

@@ -118,24 +118,13 @@ def check_groom(groom: Groom) -> None:
     if not groom.rest_strands.shape[0]:
         raise InputError(groom.name, "at least one strand", "none")
     for name, values in groom.arrays().items():
-        if values.is_floating_point():
-            check_within(values, name, groom.name, LARGEST_COORDINATE if name not in HELD_PARTS else math.inf)
-
-
-def check_within(values: Tensor, name: str, source: str | Path, limit: float = LARGEST_COORDINATE) -> None:
-    """Refuse coordinates or other numbers of a groom.
-
-    Args:
-        values: at least one.
-        name, source: of the values, and where they are from.
-
-    Raises:
-        InputError: NaN, infinity, or a size above the limit.
-    """
-    least, most = map(float, values.detach().aminmax())  # NaN where there is one
-    if not (-limit <= least and most <= limit and math.isfinite(most - least)):
-        expected = f"finite {name}" if limit == math.inf else f"finite {name} within +-{limit:g}"
-        raise InputError(source, expected, f"{least:.3g} to {most:.3g}")
+        if not values.is_floating_point():
+            continue
+        least, most = map(float, values.detach().aminmax())  # NaN where there is one
+        limit = LARGEST_COORDINATE if name not in HELD_PARTS else math.inf
+        if not (-limit <= least and most <= limit and math.isfinite(most - least)):
+            expected = f"finite {name}" if limit == math.inf else f"finite {name} within +-{limit:g}"
+            raise InputError(groom.name, expected, f"{least:.3g} to {most:.3g}")
 
 
 def check_strand_lengths(groom: Groom, source: str | Path) -> None:

@@ -7,7 +7,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom, check_groom, check_strand_lengths, check_within
+from quaffure.hair.groom import LARGEST_COORDINATE, Groom, check_groom, check_strand_lengths
 from quaffure.hair.source_strands import PlacedStrands
 from quaffure.hair.strand_attributes import POINT_ATTRIBUTES, StrandAttributes
 from quaffure.hair.strands import held_parts_of
@@ -79,7 +79,8 @@ def read_source(path: Path) -> PlacedStrands | None:
     if not ((counts >= 2) & (counts <= sizes["P"])).all() or counts.sum() != sizes["P"] or not len(counts):
         raise InputError(path, f"{SOURCE}counts of 2 and more that sum to {sizes['P']}", f"{counts[:4].tolist()}...")
     points = arrays[f"{SOURCE}points"].astype(np.float32)
-    check_within(torch.from_numpy(points), f"{SOURCE}points", path)
+    if np.abs(points).max() > LARGEST_COORDINATE:
+        raise InputError(path, f"{SOURCE}points within +-{LARGEST_COORDINATE:g}", f"{np.abs(points).max():.3g}")
     from_tip, on_scalp = (arrays[f"{SOURCE}{name}"] != 0 for name in ("from_tip", "on_scalp"))
     attributes = {name: arrays[f"{SOURCE}{name}"] for name in ATTRIBUTE_SPEC if f"{SOURCE}{name}" in arrays}
     _check_groups(attributes, path)

@@ -4,17 +4,16 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from numba import get_num_threads
 
 from quaffure.body.collision_skin import CollisionSkin, collision_skin
 from quaffure.body.head_frame import HeadFrameBody, head_frame_body
+from quaffure.body.kinematics import PosedJoints
 from quaffure.energies.loading import Loading
 from quaffure.model.initial_shape import InitialShape, bits, empty_shape, fill_initial_shape
 from quaffure.model.integration_kernel import ShapeRows, integrate_edges
 from quaffure.model.loading_features import loading_features
-from quaffure.model.network_config import NetworkConfig
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project
 from quaffure.model.quaffure_network import OWN_FEATURES, DirectionNetwork, feature_size, pose_code
@@ -55,14 +54,20 @@ class CpuBackend:
     def __init__(self, network: DirectionNetwork, loading: Loading, bf16: bool) -> None:
         self.config, self._loading = network.config, loading
         self.layout: Any = network.for_inference(bf16)
+        self._grid = grid_units(network.config.density_grid)
         self.network_seconds = 0.0
 
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, CpuPosed]]:
         """Each groom with the body of its row; bodies are posed, and textures decoded, `BATCH` at a time."""
-        config, skin = self.config, collision_skin(bodies.body, self.config.projection.most)
+        body, config = bodies.body, self.config
+        skin = collision_skin(body, self.config.projection.most)
+        rest, rotations, positions = bodies.joints
         for first in range(0, len(grooms), BATCH):
             part, rows = grooms[first : first + BATCH], slice(first, first + BATCH)
-            batch = _head_frame(bodies.rows(rows), config, config.contact)
+            joints = PosedJoints(rest[rows], rotations[rows], positions[rows])
+            pose, shape = bodies.body_pose[rows], bodies.body_shape[rows]
+            offsets = None if bodies.offsets is None else bodies.offsets[rows]
+            batch = head_frame_body(body, pose, shape, joints, config.initial_shape.body, config.contact, offsets)
             codes, most = [], 0
             for groom in part:
                 codes.append(groom.code)
@@ -81,7 +86,10 @@ class CpuBackend:
         count = rows.size
         shape = InitialShape(roots[:, :count], edges[:, :count], compliance[:, :count], features[:, :count])
         fill_initial_shape(groom.blocks, rows, posed.body, self._loading, self.config.initial_shape, shape)
-        _fill_surroundings(groom.blocks.surroundings, self.config, shape)
+        if self.config.surroundings:
+            around = bits(shape.features)[..., OWN_FEATURES:]
+            own_roots, own_edges = shape.roots.numpy(), shape.edges.numpy()
+            write_surroundings(groom.blocks.surroundings, own_roots, own_edges, self._grid, get_num_threads(), around)
         return shape
 
     def network(self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape) -> Float[Tensor, "row outputs"]:
@@ -109,27 +117,12 @@ class CpuBackend:
         return project(*strands, posed.skin, body.head_position[0], self.config.projection)[None]
 
 
-def _head_frame(bodies: BodyBatch, config: NetworkConfig, collides: bool) -> HeadFrameBody:
-    pose, shape, sampling = bodies.body_pose, bodies.body_shape, config.initial_shape.body
-    return head_frame_body(bodies.body, pose, shape, bodies.joints, sampling, collides, bodies.offsets)
-
-
-def _fill_surroundings(strands: tuple[np.ndarray, ...], config: NetworkConfig, shape: InitialShape) -> None:
-    """Fill the features of `shape` that other hair decides, where the network reads them.
-
-    Args:
-        strands: arrays of `Surroundings`, in the rows of `shape`.
-    """
-    if config.surroundings:
-        around, grid = bits(shape.features)[..., OWN_FEATURES:], grid_units(config.density_grid)
-        write_surroundings(strands, shape.roots.numpy(), shape.edges.numpy(), grid, get_num_threads(), around)
-
-
 class CpuTrainingBackend(TorchBackend):
     """Initial shape and projection by the compiled kernels, without gradient, the rest in torch."""
 
     def head_frame(self, bodies: BodyBatch) -> HeadFrameBody:
-        return _head_frame(bodies, self.config, self.projects)
+        config, joints, moved = self.config.initial_shape.body, bodies.joints, bodies.offsets
+        return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, joints, config, self.projects, moved)
 
     def initial_shape(self, groom: PreparedGroom, posed: TorchPosed) -> InitialShape:
         shape = empty_shape(
@@ -137,7 +130,10 @@ class CpuTrainingBackend(TorchBackend):
         )
         config, rows = self.config.initial_shape, groom.blocks.strands.strand
         fill_initial_shape(groom.blocks, rows, posed.body, self._loading, config, shape)
-        _fill_surroundings(tuple(map(Tensor.numpy, groom.surroundings)), self.config, shape)
+        if self.config.surroundings:
+            around = bits(shape.features)[..., OWN_FEATURES:]
+            strands, grid = tuple(map(Tensor.numpy, groom.surroundings)), grid_units(self.config.density_grid)
+            write_surroundings(strands, shape.roots.numpy(), shape.edges.numpy(), grid, get_num_threads(), around)
         return shape
 
     def project(self, groom: PreparedGroom, posed: TorchPosed, hair: Positions) -> Positions:

@@ -278,7 +278,7 @@ def test_hair_does_not_sweep_around_a_head_that_turns_fast(body: BodyModel) -> N
     scene = Scene(few_strands(body), BodyBatch(body, poses, torch.zeros(5, 10)))
     limited, unlimited = (
         float(jumps(CoherentDraper(setting=setting).drape(scene), scene.posed).max())
-        for setting in (CoherentSetting(), CoherentSetting(most_carried=1.0))
+        for setting in (CoherentSetting(), CoherentSetting(most_with_head=1.0))
     )
     assert limited < 0.05 < unlimited
 

@@ -19,8 +19,8 @@ from quaffure.types import Float, Positions, RestLengths, Tensor
 
 FRAME_SECONDS = 1 / 30
 """Time between frames that settings are meant for [s]."""
-CARRIED_EDGES = 6
-"""Edges from the root over which a strand that the head carries less far goes over to the smaller angle."""
+BLENDED_EDGES = 6
+"""Edges from the root over which a strand that turns less than its scalp goes over to the smaller angle."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class CoherentSetting:
         most_passes: of a frame in which strands still move.
         most_move, most_moved: displacement of a vertex in a pass and in a frame, on top of the head's and of what a
             limb pushes, to first order [m].
-        most_carried: displacement of a tip with the head, on top of what its root and its posed tip move [m]. Hair that
+        most_with_head: displacement of a tip with the head, on top of what its root and its posed tip move [m]. Hair that
             hangs far from where it was posed would otherwise sweep around a head that turns fast.
         still: displacement in the last pass below which a strand is at rest [m].
         moving_share: of the strands above which further passes follow.
@@ -45,7 +45,7 @@ class CoherentSetting:
     most_passes: int = 6
     most_move: float = 0.01
     most_moved: float = 0.038
-    most_carried: float = 0.012
+    most_with_head: float = 0.012
     still: float = 0.004
     moving_share: float = 0.1
     cut_distance: float = 0.25
@@ -61,7 +61,7 @@ class CoherentSetting:
             passes=max(1, round(frames * self.passes)),
             most_passes=max(1, round(frames * self.most_passes)),
             most_moved=frames * self.most_moved,
-            most_carried=frames * self.most_carried,
+            most_with_head=frames * self.most_with_head,
             cut_distance=frames * self.cut_distance,
             cut_angle=frames * self.cut_angle,
         )
@@ -118,8 +118,8 @@ class CoherentDraper:
         if last is None or not last.groom.is_of(scene.groom) or self._is_cut(last, frame):
             descent, self.is_moving = self.draper.descend(energy, scene), False
         else:
-            most_carried = self.setting.over(self.frame_seconds).most_carried
-            descent = self._followed(energy, scene, last.carried_to(frame, scene.groom.rest_lengths, most_carried))
+            most_with_head = self.setting.over(self.frame_seconds).most_with_head
+            descent = self._followed(energy, scene, last.rotated_to(frame, scene.groom.rest_lengths, most_with_head))
             self.is_moving = self._moves(descent)
         self._last = replace(frame, direction=torch.from_numpy(descent.direction.copy()))
         return descent.positions
@@ -163,20 +163,20 @@ class _Frame:
     rotation: Float[Tensor, "s 3 3"]
     direction: Float[Tensor, "s e 3"]
 
-    def carried_to(self, frame: "_Frame", lengths: RestLengths, most_carried: float) -> Float[Tensor, "s e 3"]:
+    def rotated_to(self, frame: "_Frame", lengths: RestLengths, most_with_head: float) -> Float[Tensor, "s e 3"]:
         """The directions of the edges, rotated as the scalp has rotated.
 
-        Where that would move a tip by `most_carried` [m] more than its root and its posed tip move, edges beyond the
+        Where that would move a tip by `most_with_head` [m] more than its root and its posed tip move, edges beyond the
         first ones rotate by a smaller angle.
         """
         turn = frame.rotation @ self.rotation.transpose(-1, -2)
         direction = self.direction.to(turn)
         shift, to_tip = frame.root - self.root, (lengths[..., None] * direction).sum(1)
         moved = (shift + torch.einsum("sij,sj->si", turn, to_tip) - to_tip).norm(dim=-1)
-        allowed = torch.maximum(shift.norm(dim=-1), (frame.posed_tip - self.posed_tip).norm(dim=-1)) + most_carried
+        allowed = torch.maximum(shift.norm(dim=-1), (frame.posed_tip - self.posed_tip).norm(dim=-1)) + most_with_head
         share = (allowed / moved.clamp(min=1e-6)).clamp(max=1.0)
         edge = torch.arange(1, direction.shape[1] + 1, device=turn.device)
-        shares = 1 - (1 - share[:, None]) * (edge / CARRIED_EDGES).clamp(max=1.0)
+        shares = 1 - (1 - share[:, None]) * (edge / BLENDED_EDGES).clamp(max=1.0)
         turns = matrix_from_axis_angle(shares[..., None] * axis_angle_from_matrix(turn)[:, None])
         return torch.einsum("seij,sej->sei", turns, direction)
 

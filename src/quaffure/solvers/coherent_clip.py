@@ -32,8 +32,8 @@ class CoherentSetting:
         most_passes: of a frame in which strands still move.
         most_move, most_moved: displacement of a vertex in a pass and in a frame, on top of the head's and of what a
             limb pushes, to first order [m].
-        most_with_head: displacement of a tip with the head, on top of what its root and its posed tip move [m]. Hair that
-            hangs far from where it was posed would otherwise sweep around a head that turns fast.
+        most_with_head: displacement of a tip with the head, on top of what its root and its posed tip move [m]. Hair
+            that hangs far from where it was posed would otherwise sweep around a head that turns fast.
         still: displacement in the last pass below which a strand is at rest [m].
         moving_share: of the strands above which further passes follow.
         cut_distance, cut_angle: mean displacement [m] and rotation [rad] of the roots in one frame from which on the

@@ -17,6 +17,7 @@ from typing import Any
 from quaffure.apps.character_table import read_table
 from quaffure.apps.cli.inputs import body_shape_of
 from quaffure.body import BodyModel, load_body
+from quaffure.body.character import Character
 from quaffure.body.character_animation import frame_times, poses_at
 from quaffure.errors import InputError
 from quaffure.extras import is_installed
@@ -43,6 +44,7 @@ def readers(body: BodyModel) -> dict[str, Callable[[Path], object]]:
         "npz body": load_body,
         **dict.fromkeys(("npz motion", "npz amass", "bvh"), lambda path: read_motion(path, body)),
         **dict.fromkeys(("glb", "gltf", "fbx"), lambda path: _read_and_retarget(path, body)),
+        "fbx parts": _read_and_pose,
         **dict.fromkeys(("obj", "ply head"), read_head),
         "toml joints": read_joint_map,
         "csv": lambda path: body_shape_of(str(path)),
@@ -56,13 +58,17 @@ def readers(body: BodyModel) -> dict[str, Callable[[Path], object]]:
 
 
 def _read_and_retarget(path: Path, body: BodyModel) -> None:
+    if _read_and_pose(path).animations:
+        read_motion(Path(f"{path}#0"), body)
+
+
+def _read_and_pose(path: Path) -> Character:
     character = read_character(path)
     for animation in character.animations[:2]:
         for pose in poses_at(character, animation, frame_times(animation, 30.0, 10_000)):
             for mesh in character.meshes:
                 mesh.posed(pose.world[0], pose.morph_weights.get(mesh.node, [None])[0])
-    if character.animations:
-        read_motion(Path(f"{path}#0"), body)
+    return character
 
 
 def _alembic_reader() -> dict[str, Callable[[Path], object]]:

@@ -526,7 +526,7 @@ def test_the_command_writes_the_source(
     assert len(load_source(groom, load_body())) == 400
     with pytest.raises(SystemExit):
         main([*command, "--strands", "some", "--out", str(out)])
-    assert "a number of strands, or original" in capfd.readouterr().err
+    assert "a number of strands, original or guides" in capfd.readouterr().err
 
 
 def test_render_shows_the_source_of_a_drape_file(

@@ -120,20 +120,25 @@ def in_frames(
 def joint_stiffness(
     rest_length: RestLengths,
     scale: float | Float[Tensor, "s e"] = 1.0,
+    bend: float = BENDING_STIFFNESS,
+    twist: float = TWISTING_STIFFNESS,
 ) -> tuple[Float[Tensor, "s e"], Float[Tensor, "s e"]]:
     """B = scale EI / l and C = scale GJ / l of every joint [J].
 
     Args:
         rest_length: of the edges [m].
         scale: multiple of the stiffness, of all edges or of each.
+        bend, twist: EI and GJ [N m^2]; a human hair's by default.
     """
     joint = joint_lengths(rest_length)
-    return scale * BENDING_STIFFNESS / joint, scale * TWISTING_STIFFNESS / joint
+    return scale * bend / joint, scale * twist / joint
 
 
 def stress_free_rest(
     strands: Float[Tensor, "s n 3"],
     stiffness_scale: Float[Tensor, "s e"] | None = None,
+    bend: float = BENDING_STIFFNESS,
+    twist: float = TWISTING_STIFFNESS,
     goal_weight: Float[Tensor, "s e"] | None = None,
 ) -> RodRest:
     """The rod whose shape without any load is the groom as it is.
@@ -141,6 +146,7 @@ def stress_free_rest(
     Args:
         strands: vertices of the rest groom [m].
         stiffness_scale: of every edge; 1 without.
+        bend, twist: EI and GJ [N m^2].
         goal_weight: with which every edge is held to its direction in the groom [J]; none is held without.
 
     Raises:
@@ -148,7 +154,7 @@ def stress_free_rest(
     """
     direction, rest_length = directors(strands), strands.diff(dim=1).norm(dim=-1)
     scale = torch.ones_like(rest_length) if stiffness_scale is None else stiffness_scale
-    bending, twisting = joint_stiffness(rest_length, scale)
+    bending, twisting = joint_stiffness(rest_length, scale, bend, twist)
     before, normal = previous_frames(direction)
     return RodRest(
         bending_stiffness=bending,

@@ -24,6 +24,7 @@ from tests.fuzzing.written_seeds import ply_heads, ply_of_properties, write_stra
 from tests.gltf_files import NAMES as RIG_NAMES
 from tests.gltf_files import GltfFile, figure
 from tests.meshopt_streams import compressed
+from tests.test_fbx_damaged import whole as fbx_of_parts
 from tests.test_groom_files import EVEN, GOOD, RAGGED, npz_bytes, ragged_npz
 from tests.test_retarget import CHANNELS, NAMES, SKELETON, random_angles
 from tests.training_runs import tiny_groom
@@ -69,7 +70,7 @@ def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
         "glb": (".glb", (_figure().glb(), _compressed())),
         "gltf": (".gltf", (_indented(_figure().gltf()),)),
         "fbx": (".fbx", _fbx_figures()),
-        "fbx parts": (".fbx", (whole().content(7400), whole().content(7700, is_deflated=True))),
+        "fbx parts": (".fbx", (fbx_of_parts().content(7400), fbx_of_parts().content(7700, is_deflated=True))),
         "obj": (".obj", (_obj(),)),
         "csv": (".csv", (b"0.5,-1,0,0,0,2e-1,0,0,0,0\n", b"0 1 0 1 0 1 0 1 0 1")),
         "csv characters": (".csv", (CHARACTERS,)),

@@ -5,7 +5,7 @@ import torch
 from numba import njit, prange
 from torch.autograd.function import FunctionCtx
 
-from quaffure.types import EdgeVectors, Float, Positions, RestLengths, Tensor
+from quaffure.types import EdgeVectors, Float, Int, Positions, RestLengths, Tensor
 
 
 def edges(positions: Float[Tensor, "*batch n 3"]) -> Float[Tensor, "*batch e 3"]:
@@ -23,14 +23,22 @@ def arc_lengths(strands: Float[Tensor, "s n 3"]) -> Float[Tensor, "s n"]:
     return torch.nn.functional.pad(strands.diff(dim=1).norm(dim=-1).cumsum(1), (1, 0))
 
 
+def interpolate_vertices(
+    strands: Float[Tensor, "s n 3"], left: Int[Tensor, "s m"], weight: Float[Tensor, "s m"]
+) -> Float[Tensor, "s m 3"]:
+    """Points between the vertices `left` (weight 0) and their successors (weight 1)."""
+    index = left[..., None].expand(-1, -1, 3)
+    weight = weight[..., None]
+    return (1 - weight) * strands.gather(1, index) + weight * strands.gather(1, index + 1)
+
+
 def points_along(polylines: Float[Tensor, "s n 3"], arc_length: Float[Tensor, "s m"]) -> Float[Tensor, "s m 3"]:
     """Points of polylines at arc lengths from their first vertices [m]; beyond the end, the end."""
     lengths = arc_lengths(polylines)
     right = torch.searchsorted(lengths, arc_length.contiguous()).clamp(1, polylines.shape[1] - 1)
     start, end = lengths.gather(1, right - 1), lengths.gather(1, right)
-    share = ((arc_length - start) / (end - start).clamp(min=1e-9)).clamp(0, 1)[..., None]
-    before, after = (polylines.gather(1, index[..., None].expand(-1, -1, 3)) for index in (right - 1, right))
-    return (1 - share) * before + share * after
+    share = ((arc_length - start) / (end - start).clamp(min=1e-9)).clamp(0, 1)
+    return interpolate_vertices(polylines, right - 1, share)
 
 
 def integrate_directions_reference(

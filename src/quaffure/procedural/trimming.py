@@ -4,9 +4,10 @@ import math
 
 import torch
 
+from quaffure.geometry.polyline import interpolate_vertices
 from quaffure.hair.scalp_roots import ScalpRoots
 from quaffure.procedural.hair_style import HairStyle
-from quaffure.types import Bool, Float, Int, Tensor
+from quaffure.types import Bool, Float, Tensor
 
 # The shortest hair: its edges are little longer than hair is thick [m].
 SHORTEST = 0.004
@@ -105,12 +106,3 @@ def trim_where(axes: Float[Tensor, "s n 3"], depth: Float[Tensor, "s n"]) -> Flo
     position = torch.linspace(0, 1, count) * last.maximum(shortest)[:, None]
     left = position.long().clamp(max=count - 2)
     return interpolate_vertices(axes, left, position - left)
-
-
-def interpolate_vertices(
-    strands: Float[Tensor, "s n 3"], left: Int[Tensor, "s m"], weight: Float[Tensor, "s m"]
-) -> Float[Tensor, "s m 3"]:
-    """Points between the vertices `left` (weight 0) and their successors (weight 1)."""
-    index = left[..., None].expand(-1, -1, 3)
-    weight = weight[..., None]
-    return (1 - weight) * strands.gather(1, index) + weight * strands.gather(1, index + 1)

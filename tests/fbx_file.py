@@ -50,12 +50,12 @@ class FbxFile:
 
     def __init__(self, axes: dict[str, int] = Y_UP, unit: float = 1.0) -> None:
         self.settings = Record("GlobalSettings", [], [listed(**axes, UnitScaleFactor=unit)])
+        self.header, self.definitions = Record("FBXHeaderExtension"), Record("Definitions")
         self.objects, self.connections = Record("Objects"), Record("Connections")
-        self.definitions = Record("Definitions")
 
     @property
     def sections(self) -> list[Record]:
-        return [Record("FBXHeaderExtension"), self.settings, self.definitions, self.objects, self.connections]
+        return [self.header, self.settings, self.definitions, self.objects, self.connections]
 
     def add(self, record: str, kind: str, name: str, *children: Record, **properties: Any) -> int:
         """Add an object; its number."""

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from quaffure.body.character import Character
 from quaffure.body.character_animation import poses_at
 from quaffure.errors import InputError
-from tests.fbx_file import CONSTANT, CUBIC, LINEAR, FbxFile, Record, listed
+from tests.fbx_file import CONSTANT, CUBIC, LINEAR, TICKS, FbxFile, Record, listed
 from tests.test_fbx import CUBE, QUADS, TRANSFORM, product, read
 
 CONSTANT_NEXT, BY_TENSION = CONSTANT | 0x100, CUBIC | 0x200
@@ -44,6 +44,25 @@ def test_kinds_of_keys(flags: Any, expected: list[float], tmp_path: Path) -> Non
     found = read(moving([1, 2, 3], [0, 2, 0], flags), tmp_path)
     assert found.animations[0].span == (1.0, 3.0)
     assert heights(found, [0, 1, 1.5, 2, 2.5, 3, 4]) == expected
+
+
+@pytest.mark.parametrize(("tag", "ticks"), [(0, 141_120_000), (127, TICKS), (None, TICKS)])
+def test_ticks_of_a_second_are_those_that_the_header_names(tag: int | None, ticks: int, tmp_path: Path) -> None:
+    file = moving([0.0], [0.0])
+    curve = next(each for each in file.objects.children if each.name == "AnimationCurve")
+    curve.child("KeyTime").properties = [np.int64([ticks, 3 * ticks])]
+    curve.child("KeyValueFloat").properties = [np.float32([0, 1])]
+    curve.child("KeyAttrRefCount").properties = [np.int32([2])]
+    flags = [] if tag is None else [Record("TCDefinition", [tag])]
+    file.header.children.append(Record("OtherFlags", [], flags))
+    assert read(file, tmp_path, 7700).animations[0].span == (1.0, 3.0)
+
+
+def test_clocks_that_nothing_is_known_of_are_refused(tmp_path: Path) -> None:
+    file = moving([0, 1], [0, 2])
+    file.header.children.append(Record("OtherFlags", [], [Record("TCDefinition", [5])]))
+    with pytest.raises(InputError, match=r"TCDefinition at byte .*: expected 0 or 127, found 5"):
+        read(file, tmp_path, 7700)
 
 
 def test_cubic_keys_are_hermite_splines(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from quaffure.io.character_limits import LAST_SECOND
 from quaffure.io.fbx_document import FbxObject
 from quaffure.io.fbx_records import FbxRecord
 
-TICKS = 46_186_158_000  # of the format's clock in a second
 CONSTANT, CUBIC = 0x2, 0x8
 """Flags of a key whose value lasts to the next one, and of one that a cubic curve begins at; a line at others."""
 CONSTANT_NEXT, BY_TENSION = 0x100, 0x200
@@ -78,7 +77,7 @@ def read_curve(curve: FbxObject) -> FbxCurve | None:
     ticks, values = listed.integers(), record.required("KeyValueFloat").floats(1)[:, 0]
     record.take(BYTES_A_KEY * len(ticks))
     record.take(BYTES_WHILE_READ * len(ticks), is_kept=False)
-    times = ticks / TICKS
+    times = ticks / record.file.ticks_per_second
     if len(values) != len(ticks):
         record.fail(f"{len(ticks)} values, as many as keys", f"{len(values)}")
     if not len(ticks):

@@ -29,6 +29,9 @@ MAGIC = b"Kaydara FBX Binary  \0\x1a\0"
 OLDEST, WIDE, NEWEST = 7100, 7500, 7700
 """Versions; `WIDE` is the first whose records have numbers of 64 bits."""
 MOST_DEPTH = 16
+NEW_CLOCK, OLD_CLOCK = 0, 127
+TICKS_PER_SECOND = {NEW_CLOCK: 141_120_000, OLD_CLOCK: 46_186_158_000}
+"""By TCDefinition in the header. Files without it have the clock that all files before version 7700 have."""
 BYTES_A_RECORD = 600
 MOST_INFLATION = 1032
 """Bytes that zlib makes of one at most."""
@@ -78,6 +81,22 @@ class FbxFile:
     def header(self) -> struct.Struct:
         """The numbers that a record begins with: its end, and number and bytes of its properties."""
         return struct.Struct("<QQQ" if self.version >= WIDE else "<III")
+
+    @cached_property
+    def ticks_per_second(self) -> int:
+        """Ticks of the clock that times of keys are in.
+
+        Raises:
+            InputError: the header names another clock.
+        """
+        header = self.section("FBXHeaderExtension")
+        flags = header and header.child("OtherFlags")
+        clock = flags and flags.child("TCDefinition")
+        if clock is None:
+            return TICKS_PER_SECOND[OLD_CLOCK]
+        if clock.integer(0) not in TICKS_PER_SECOND:
+            clock.fail(" or ".join(map(str, TICKS_PER_SECOND)), f"{clock.integer(0)}")
+        return TICKS_PER_SECOND[clock.integer(0)]
 
     def section(self, name: str) -> "FbxRecord | None":
         """A record at the top of the file; None where it is missing."""

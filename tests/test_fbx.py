@@ -316,6 +316,26 @@ def test_morph_targets_and_sliders_of_several_shapes(tmp_path: Path) -> None:
     assert list(mesh.morph_targets["smile"].any(axis=1)).count(True) == 1
 
 
+@pytest.mark.parametrize(
+    ("percent", "expected"),
+    [
+        (-5, [0, 0, 0]), (0, [0, 0, 0]), (10, [0.25, 0, 0]), (40, [1, 0, 0]), (55, [0.75, 0.25, 0]),
+        (100, [0, 1, 0]), (115, [0, 0.5, 0.5]), (130, [0, 0, 1]), (200, [0, 0, 1]),
+    ],
+)  # fmt: skip
+def test_shapes_of_a_slider_are_mixed_by_twos(percent: float, expected: list[float], tmp_path: Path) -> None:
+    file = FbxFile(unit=100.0)
+    geometry = file.geometry(file.model("a"), CUBE, QUADS)
+    blend = file.add("Deformer", "BlendShape", "shapes")
+    file.connect(blend, geometry)
+    channel = file.add("Deformer", "BlendShapeChannel", "blink", listed(DeformPercent=float(percent)),
+                       Record("FullWeights", [np.array([40.0, 100, 130])]))  # fmt: skip
+    file.connect(channel, blend)
+    for index in range(3):
+        file.connect(file.add("Geometry", "Shape", f"{index}"), channel)
+    np.testing.assert_allclose(read(file, tmp_path).meshes[0].morph_weights, expected, atol=1e-12)
+
+
 def test_two_figures_of_one_name_and_names_of_bytes(tmp_path: Path) -> None:
     file = FbxFile(unit=100.0)
     for name in ("Thing", "Thing", "Thing\n\x1b[31m", "RootNode"):

@@ -36,7 +36,11 @@ class MorphChannel:
         if len(self.targets) == 1:
             return (percent / self.full[0])[:, None]
         places = np.concatenate([[0.0], self.full])
-        return np.stack([np.interp(percent, places, unit) for unit in np.eye(len(places))[1:]], axis=1)
+        right = np.searchsorted(places, percent, side="right").clip(1, len(places) - 1)
+        share = ((percent - places[right - 1]) / (places[right] - places[right - 1])).clip(0, 1)
+        weights, row = np.zeros((len(percent), len(places))), np.arange(len(percent))
+        weights[row, right - 1], weights[row, right] = 1 - share, share
+        return weights[:, 1:]
 
 
 @dataclass(frozen=True, eq=False)

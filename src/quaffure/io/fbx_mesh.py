@@ -6,12 +6,17 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from quaffure.body.character import CharacterNodes, SkinnedMesh, local_matrices
+from quaffure.body.character import CharacterNodes, Skin, SkinnedMesh, local_matrices
 from quaffure.io.distinct_names import DistinctNames
 from quaffure.io.fbx_document import FbxDocument, FbxObject
 from quaffure.io.fbx_geometry import BYTES_A_VERTEX, Geometry, read_geometry
 from quaffure.io.fbx_nodes import FbxScene
+from quaffure.io.fbx_records import FbxRecord
 from quaffure.io.fbx_skin import Cluster, Shares, shares_of
+
+BYTES_A_FACE = 80  # of a mesh: its material, while materials are numbered, and its corners where it is mirrored
+BYTES_A_BONE = 400  # of a mesh: its matrix, and while vertices are posed
+BYTES_A_TARGET = 250  # of a mesh: its name and weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,33 +38,36 @@ def read_meshes(
     Raises:
         InputError: an array of another size than the others of its geometry, or an index of what there is not.
     """
-    geometries: dict[int, Geometry | None] = {}
+    geometries: dict[int, tuple[Geometry, Shares] | None] = {}
     found = []
     for node, model in enumerate(scene.models, 1):
         for source in document.below(model, "Geometry", "Mesh")[:1]:
             if source.identity not in geometries:
-                geometries[source.identity] = read_geometry(document, source)
-            geometry = geometries[source.identity]
-            if geometry is not None:
-                shares = _shares(clusters.get(source.identity, []), geometry, source, (node, model))
+                geometries[source.identity] = _geometry(document, source, clusters.get(source.identity, []))
+            if (both := geometries[source.identity]) is not None:
+                geometry, shares = both
+                _count(source.record, geometry, shares)
                 materials = [material.name for material in document.below(model, "Material")]
-                mesh = _mesh(geometry, shares, node, nodes, materials)
+                skin = shares.skin(node, node_from_geometry(model))
+                mesh = _mesh(geometry, shares, skin, node, nodes, materials)
                 if not np.isfinite(mesh.vertices).all():
                     source.fail("vertices within 1e300 of one another", "others")
                 found.append(FbxMesh(mesh, geometry))
     return found
 
 
-def _shares(clusters: list[Cluster], geometry: Geometry, source: FbxObject, holder: tuple[int, FbxObject]) -> Shares:
-    """Joints and weights of the vertices."""
-    source.record.take(BYTES_A_VERTEX * len(geometry.source))
-    for cluster in clusters:
-        if len(cluster.vertices) and not 0 <= cluster.vertices.min() <= cluster.vertices.max() < geometry.vertex_count:
-            source.fail(f"weights of vertices below {geometry.vertex_count}", "others")
-    node, model = holder
-    shares = shares_of(clusters, geometry.vertex_count, node, node_from_geometry(model))
-    source.record.take(BYTES_A_VERTEX * shares.weights.shape[1] * geometry.vertex_count // 4)
-    return shares._replace(joints=shares.joints[geometry.source], weights=shares.weights[geometry.source])
+def _geometry(document: FbxDocument, source: FbxObject, clusters: list[Cluster]) -> tuple[Geometry, Shares] | None:
+    """A geometry and what moves its vertices; None of one without polygons."""
+    geometry = read_geometry(document, source)
+    if geometry is None:
+        return None
+    return geometry, shares_of(clusters, geometry.source, geometry.vertex_count, source.record)
+
+
+def _count(record: FbxRecord, geometry: Geometry, shares: Shares) -> None:
+    """Account for a mesh before it is made: a small file may show one geometry by many models."""
+    record.take(BYTES_A_VERTEX * len(geometry.source) + BYTES_A_FACE * len(geometry.faces))
+    record.take(BYTES_A_BONE * len(shares.nodes) + BYTES_A_TARGET * len(geometry.targets))
 
 
 def node_from_geometry(model: FbxObject) -> Float[np.ndarray, "4 4"]:
@@ -70,13 +78,15 @@ def node_from_geometry(model: FbxObject) -> Float[np.ndarray, "4 4"]:
     return local_matrices(moved[None], turned[None], scaled[None])[0]
 
 
-def _mesh(geometry: Geometry, shares: Shares, node: int, nodes: CharacterNodes, materials: list[str]) -> SkinnedMesh:
+def _mesh(
+    geometry: Geometry, shares: Shares, skin: Skin, node: int, nodes: CharacterNodes, materials: list[str]
+) -> SkinnedMesh:
     # A material that the model does not have is none.
     known = ["", *materials]
     index = np.where((geometry.face_materials >= 0) & (geometry.face_materials < len(materials)),
                      geometry.face_materials + 1, 0)  # fmt: skip
     used, face_materials = np.unique(index, return_inverse=True)
-    matrices = nodes.world[shares.skin.nodes] @ shares.skin.inverse_bind
+    matrices = nodes.world[skin.nodes[:1]] @ skin.inverse_bind[:1]
     faces = geometry.faces
     if np.linalg.slogdet(matrices[0, :3, :3]).sign < 0:  # a mirrored mesh, whose faces would point inwards
         faces = np.ascontiguousarray(faces[:, ::-1])
@@ -90,8 +100,8 @@ def _mesh(geometry: Geometry, shares: Shares, node: int, nodes: CharacterNodes, 
         bind_vertices=geometry.vertices,
         vertices=geometry.vertices,
         faces=faces,
-        skin=shares.skin,
-        is_rigid=shares.skin.nodes.tolist() == [node],
+        skin=skin,
+        is_rigid=skin.nodes.tolist() == [node],
         skin_joints=shares.joints,
         weights=shares.weights,
         uv=geometry.uv,

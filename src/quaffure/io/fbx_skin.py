@@ -12,7 +12,8 @@ from quaffure.io.fbx_records import FbxRecord
 
 MOST_JOINTS = 32
 """That move a vertex; of more, the strongest are kept."""
-BYTES_A_SHARE = 100  # while shares are sorted, and their joints and weights
+BYTES_A_SHARE = 100  # of a cluster, while shares are sorted
+BYTES_A_JOINT = 32  # of a vertex: its index and its weight, and the same once more by the vertices of the file
 BIND_TOLERANCE = 1e-3
 """Within which two matrices say the same, in proportion to their largest number."""
 MOST_SCALE = 2.0
@@ -39,11 +40,23 @@ class Cluster(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """A skin, and its joints in each vertex with their weights, which sum to 1."""
+    """What moves the vertices of a geometry, whichever models show it.
 
-    skin: Skin
+    Attributes:
+        nodes: joints; -1 is the node of a mesh, which moves the vertices that no cluster does.
+        joint_from_mesh: when they were bound.
+        joints: indices among `nodes`, of each vertex.
+        weights: of these joints; they sum to 1.
+    """
+
+    nodes: Int[np.ndarray, " s"]
+    joint_from_mesh: Float[np.ndarray, "s 4 4"]
     joints: Int[np.ndarray, "v w"]
     weights: Float[np.ndarray, "v w"]
+
+    def skin(self, node: int, node_from_geometry: Float[np.ndarray, "4 4"]) -> Skin:
+        """The joints of a mesh with this geometry, which hangs on a node."""
+        return Skin(np.where(self.nodes < 0, node, self.nodes), self.joint_from_mesh @ node_from_geometry)
 
 
 def read_clusters(document: FbxDocument, scene: FbxScene) -> dict[int, list[Cluster]]:
@@ -92,36 +105,42 @@ def bind_pose(
     return joints
 
 
-def shares_of(
-    clusters: list[Cluster], vertex_count: int, node: int, node_from_geometry: Float[np.ndarray, "4 4"]
-) -> Shares:
-    """The skin of a mesh.
+def shares_of(clusters: list[Cluster], source: Int[np.ndarray, " v"], vertex_count: int, record: FbxRecord) -> Shares:
+    """What moves the vertices of a geometry.
 
     Args:
-        clusters: what its joints move; without any the node does.
-        node: of the mesh, which moves vertices that nothing else does.
-        node_from_geometry: of the mesh.
+        clusters: of the geometry.
+        source: vertex of the file that each vertex is.
+        vertex_count: vertices of the file.
+        record: of the geometry.
+
+    Raises:
+        InputError: clusters of vertices that there are not, or more memory than a file of this size should need.
     """
+    for cluster in clusters:
+        if len(cluster.vertices) and not 0 <= cluster.vertices.min() <= cluster.vertices.max() < vertex_count:
+            record.fail(f"weights of vertices below {vertex_count}", "others")
     vertices = np.concatenate([np.arange(0), *(cluster.vertices for cluster in clusters)])
     weights = np.concatenate([np.zeros(0), *(cluster.weights for cluster in clusters)])
     joints = np.repeat(np.arange(len(clusters)), [len(cluster.vertices) for cluster in clusters])
     vertices, joints, weights = vertices[weights > 0], joints[weights > 0], weights[weights > 0]
     left = np.setdiff1d(np.arange(vertex_count), vertices)
-    nodes, inverse_bind = [cluster.node for cluster in clusters], [c.joint_from_mesh for c in clusters]
+    nodes, bound = [cluster.node for cluster in clusters], [cluster.joint_from_mesh for cluster in clusters]
     if len(left):
         vertices, weights = np.concatenate([vertices, left]), np.concatenate([weights, np.ones(len(left))])
         joints = np.concatenate([joints, np.full(len(left), len(clusters))])
-        nodes, inverse_bind = [*nodes, node], [*inverse_bind, np.eye(4)]
+        nodes, bound = [*nodes, -1], [*bound, np.eye(4)]
     order = np.lexsort((-weights, vertices))
     vertices, joints, weights = vertices[order], joints[order], weights[order]
     rank = np.arange(len(vertices)) - np.searchsorted(vertices, vertices)
     width = min(int(rank.max(initial=0)) + 1, MOST_JOINTS)
+    record.take(BYTES_A_JOINT * width * (vertex_count + len(source)))
     kept = rank < width
     skin_joints, shares = np.zeros((vertex_count, width), np.int64), np.zeros((vertex_count, width))
     skin_joints[vertices[kept], rank[kept]] = joints[kept]
     shares[vertices[kept], rank[kept]] = weights[kept]
-    skin = Skin(np.array(nodes), np.array(inverse_bind) @ node_from_geometry)
-    return Shares(skin, skin_joints, shares / shares.sum(axis=1, keepdims=True))
+    shares /= shares.sum(axis=1, keepdims=True)
+    return Shares(np.array(nodes), np.array(bound), skin_joints[source], shares[source])
 
 
 def matrix_of(record: FbxRecord) -> Float[np.ndarray, "4 4"]:

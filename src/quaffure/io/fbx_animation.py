@@ -13,7 +13,7 @@ from jaxtyping import Float
 from quaffure.body.character import AnimationChannel, CharacterAnimation, CharacterNodes
 from quaffure.io.distinct_names import DistinctNames
 from quaffure.io.fbx_curves import FbxCurve, read_curve
-from quaffure.io.fbx_document import FbxDocument, FbxObject, Properties, properties_of
+from quaffure.io.fbx_document import FbxDocument, FbxObject, Properties
 from quaffure.io.fbx_mesh import FbxMesh
 from quaffure.io.fbx_nodes import EVEN, SCALE_TOLERANCE, STILL, FbxScene, scale_limits
 
@@ -23,6 +23,7 @@ PERCENT = "DeformPercent"
 SPARSE, PART = 0.1, 1 / 60
 """Seconds between two keys above which the way between them is divided, and those of its parts."""
 BYTES_A_TIME, BYTES_WHILE_SAMPLED = 100, 800  # of a node, kept and while it is sampled
+BYTES_A_NODE, BYTES_A_SLIDER = 1000, 100  # of an animation, whether it moves them or not
 MOVED = 1e-9
 
 Times = Float[np.ndarray, " f"]
@@ -72,15 +73,18 @@ def read_animations(
         InputError: two layers that move the same, a curve that is damaged, or a scale that moves above a node that does
             not take it on.
     """
-    channels = {c.channel.identity for found in meshes for c in found.geometry.channels}
+    sliders = [c.channel.identity for found in meshes for c in found.geometry.channels]
+    channels, stacks = set(sliders), document.of("AnimationStack")
+    limits, elsewhere = (scale_limits(scene), _elsewhere(scene, nodes)) if stacks else ([], [])
     animations = []
     names = DistinctNames()
-    for index, stack in enumerate(document.of("AnimationStack")):
+    for index, stack in enumerate(stacks):
         take = _Take(stack.name or f"animation{index}", stack)
         for layer in document.below(stack, "AnimationLayer"):
             _add_layer(take, layer, document, scene, channels)
-        made = [*_node_channels(take, scene, nodes), *_weight_channels(take, meshes)]
-        if made:
+        if take.nodes or take.channels:
+            stack.record.take(BYTES_A_NODE * len(nodes) + BYTES_A_SLIDER * len(sliders))
+            made = [*_node_channels(take, scene, limits, elsewhere), *_weight_channels(take, meshes)]
             animations.append(CharacterAnimation(names.add(take.name), tuple(made)))
     return tuple(animations)
 
@@ -98,15 +102,16 @@ def _add_layer(take: _Take, layer: FbxObject, document: FbxDocument, scene: FbxS
                 node = scene.place[owner.identity]
                 own = getattr(scene.transforms[node - 1], PATHS[name])
                 numbers = _numbers(curve_node, curves, COMPONENTS, own)
-                _add(take.nodes.setdefault(node, {}), PATHS[name], numbers, owner)
+                if numbers.curves:
+                    _add(take.nodes.setdefault(node, {}), PATHS[name], numbers, owner)
             elif name == PERCENT and owner.identity in channels:
                 own = np.array([owner.properties.number(PERCENT, 0.0)])
-                _add(take.channels, owner.identity, _numbers(curve_node, curves, (f"d|{PERCENT}",), own), owner)
+                numbers = _numbers(curve_node, curves, (f"d|{PERCENT}",), own)
+                if numbers.curves:
+                    _add(take.channels, owner.identity, numbers, owner)
 
 
 def _add(known: dict[Key, _Numbers], key: Key, numbers: _Numbers, owner: FbxObject) -> None:
-    if not numbers.curves:
-        return
     if key in known:
         owner.fail("an animation in one layer (merge or bake its layers)", "two that move the same")
     known[key] = numbers
@@ -116,32 +121,38 @@ def _numbers(
     curve_node: FbxObject, curves: dict[str, FbxCurve], names: tuple[str, ...], own: Float[np.ndarray, " c"]
 ) -> _Numbers:
     """The numbers of a property; those without a curve are the curve node's, or else the object's own."""
-    properties = Properties(properties_of(curve_node.record))
+    properties = Properties(curve_node.properties.records)  # without those of a template
     still = np.array([properties.number(name, value) for name, value in zip(names, own)])
     return _Numbers({index: curves[name] for index, name in enumerate(names) if name in curves}, still)
 
 
-def _node_channels(take: _Take, scene: FbxScene, nodes: CharacterNodes) -> list[AnimationChannel]:
+def _elsewhere(scene: FbxScene, nodes: CharacterNodes) -> list[dict[str, Float[np.ndarray, " c"]]]:
+    """Translation, rotation and scale of each model without an animation, where nodes are at rest with others."""
+    found: list[dict[str, Float[np.ndarray, " c"]]] = [{}]
+    for node, transform in enumerate(scene.transforms, 1):
+        local = zip(PATHS.values(), transform.at_rest)
+        found.append({path: own for path, own in local if _differs(own, getattr(nodes, path)[node], path)})
+    return found
+
+
+def _node_channels(
+    take: _Take, scene: FbxScene, limits: list[int], elsewhere: list[dict[str, Float[np.ndarray, " c"]]]
+) -> list[AnimationChannel]:
     """Channels of all nodes that move, and of those that are elsewhere than at rest."""
     spans = [curve.times for paths in take.nodes.values() for each in paths.values() for curve in each.curves.values()]
     spans += [curve.times for each in take.channels.values() for curve in each.curves.values()]
-    if not spans:
-        return []
     start = np.array([min(float(times[0]) for times in spans)])
-    limits = scale_limits(scene)
     channels = []
     for node, (model, transform) in enumerate(zip(scene.models, scene.transforms), 1):
-        own = {path: _Numbers({}, getattr(transform, path)) for path in PATHS.values()}
-        moved = take.nodes.get(node, {})
-        times, values = _sampled({**own, **moved}, start, take.stack)
-        _check_scale(values["scale"], transform.scale, model, limits[node])
-        local = dict(zip(PATHS.values(), transform.local(**values)))
-        for path, found in local.items():
-            with_pivots = path == "translation" and transform.has_pivots and bool(moved)
-            if path in moved or with_pivots:
-                channels.append(AnimationChannel(node, path, "LINEAR", times, found[:, None]))
-            elif _differs(found[0], getattr(nodes, path)[node], path):
-                channels.append(AnimationChannel(node, path, "LINEAR", start, found[:1, None]))
+        keys = {path: (start, own[None, None]) for path, own in elsewhere[node].items()}
+        if moved := take.nodes.get(node):
+            own = {path: _Numbers({}, getattr(transform, path)) for path in PATHS.values()}
+            times, values = _sampled({**own, **moved}, take.stack)
+            _check_scale(values["scale"], transform.scale, model, limits[node])
+            with_pivots = {"translation"} if transform.has_pivots else set()
+            local = zip(PATHS.values(), transform.local(**values))
+            keys |= {path: (times, found[:, None]) for path, found in local if path in moved.keys() | with_pivots}
+        channels += [AnimationChannel(node, path, "LINEAR", *keys[path]) for path in PATHS.values() if path in keys]
     return channels
 
 
@@ -167,7 +178,7 @@ def _weight_channels(take: _Take, meshes: list[FbxMesh]) -> list[AnimationChanne
         moved = {c.channel.identity: c for c in found.geometry.channels if c.channel.identity in take.channels}
         if not moved:
             continue
-        times, values = _sampled({number: take.channels[number] for number in moved}, np.zeros(0), take.stack)
+        times, values = _sampled({number: take.channels[number] for number in moved}, take.stack)
         take.stack.record.take(8 * len(times) * len(found.mesh.morph_weights))
         weights = np.repeat(np.array(found.mesh.morph_weights)[None], len(times), axis=0)
         for number, channel in moved.items():
@@ -176,17 +187,10 @@ def _weight_channels(take: _Take, meshes: list[FbxMesh]) -> list[AnimationChanne
     return channels
 
 
-def _sampled(
-    numbers: dict[Key, _Numbers], start: Float[np.ndarray, " s"], stack: FbxObject
-) -> tuple[Times, dict[Key, np.ndarray]]:
-    """Times between which all numbers are near lines, a time twice where one of them jumps, and the numbers there.
-
-    Args:
-        start: the time to take where nothing moves.
-    """
+def _sampled(numbers: dict[Key, _Numbers], stack: FbxObject) -> tuple[Times, dict[Key, np.ndarray]]:
+    """Times between which all numbers, of which some move, are near lines, a time twice where one of them jumps, and
+    the numbers there."""
     curves = [curve for each in numbers.values() for curve in each.curves.values()]
-    if not curves:
-        return start, {key: each.at(start, False) for key, each in numbers.items()}
     stack.record.take(32 * sum(len(curve.times) for curve in curves), is_kept=False)
     times = _divided(np.unique(np.concatenate([curve.times for curve in curves])), curves, stack)
     stack.record.take(BYTES_A_TIME * len(times))

@@ -24,6 +24,8 @@ USED = {
 """Names of the records of objects that are read."""
 AXES = ("CoordAxis", "UpAxis", "FrontAxis")
 """Settings that say which axes point to the left of a figure, up, and where it is turned to: x, y and z in glTF."""
+BYTES_A_VISIT = 100
+"""What following a connection counts for: small files may lead to one object on very many ways, which takes time."""
 UNITS = (1e-4, 1e6)
 """Centimetres that a unit may have."""
 
@@ -109,8 +111,14 @@ class FbxDocument:
     _owners: dict[int, list[tuple[FbxObject, str]]]
 
     def owners(self, child: FbxObject) -> list[tuple[FbxObject, str]]:
-        """Objects that have another in one of their properties, and the name of it."""
-        return self._owners.get(child.identity, [])
+        """Objects that have another in one of their properties, and the name of it.
+
+        Raises:
+            InputError: more connections were followed than a file of this size should need.
+        """
+        found = self._owners.get(child.identity, [])
+        child.record.take(BYTES_A_VISIT * len(found))
+        return found
 
     def fail(self, expected: str, found: str) -> NoReturn:
         """Refuse the file.
@@ -125,18 +133,31 @@ class FbxDocument:
         return [found for found in self.objects.values() if found.record.name == record]
 
     def below(self, parent: FbxObject | int, record: str, kind: str = "") -> list[FbxObject]:
-        """Objects that belong to another, by the name of their records, and by their kind where one is given."""
-        number = parent if isinstance(parent, int) else parent.identity
+        """Objects that belong to another, by the name of their records, and by their kind where one is given.
+
+        Raises:
+            InputError: more connections were followed than a file of this size should need.
+        """
         return [
             connection.child
-            for connection in self.connections.get(number, [])
+            for connection in self._connections_of(parent if isinstance(parent, int) else parent.identity)
             if not connection.name and connection.child.record.name == record and kind in ("", connection.child.kind)
         ]
 
     def on_properties(self, parent: FbxObject, record: str) -> list[Connection]:
-        """Objects that belong to properties of another."""
-        connections = self.connections.get(parent.identity, [])
+        """Objects that belong to properties of another.
+
+        Raises:
+            InputError: more connections were followed than a file of this size should need.
+        """
+        connections = self._connections_of(parent.identity)
         return [found for found in connections if found.name and found.child.record.name == record]
+
+    def _connections_of(self, number: int) -> list[Connection]:
+        connections = self.connections.get(number, [])
+        if number in self.objects:
+            self.objects[number].record.take(BYTES_A_VISIT * len(connections))
+        return connections
 
     @cached_property
     def scene_from_file(self) -> Float[np.ndarray, "4 4"]:

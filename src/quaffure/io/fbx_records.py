@@ -154,7 +154,11 @@ class FbxRecord:
 
     def child(self, name: str) -> "FbxRecord | None":
         """The first record of a name below this one; None where it is missing."""
-        return next((record for record in self.children if record.name == name), None)
+        return self._first.get(name)
+
+    @cached_property
+    def _first(self) -> "dict[str, FbxRecord]":
+        return {record.name: record for record in reversed(self.children)}
 
     def required(self, name: str) -> "FbxRecord":
         record = self.child(name)

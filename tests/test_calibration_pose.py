@@ -40,7 +40,7 @@ def test_a_t_pose_before_the_motion_is_found(body: BodyModel, frames: int) -> No
     assert found is not None
     assert (found.frames, found.is_t_pose) == (frames, True)
     assert found.jump == pytest.approx(ARMS_DOWN, abs=0.02)
-    assert f"--frames {frames}: leaves " in str(found)
+    assert f"out with --frames '{frames}:'" in str(found)
     assert calibration_pose(starting(body, frames).frames(f"{frames}:"), body) is None
 
 
@@ -79,7 +79,7 @@ def test_commands_print_it(
     main(["inspect", str(path), "--json"])
     (note,) = json.loads(capfd.readouterr().out)["notes"]
     assert note.startswith("the first frame stands in a T pose, ")
-    assert note.endswith("as for a calibration; --frames 1: leaves it out")
+    assert note.endswith("as for a calibration; leave it out with --frames '1:'")
     drape = [
         "drape",
         str(tiny_groom_file),

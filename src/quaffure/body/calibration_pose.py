@@ -47,7 +47,7 @@ class CalibrationPose:
         degrees = round(180 / torch.pi * self.jump)
         return (
             f"{held} {stand} in {pose}, {degrees} degrees from the next frame, as for a calibration; "
-            f"--frames {self.frames}: leaves {'it' if self.frames == 1 else 'them'} out"
+            f"leave {'it' if self.frames == 1 else 'them'} out with --frames '{self.frames}:'"
         )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from quaffure.errors import InputError
-from quaffure.io.fbx_records import MAGIC, MOST_DEPTH
+from quaffure.io.fbx_records import MAGIC
 from quaffure.io.read_character import read_character
 from tests.fbx_file import FbxFile, Record, fbx_bytes, listed
 from tests.test_fbx import CUBE, QUADS, bound_pair, kind, read
@@ -268,10 +268,16 @@ def test_streams_of_another_size(content: bytes, count: int, message: str, tmp_p
         read(deflated(content, count), tmp_path)
 
 
-def test_records_are_nested_at_most_so_deep(tmp_path: Path) -> None:
-    file = whole()
-    inner = Record("P", ["deep", "", "", "", 1])
-    for _ in range(MOST_DEPTH + 5):
-        inner = Record("Properties70", [], [inner])
-    file.objects.children.append(inner)
-    assert read(file, tmp_path).meshes  # what is not asked for is not read
+def test_records_that_nothing_reads_are_not_opened(tmp_path: Path) -> None:
+    """A camera whose properties end beyond the file, and a model that is damaged in the same way."""
+    for name in ("NodeAttribute", "Model"):
+        file = whole()
+        file.objects.children.append(Record(name, [np.int64(99), "a", ""], [Record("Damaged")]))
+        content = file.content()
+        end = content.index(b"Damaged") - 13  # of 32 bits, before two other numbers and the length of the name
+        content = content[:end] + struct.pack("<I", 2**32 - 1) + content[end + 4 :]
+        if name == "NodeAttribute":
+            assert read(content, tmp_path).meshes
+            continue
+        with pytest.raises(InputError, match="an end from byte"):
+            read(content, tmp_path)

@@ -28,7 +28,6 @@ EXPECTED = f"a binary FBX file of version 7.1 to 7.7 ({ADVICE})"
 MAGIC = b"Kaydara FBX Binary  \0\x1a\0"
 OLDEST, WIDE, NEWEST = 7100, 7500, 7700
 """Versions; `WIDE` is the first whose records have numbers of 64 bits."""
-MOST_DEPTH = 16
 NEW_CLOCK, OLD_CLOCK = 0, 127
 TICKS_PER_SECOND = {NEW_CLOCK: 141_120_000, OLD_CLOCK: 46_186_158_000}
 """By TCDefinition in the header. Files without it have the clock that all files before version 7700 have."""
@@ -104,7 +103,7 @@ class FbxFile:
 
     @cached_property
     def _top(self) -> "list[FbxRecord]":
-        return list(_records(self, len(MAGIC) + 4, len(self.content), 0))
+        return list(_records(self, len(MAGIC) + 4, len(self.content)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +115,6 @@ class FbxRecord:
         name: in one line.
         start, end: of the record [bytes].
         properties: number of its properties, where they begin and end.
-        depth: records above it.
     """
 
     file: FbxFile
@@ -124,7 +122,6 @@ class FbxRecord:
     start: int
     end: int
     properties: tuple[int, int, int]
-    depth: int
 
     def fail(self, expected: str, found: str) -> NoReturn:
         """Refuse the file because of this record.
@@ -150,7 +147,7 @@ class FbxRecord:
 
     @cached_property
     def children(self) -> "list[FbxRecord]":
-        return list(_records(self.file, self.properties[2], self.end, self.depth + 1))
+        return list(_records(self.file, self.properties[2], self.end))
 
     def child(self, name: str) -> "FbxRecord | None":
         """The first record of a name below this one; None where it is missing."""
@@ -301,7 +298,7 @@ def open_fbx(path: Path) -> FbxFile:
     return FbxFile(path, cursor.content, version)
 
 
-def _records(file: FbxFile, start: int, end: int, depth: int) -> Iterator[FbxRecord]:
+def _records(file: FbxFile, start: int, end: int) -> Iterator[FbxRecord]:
     """Records from one byte to another, which is that after the record of zeros, if there is one."""
     header, at = file.header, start
     while at < end:
@@ -315,10 +312,8 @@ def _records(file: FbxFile, start: int, end: int, depth: int) -> Iterator[FbxRec
         name_end = after + file.content[after - 1]
         if not name_end + size <= last <= end:
             raise InputError(place, f"an end from byte {name_end + size} to {end}", f"{last}")
-        if depth > MOST_DEPTH:
-            raise InputError(place, f"records nested at most {MOST_DEPTH} deep", "more")
         name = one_line(file.content[after:name_end].decode("utf-8", "replace"))
-        record = FbxRecord(file, name, at, last, (count, name_end, name_end + size), depth)
+        record = FbxRecord(file, name, at, last, (count, name_end, name_end + size))
         record.take(BYTES_A_RECORD)
         yield record
         at = last

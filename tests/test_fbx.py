@@ -336,6 +336,12 @@ def test_shapes_of_a_slider_are_mixed_by_twos(percent: float, expected: list[flo
     np.testing.assert_allclose(read(file, tmp_path).meshes[0].morph_weights, expected, atol=1e-12)
 
 
+def test_other_records_among_connections_are_left_out(tmp_path: Path) -> None:
+    file = bound_pair()
+    file.connections.children.insert(0, Record("Version", [100]))
+    assert len(read(file, tmp_path).nodes) == 5
+
+
 def test_two_figures_of_one_name_and_names_of_bytes(tmp_path: Path) -> None:
     file = FbxFile(unit=100.0)
     for name in ("Thing", "Thing", "Thing\n\x1b[31m", "RootNode"):

@@ -205,8 +205,7 @@ def read_document(file: FbxFile) -> FbxDocument:
     connections: dict[int, list[Connection]] = defaultdict(list)
     owners: dict[int, list[tuple[FbxObject, str]]] = defaultdict(list)
     for record in links.children:
-        how = record.text(0)
-        if record.name != "C" or how not in ("OO", "OP"):
+        if record.name != "C" or (how := record.text(0)) not in ("OO", "OP"):
             continue
         child, parent = record.integer(1), record.integer(2)
         if child in objects:

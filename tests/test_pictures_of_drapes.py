@@ -1,7 +1,9 @@
 """What commands print while they draw a drape, and what pictures of sparse grooms show."""
 
+import json
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from PIL import Image
 from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import writing_text
 from quaffure.apps.render.framing import frames_of_picture
+from quaffure.hair.export_clip import ExportClip
 from quaffure.io import write_drape, write_groom
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom
@@ -83,6 +86,25 @@ def test_the_first_picture_of_a_sparse_groom_has_a_full_head_of_hair(
     assert np.abs(pixels(guides) - pixels(first)).mean() > 2
     lines = printed(capfd, "render", drape_file, "--out", tmp_path / "e.usd")
     assert not [line for line in lines if line.startswith("pictures show")]
+
+
+def test_strands_between_are_part_of_the_time_of_pictures(
+    tmp_path: Path, sparse: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock that stands still but for them."""
+    seconds = [0.0]
+
+    def slow(clip: ExportClip, *_: object) -> ExportClip:
+        seconds[0] += 1e6
+        return clip
+
+    monkeypatch.setattr("quaffure.apps.cli.drape.clip_of_pictures", slow)
+    monkeypatch.setattr("quaffure.apps.cli.drape_report.time", SimpleNamespace(perf_counter=lambda: seconds[0]))
+    outputs = [word for name in ("d.npz", "a.png", "b.png") for word in ("--out", str(tmp_path / name))]
+    main(["drape", str(sparse), "--draper", "posed", "--frames", "0", "--json", *outputs])
+    laps = json.loads(capfd.readouterr().out)["seconds"]
+    assert laps["pictures"] > 0.9e6
+    assert laps["files"] == 0
 
 
 def test_two_strands_are_drawn_as_they_are(tmp_path: Path, body, capfd: pytest.CaptureFixture[str]) -> None:

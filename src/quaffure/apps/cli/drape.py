@@ -3,6 +3,7 @@
 import hashlib
 import sys
 from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -195,11 +196,12 @@ class DrapeCommand:
             sys.exit(FAULTS_FOUND)
 
     def _write(self, clip: ExportClip, groom: Groom, body: BodyModel, times: Stopwatch) -> None:
-        shown = clip_of_pictures(clip, self.strands, groom, body, self.out)
+        pictured = cache(lambda: clip_of_pictures(clip, self.strands, groom, body))
         for path in self.out:
             is_picture = path.suffix.lower() in PICTURES
+            shown = pictured() if is_picture else clip
             console.print(writing_text(path, len(clip.sequence)), markup=False, highlight=False, soft_wrap=True)
-            write_output(path, shown if is_picture else clip)
+            write_output(path, shown)
             times.lap("pictures" if is_picture else "files")
 
     def _settings(self, groom: Groom, motion: Motion, body_shape: Float[Tensor, "10"]) -> dict[str, Any]:

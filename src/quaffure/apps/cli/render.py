@@ -1,6 +1,7 @@
 """`quaffure render`: pictures, video and USD of a drape file."""
 
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -75,7 +76,8 @@ class RenderCommand:
         space = character_space_of(self.motion, body, sequence.times, self.export)
         if space is not None:
             clip = placed_clip(clip, space)
-        shown = clip_of_pictures(clip, self.strands, groom or known_groom(sequence, body), body, self.out)
+        pictured = cache(lambda: clip_of_pictures(clip, self.strands, groom or known_groom(sequence, body), body))
         for path in self.out:
+            shown = pictured() if path.suffix.lower() in PICTURES else clip
             console.print(writing_text(path, len(sequence)), markup=False, highlight=False, soft_wrap=True)
-            write_output(path, shown if path.suffix.lower() in PICTURES else clip)
+            write_output(path, shown)

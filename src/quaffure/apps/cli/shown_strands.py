@@ -1,11 +1,9 @@
 """Which strands are shown with a drape: more between the draped ones, or those of the groom's source."""
 
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 from quaffure.apps.cli.console import console
-from quaffure.apps.cli.outputs import PICTURES
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip
@@ -46,20 +44,16 @@ def strands_between(
     return interpolation_of(groom, body, int(strands))
 
 
-def clip_of_pictures(
-    clip: ExportClip, strands: str | None, groom: Groom | None, body: BodyModel, outputs: Iterable[Path]
-) -> ExportClip:
+def clip_of_pictures(clip: ExportClip, strands: str | None, groom: Groom | None, body: BodyModel) -> ExportClip:
     """What pictures and videos show. Where nobody asked for certain strands and the draped ones are too few to cover
     the scalp, it is strands between them, and a line is printed about it.
 
     Args:
         strands: what was asked for.
         groom: that was draped, where it is known.
-        outputs: all that is written.
     """
     draped = clip.sequence.strands.shape[1]
-    is_drawn = any(path.suffix.lower() in PICTURES for path in outputs)
-    if strands is not None or groom is None or draped >= SPARSE or not is_drawn:
+    if strands is not None or groom is None or draped >= SPARSE:
         return clip
     try:
         between = interpolation_of(groom, body, STRANDS_OF_PICTURES)

@@ -317,6 +317,7 @@ def test_limits_of_a_frame_grow_with_its_time(
     setting = follower.setting.over(follower.frame_seconds)
     assert (setting.passes, setting.most_passes) == passes
     assert setting.most_moved == pytest.approx(moved)
+    assert setting.most_with_head == pytest.approx(step * follower.setting.most_with_head)
     assert setting.most_move == follower.setting.most_move
 
 

@@ -17,6 +17,7 @@ from quaffure.body.character import (
     world_matrices,
 )
 from quaffure.errors import InputError
+from quaffure.geometry.hermite import hermite, key_intervals
 
 NODES_AT_ONCE = 2**16
 """Nodes of all frames that are computed together."""
@@ -68,19 +69,15 @@ def poses_at(
 
 def sampled(channel: AnimationChannel, times: Float[np.ndarray, " f"]) -> Float[np.ndarray, "f c"]:
     """Values of a channel at some times [s]; rotations as unit quaternions `xyzw`."""
-    keys, values = channel.times, channel.values
+    values = channel.values
     middle = values.shape[1] // 2
-    before = np.clip(np.searchsorted(keys, times, side="right") - 1, 0, len(keys) - 1)
-    after = np.minimum(before + 1, len(keys) - 1)
-    seconds = keys[after] - keys[before]
-    share = np.clip(np.divide(times - keys[before], seconds, out=np.zeros_like(times), where=seconds > 0), 0, 1)
+    before, after, seconds, share = key_intervals(channel.times, times)
     start, end = values[before, middle], values[after, middle]
     if channel.interpolation == "STEP":
         found = start
     elif channel.interpolation == "CUBICSPLINE":
-        found = _hermite(
-            share[:, None], (start, end), seconds[:, None] * values[before, 2], seconds[:, None] * values[after, 0]
-        )
+        leaving, arriving = seconds[:, None] * values[before, 2], seconds[:, None] * values[after, 0]
+        found = hermite(share[:, None], start, end, leaving, arriving)
     elif channel.path == "rotation":
         found = _slerp(_unit(start), _unit(end), share[:, None])
     else:
@@ -109,23 +106,6 @@ def _poses_at(
     if not np.isfinite(world).all():
         raise InputError(character.source, "nodes within 1e300 of one another in every frame", "others")
     return CharacterPoses(world, morphs)
-
-
-def _hermite(
-    share: Float[np.ndarray, "f 1"],
-    ends: tuple[Float[np.ndarray, "f c"], Float[np.ndarray, "f c"]],
-    leaving: Float[np.ndarray, "f c"],
-    arriving: Float[np.ndarray, "f c"],
-) -> Float[np.ndarray, "f c"]:
-    """Cubic Hermite spline between two values, from their tangents times the seconds between."""
-    square, cube = share**2, share**3
-    start, end = ends
-    return (
-        (2 * cube - 3 * square + 1) * start
-        + (cube - 2 * square + share) * leaving
-        + (3 * square - 2 * cube) * end
-        + (cube - square) * arriving
-    )
 
 
 def _slerp(

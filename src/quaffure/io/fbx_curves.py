@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from quaffure.geometry.hermite import hermite, key_intervals
 from quaffure.io.character_limits import LAST_SECOND
 from quaffure.io.fbx_document import FbxObject
 from quaffure.io.fbx_records import FbxRecord
@@ -41,25 +42,18 @@ class FbxCurve:
         Args:
             is_before: just before each time, where the value jumps, or just after it.
         """
-        last = len(self.times) - 1
-        key = np.clip(np.searchsorted(self.times, times, side="left" if is_before else "right") - 1, 0, last)
-        following = np.minimum(key + 1, last)
-        seconds = self.times[following] - self.times[key]
-        share = np.divide(times - self.times[key], seconds, out=np.zeros_like(times), where=seconds > 0).clip(0, 1)
+        key, following, seconds, share = key_intervals(self.times, times, "left" if is_before else "right")
         start, end, kind = self.values[key], self.values[following], self.kinds[key]
         found = start + share * (end - start)
         found = np.where(kind == STEP, start, found)
         has_begun = times > self.times[key] if is_before else times >= self.times[key]
         found = np.where((kind == STEP_NEXT) & has_begun, end, found)
         leaving, arriving = seconds * self.slopes[key, 0], seconds * self.slopes[key, 1]
-        square, cube = share**2, share**3
-        spline = (2 * cube - 3 * square + 1) * start + (3 * square - 2 * cube) * end
-        spline += (cube - 2 * square + share) * leaving + (cube - square) * arriving
-        return np.where(kind == SPLINE, spline, found)
+        return np.where(kind == SPLINE, hermite(share, start, end, leaving, arriving), found)
 
     def is_still(self, first: Float[np.ndarray, " f"], last: Float[np.ndarray, " f"]) -> np.ndarray:
         """Whether the value is the same from each time to another, between which there is no key [f]."""
-        key = np.clip(np.searchsorted(self.times, first, side="right") - 1, 0, len(self.times) - 1)
+        key = key_intervals(self.times, first).before
         is_flat = (self.kinds[key] != SPLINE) | ~self.slopes[key].any(axis=1)
         return is_flat & (self.at(first, False) == self.at(last, True))
 

@@ -194,6 +194,7 @@ def test_pushed_out_keeps_roots_and_lengths(grooms: dict[str, Groom], body: Body
     pressed = strands.clone()
     pressed[:, 1:] += 0.12 * (head - strands[:, 1:]).clamp(-0.2, 0.2)
     before = inside_share(pressed, surface)
+    assert inside_share(pressed.clone().requires_grad_(), surface) == before
     result = pushed_out(pressed, surface)
     assert before > 0.05
     assert inside_share(result, surface) <= 5e-4

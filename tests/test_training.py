@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Literal
+from weakref import WeakSet
 
 import pytest
 import torch
@@ -222,9 +223,13 @@ def test_some_of_many_grooms_stand_for_all_in_a_validation(
     body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     measured: list[tuple[int, int]] = []
+    kept: WeakSet[Scene] = WeakSet()
 
     def figures(draper: NeuralDraper, scenes: Iterable[tuple[Scene, HairEnergy]]) -> dict[str, float]:
-        measured.extend((len(scene.groom), len(energy.rest.mass)) for scene, energy in scenes)
+        for scene, energy in scenes:
+            measured.append((len(scene.groom), len(energy.rest.mass)))
+            kept.add(scene)
+            assert len(kept) == 1
         return {"log_energy": 0.0, "body_collision": 0.0}
 
     monkeypatch.setattr(train_decoder, "VALIDATED_GROOMS", 2)
@@ -232,6 +237,21 @@ def test_some_of_many_grooms_stand_for_all_in_a_validation(
     grooms = tuple(groom.select(torch.arange(count)) for count in (10, 11, 12, 13, 14))
     training(body, grooms, tmp_path, sampler=SamePoses(load_pose_prior())).validate()
     assert measured == [(10, 10), (13, 13)]
+
+
+def test_a_body_is_hashed_once_for_all_its_grooms(
+    body: BodyModel, groom: Groom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hashed: list[BodyModel] = []
+
+    def digest(hashed_body: BodyModel) -> str:
+        hashed.append(hashed_body)
+        return "0123"
+
+    monkeypatch.setattr(train_decoder, "body_digest", digest)
+    recipe = training(body, (groom, replace(groom, name="other")), tmp_path).recipe
+    assert recipe.identity()["geometry"].startswith("body 0123, strands")
+    assert len(hashed) == 1
 
 
 def test_the_version_of_the_code_is_that_of_the_start(

@@ -1,6 +1,6 @@
 """Self-supervised training of the deformation decoder, Sec. 3.5: fresh poses in, energy down."""
 
-from collections.abc import Iterable
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -132,17 +132,18 @@ class DecoderRecipe(Recipe):
         drawn: list[int] = order[: self.config.grooms_per_step].tolist()
         return drawn
 
-    def _scenes(self, indices: Iterable[int], body_pose: BodyPose, body_shape: BodyShape) -> list[Scene]:
-        """Grooms, each on its body in all poses and shapes; those of one body share its posed surface.
+    def _scenes(self, indices: Sequence[int], body_pose: BodyPose, body_shape: BodyShape) -> Iterator[Scene]:
+        """Grooms one by one, each on its body in all poses and shapes; those of one body share its posed surface.
 
         The shape of an imported body is its own: nothing of it changes with the coefficients, which the network reads.
         """
         pose, shape = body_pose.to(self.worker.device), body_shape.to(self.worker.device)
         batches: dict[BodyModel, BodyBatch] = {}
-        for body in (self.bodies[index] for index in indices):
+        for index in indices:
+            body = self.bodies[index]
             if body not in batches:
                 batches[body] = BodyBatch(body, pose, shape if body.origin is None else torch.zeros_like(shape))
-        return [Scene(self.grooms[index], batches[self.bodies[index]]) for index in indices]
+            yield Scene(self.grooms[index], batches[body])
 
     def _objective(
         self, scene: Scene, energy: HairEnergy, loading: Loading, grooms: int, step: int
@@ -199,7 +200,7 @@ class DecoderRecipe(Recipe):
         """
         config, names = self.config, [groom.name for groom in self.grooms]
         added = "" if self.own_terms is None else f"terms {[term.name for term in self.own_terms]}, "
-        digests = dict.fromkeys(body_digest(body) for body in self.bodies)
+        digests = dict.fromkeys(map(body_digest, dict.fromkeys(self.bodies)))
         return {
             "identity": f"{names}, {config.network}, {config.material}, {config.elastic}, {added}seed {config.seed}",
             "geometry": f"body {' '.join(digests)}, strands {[len(groom) for groom in self.grooms]}",

@@ -1,6 +1,6 @@
 """`quaffure groom`, `quaffure render` and `--strands`: what they write, and one line for every mistake."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +123,20 @@ def test_bad_new_grooms(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> No
     assert "--seed: expected" in refused(capfd, *new, tmp_path / "mine.npz", "--seed=-1")
     assert "--set lengths=1: " in refused(capfd, *new, tmp_path / "mine.npz", "--set", "lengths=1")
     assert not list(tmp_path.iterdir())
+
+
+def test_new_grooms_of_no_strands_and_of_strands_without_a_length_are_refused(
+    tmp_path: Path, body: BodyModel, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    groom = make_groom(with_settings(STYLES["bob"], (FEW_ROOTS,)), body)
+    without = groom.rest_strands.clone()
+    without[3, 7] = without[3, 6]
+    for made, expected in (
+        (groom.select(torch.arange(0)), "--set: expected controls that make hair, found no strands"),
+        (replace(groom, rest_strands=without), "--set: expected edges longer than 0 and strands under"),
+    ):
+        monkeypatch.setattr("quaffure.apps.cli.groom.make_groom", lambda *_, made=made: made)
+        assert expected in refused(capfd, "groom", "new", "--out", tmp_path / "mine.npz")
 
 
 # --- import ----------------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """Registration: a groom from its own head, units and axes to strands on our scalp."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -58,6 +59,16 @@ class HeadMesh:
     faces: Int[np.ndarray, "k 3"]
 
 
+class _Details(NamedTuple):
+    """Fields of a `RegistrationReport` that the alignment does not tell."""
+
+    from_tip: Bool[np.ndarray, " s"]
+    on_scalp: Bool[np.ndarray, " s"]
+    inside_before: float
+    inside_after: float
+    head: HeadFit | None
+
+
 def register_groom(
     strands: Strands,
     body: BodyModel,
@@ -110,7 +121,7 @@ def register_groom(
     uv = body.scalp.uv_at(faces[kept], barycentric[kept])
     groom = Groom(name, rest, faces[kept], barycentric[kept], uv, licence, **held_parts)
     unused = Dropped(strands.dropped, degenerate, int((~near).sum()))
-    details = (*_of_the_file(strands, found, near), inside, inside_share(rest, surface), head_fit)
+    details = _Details(*_of_the_file(strands, found, near), inside, inside_share(rest, surface), head_fit)
     return groom, _report(strands.source, frame, found, alignment, 1e3 * residual[near], unused, details)
 
 
@@ -166,15 +177,30 @@ def _report(
     alignment: Alignment,
     residual: Float[np.ndarray, " k"],
     unused: Dropped,
-    details: tuple[Bool[np.ndarray, " s"], Bool[np.ndarray, " s"], float, float, HeadFit | None],
+    details: _Details,
 ) -> RegistrationReport:
     median, high, largest = np.quantile(residual, (0.5, 0.95, 1.0))
     rotation = alignment.transform.rotation @ (MIRROR if frame.mirror else np.eye(3))
     report = RegistrationReport(
-        source, alignment.unit, axis_name(rotation[2]), axis_name(-rotation[1]), alignment.transform.scale, rotation,
-        alignment.transform.translation, frame, float(median), float(high), float(largest), len(residual), unused,
-        int(found.beard.sum()), int(found.eyebrow.sum()), found.turned, int(found.turned_strands.sum()), *details,
-    )  # fmt: skip
+        source=source,
+        unit=alignment.unit,
+        up_axis=axis_name(rotation[2]),
+        forward_axis=axis_name(-rotation[1]),
+        scale=alignment.transform.scale,
+        rotation=rotation,
+        translation=alignment.transform.translation,
+        frame=frame,
+        median_residual=float(median),
+        p95_residual=float(high),
+        max_residual=float(largest),
+        kept=len(residual),
+        unused=unused,
+        beard=int(found.beard.sum()),
+        eyebrows=int(found.eyebrow.sum()),
+        turned=found.turned,
+        turned_strands=int(found.turned_strands.sum()),
+        **details._asdict(),
+    )
     if report.inside_after > MOST_INSIDE and not frame.registered:
         raise InputError(
             source, f"at most {100 * MOST_INSIDE} % of vertices inside", f"{100 * report.inside_after:.3f} %"

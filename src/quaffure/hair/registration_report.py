@@ -18,12 +18,12 @@ class Dropped(NamedTuple):
     """Numbers of strands that are not used, by the reason.
 
     Attributes:
-        bald: of fewer than two points.
+        too_few_points: of fewer than two points.
         without_length: far shorter than the others.
         too_far: with a root that is too far from the scalp.
     """
 
-    bald: int
+    too_few_points: int
     without_length: int
     too_far: int
 
@@ -109,7 +109,7 @@ class RegistrationReport:
     def _strands(self) -> str:
         total = self.kept + self.dropped + self.beard + self.eyebrows
         reasons = {
-            "bald roots (fewer than two points)": self.unused.bald,
+            "bald roots (fewer than two points)": self.unused.too_few_points,
             "far shorter than the others": self.unused.without_length,
             f"with a root more than {1e3 * FARTHEST_ROOT:.0f} mm from the scalp": self.unused.too_far,
             "of a beard": self.beard,

@@ -9,10 +9,21 @@ from scipy.spatial.transform import Rotation
 from quaffure.body import BodyModel
 from quaffure.errors import InputError
 from quaffure.geometry import Surface
-from quaffure.hair import Groom, HeadMesh, Strands, concatenate_strands, inside_share, register_groom, root_positions
-from quaffure.hair.file_frame import FileFrame
+from quaffure.hair import (
+    Groom,
+    HeadMesh,
+    Strands,
+    concatenate_strands,
+    head_alignment,
+    inside_share,
+    register_groom,
+    root_positions,
+)
+from quaffure.hair.file_frame import UNKNOWN, FileFrame
+from quaffure.hair.head_alignment import FINE_ROUNDS, TRIAL_ROUNDS, Similarity, _Start, align
 from quaffure.hair.registration import nearest_on_scalp
 from quaffure.hair.registration_report import RegistrationReport
+from quaffure.hair.scalp_target import ScalpTarget, scalp_target
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom
 from tests.scenes import Registered
@@ -329,6 +340,22 @@ def test_a_left_handed_file_is_mirrored(shared_data: Path, body: BodyModel) -> N
     assert (report.up_axis, report.forward_axis) == ("+y", "-z")
     assert np.linalg.det(report.rotation) == pytest.approx(-1.0)
     assert "left-handed" in str(report)
+
+
+def test_a_perfect_fit_costs_nothing_and_is_fitted_to_the_end(body: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hair that hangs straight down from the very points of the scalp, whose small reward is no misfit below 0."""
+    rounds: list[int] = []
+    own_fit = head_alignment._fit
+
+    def fit(points: np.ndarray, target: ScalpTarget, start: _Start, widths: list[float]) -> Similarity:
+        rounds.append(len(widths))
+        return own_fit(points, target, start, widths)
+
+    monkeypatch.setattr(head_alignment, "_fit", fit)
+    target = scalp_target(body)
+    found = align(100 * target.points, np.array([0.0, 0.0, -1.0]), target, UNKNOWN)
+    assert found.cost == 0
+    assert rounds[-1] == FINE_ROUNDS - TRIAL_ROUNDS
 
 
 def test_a_registered_groom_is_not_moved(groom: Groom, body: BodyModel) -> None:

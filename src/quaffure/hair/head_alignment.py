@@ -115,16 +115,14 @@ def align(
     best = [variant for _, start in ranked[:BEST_STARTS] for variant in _tilts(start, hang, upright)]
     points, widths = _thinned(roots, FINE_ROOTS), _widths(FINE_WIDTHS, FINE_ROUNDS)
     tried = _ranked(best, points, target, hang, widths[:TRIAL_ROUNDS])
-    hopeful = [
-        start
-        for cost, start in tried
-        if cost < HOPELESS * tried[0][0] and cost < HOPELESS * start.penalty * highest_cost
-    ]
+    best_cost = tried[0][0]
+    likely = max(HOPELESS * best_cost, best_cost)  # below 0, the reward of hanging hair outweighs the misfit
+    hopeful = [start for cost, start in tried if cost <= likely and cost < HOPELESS * start.penalty * highest_cost]
     cost, start = _ranked(hopeful, points, target, hang, widths[TRIAL_ROUNDS:])[0] if hopeful else tried[0]
     transform = start.transform
     size = frame.units or f"{transform.scale:.2g}"
     unit = start.unit if start.unit in UNITS else f"units of {size} m"
-    return Alignment(transform, unit, axis_name(transform.rotation[2]), cost / start.penalty)
+    return Alignment(transform, unit, axis_name(transform.rotation[2]), max(cost, 0.0) / start.penalty)
 
 
 def _tilts(start: _Start, hang: Float[np.ndarray, "3"], is_up_known: bool) -> list[_Start]:

@@ -141,12 +141,11 @@ class BodyModel:
         Raises:
             InputError: other shapes, numbers that are not finite, a rotation beyond 4 pi, or a coefficient beyond 10.
         """
-        poses, shapes = self.checked(body_pose, body_shape)
+        poses, shapes = self.checked_pose_and_shape(body_pose, body_shape)
         return self.skin(shapes, *self.posed_joints(poses, shapes))
 
-    def checked(self, body_pose: Rows, body_shape: Rows) -> tuple[Tensor, Tensor]:
-        """Poses theta and shapes beta as tensors like the body's, of one perhaps more rows than of the other. Arguments
-        and errors as of `pose`."""
+    def checked_pose_and_shape(self, body_pose: Rows, body_shape: Rows) -> tuple[Tensor, Tensor]:
+        """Validated poses and shapes as tensors; the numbers of rows may differ. Arguments and errors as of `pose`."""
         poses = rows_of(body_pose, 3 * JOINT_COUNT, self.rest_vertices, "body_pose")
         shapes = rows_of(body_shape, SHAPE_COUNT, self.rest_vertices, "body_shape")
         check_body_pose(poses, "body_pose")

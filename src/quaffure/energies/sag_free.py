@@ -232,8 +232,8 @@ def design_of(groom: Groom, body: BodyModel, material: HairMaterial) -> SagFreeR
 
 
 def residual(groom: Groom, rest: SagFreeRest) -> Float[Tensor, "s e"]:
-    """Force that is left on each edge of the design, in weights of the vertex at its end; twist at its equilibrium,
-    the default material.
+    """Force that is left on each edge of the design, in weights of the vertex at its end; twist is at its equilibrium
+    and the material is the default one.
 
     From the gradient of the compiled rod energy in float64, so it checks the rest shape's derivation as well.
     """

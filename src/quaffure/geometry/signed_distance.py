@@ -124,8 +124,10 @@ def signed_distance(points: Float[Tensor, "b p 3"], surface: Surface) -> Float[T
 def surface_offsets(
     points: Float[Tensor, "b p 3"], surface: Surface
 ) -> tuple[Float[Tensor, "b p 3"], Float[Tensor, "b p 3"]]:
-    """Offset of points from the closest points of the surface [m], and the unit direction away from it on its outside,
-    without gradient."""
+    """Offset of points from the closest points of the surface [m], and the unit direction away from it on its outside.
+
+    The offset is differentiable in the points and the surface's vertices; the direction has no gradient.
+    """
     foot = closest_points(points, surface)
     corners, vertices = surface.topology.faces[foot.faces], surface.vertices.to(points)
     nearest = torch.stack([vertices[sample, corners[sample]] for sample in range(len(points))])

@@ -54,7 +54,8 @@ def pushed_out(strands: Float[Tensor, "s n 3"], surface: Surface) -> Float[Tenso
 
     Vertices still inside after the rounds (in a fold of the skin) are moved out without regard to length, and so are
     those of a strand that was caught and folds back, as above an ear through which it leads, where that lengthens it
-    by little (`LONGEST_MOVED`): deep in the body neighbours leave by several sides, and strands between them cross it.
+    by little (`LONGEST_MOVED`). Deep inside, neighbouring vertices may leave through different sides, and the strand
+    between them would cross the body.
     """
     result = _pushed_keeping_lengths(strands, surface)
     caught = (_folds(result) >= CAUGHT_FOLDS) & (_folds(strands) == 0)

@@ -71,7 +71,8 @@ class Quaffure:
             InputError: an array of another shape, numbers that are not finite or beyond these limits, or a groom
                 without strands, with NaN, or not laid out for the network.
         """
-        poses, shapes = self.body.checked(body_pose, [[0.0] * SHAPE_SIZE] if body_shape is None else body_shape)
+        given_shape = [[0.0] * SHAPE_SIZE] if body_shape is None else body_shape
+        poses, shapes = self.body.checked_pose_and_shape(body_pose, given_shape)
         if body_shape is None:
             shapes = shapes.expand(len(poses), -1)
         if not 0 < len(shapes) == len(poses):
@@ -95,7 +96,7 @@ class Quaffure:
             InputError: as for `drape`, what concerns the grooms while iterating, where also other numbers of rows than
                 of grooms are refused.
         """
-        return self._drape_many(grooms, *self.body.checked(body_pose, body_shape))
+        return self._drape_many(grooms, *self.body.checked_pose_and_shape(body_pose, body_shape))
 
     def _drape_many(self, grooms: Iterable[Groom], poses: Tensor, shapes: Tensor) -> Iterator[Tensor]:
         first, waiting = 0, iter(grooms)

@@ -1,7 +1,7 @@
 """Reads characters from binary FBX files: models, skinned meshes and animations, in metres, y up, as in glTF.
 
-No reader of FBX is maintained, licensed and a wheel at once. Of the format it reads what glTF has, too: materials but
-for their names, normals, cameras, lights and constraints are left out.
+No maintained, permissively licensed FBX reader is available as a wheel. This one reads what glTF also has; of materials
+only names; no normals, cameras, lights or constraints.
 """
 
 from pathlib import Path

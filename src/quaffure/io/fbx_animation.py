@@ -15,13 +15,13 @@ from quaffure.io.distinct_names import DistinctNames
 from quaffure.io.fbx_curves import FbxCurve, read_curve
 from quaffure.io.fbx_document import FbxDocument, FbxObject, Properties
 from quaffure.io.fbx_mesh import FbxMesh
-from quaffure.io.fbx_nodes import EVEN, SCALE_TOLERANCE, STILL, FbxScene, scale_limits
+from quaffure.io.fbx_nodes import CONSTANT, SCALE_TOLERANCE, UNIFORM, FbxScene, scale_limits
 
 PATHS = {"Lcl Translation": "translation", "Lcl Rotation": "rotation", "Lcl Scaling": "scale"}
 COMPONENTS = ("d|X", "d|Y", "d|Z")
 PERCENT = "DeformPercent"
 SPARSE, PART = 0.1, 1 / 60
-"""Seconds between two keys above which the way between them is divided, and those of its parts."""
+"""Intervals longer than `SPARSE` are subdivided into intervals of at most `PART` [s]."""
 BYTES_A_TIME, BYTES_WHILE_SAMPLED = 100, 800  # of a node, kept and while it is sampled
 BYTES_A_NODE, BYTES_A_SLIDER = 1000, 100  # of an animation, whether it moves them or not
 MOVED = 1e-9
@@ -45,14 +45,14 @@ class _Numbers:
 
 
 @dataclass
-class _Take:
+class _Animation:
     """What one animation moves.
 
     Attributes:
         name: of the animation.
         stack: its object, for messages.
-        nodes: numbers by path, by node.
-        channels: weight of each channel of shapes, by its number.
+        nodes: by node and path, numbers of models that move [units of the file, degrees].
+        channels: weight of each channel of shapes, by its number [percent].
     """
 
     name: str
@@ -74,22 +74,24 @@ def read_animations(
             not take it on.
     """
     sliders = [c.channel.identity for found in meshes for c in found.geometry.channels]
-    channels, stacks = set(sliders), document.of("AnimationStack")
+    channels, stacks = set(sliders), document.objects_of_type("AnimationStack")
     limits, elsewhere = (scale_limits(scene), _elsewhere(scene, nodes)) if stacks else ([], [])
     animations = []
     names = DistinctNames()
     for index, stack in enumerate(stacks):
-        take = _Take(stack.name or f"animation{index}", stack)
+        animation = _Animation(stack.name or f"animation{index}", stack)
         for layer in document.below(stack, "AnimationLayer"):
-            _add_layer(take, layer, document, scene, channels)
-        if take.nodes or take.channels:
-            stack.record.take(BYTES_A_NODE * len(nodes) + BYTES_A_SLIDER * len(sliders))
-            made = [*_node_channels(take, scene, limits, elsewhere), *_weight_channels(take, meshes)]
-            animations.append(CharacterAnimation(names.add(take.name), tuple(made)))
+            _add_layer(animation, layer, document, scene, channels)
+        if animation.nodes or animation.channels:
+            stack.record.reserve(BYTES_A_NODE * len(nodes) + BYTES_A_SLIDER * len(sliders))
+            made = [*_node_channels(animation, scene, limits, elsewhere), *_weight_channels(animation, meshes)]
+            animations.append(CharacterAnimation(names.add(animation.name), tuple(made)))
     return tuple(animations)
 
 
-def _add_layer(take: _Take, layer: FbxObject, document: FbxDocument, scene: FbxScene, channels: set[int]) -> None:
+def _add_layer(
+    animation: _Animation, layer: FbxObject, document: FbxDocument, scene: FbxScene, channels: set[int]
+) -> None:
     """Add what a layer moves."""
     for curve_node in document.below(layer, "AnimationCurveNode"):
         curves = {
@@ -98,17 +100,17 @@ def _add_layer(take: _Take, layer: FbxObject, document: FbxDocument, scene: FbxS
             if (curve := read_curve(connection.child)) is not None
         }
         for owner, name in document.owners(curve_node) if curves else ():
-            if name in PATHS and owner.identity in scene.place:
-                node = scene.place[owner.identity]
+            if name in PATHS and owner.identity in scene.node_of_model:
+                node = scene.node_of_model[owner.identity]
                 own = getattr(scene.transforms[node - 1], PATHS[name])
                 numbers = _numbers(curve_node, curves, COMPONENTS, own)
                 if numbers.curves:
-                    _add(take.nodes.setdefault(node, {}), PATHS[name], numbers, owner)
+                    _add(animation.nodes.setdefault(node, {}), PATHS[name], numbers, owner)
             elif name == PERCENT and owner.identity in channels:
                 own = np.array([owner.properties.number(PERCENT, 0.0)])
                 numbers = _numbers(curve_node, curves, (f"d|{PERCENT}",), own)
                 if numbers.curves:
-                    _add(take.channels, owner.identity, numbers, owner)
+                    _add(animation.channels, owner.identity, numbers, owner)
 
 
 def _add(known: dict[Key, _Numbers], key: Key, numbers: _Numbers, owner: FbxObject) -> None:
@@ -136,18 +138,18 @@ def _elsewhere(scene: FbxScene, nodes: CharacterNodes) -> list[dict[str, Float[n
 
 
 def _node_channels(
-    take: _Take, scene: FbxScene, limits: list[int], elsewhere: list[dict[str, Float[np.ndarray, " c"]]]
+    animation: _Animation, scene: FbxScene, limits: list[int], elsewhere: list[dict[str, Float[np.ndarray, " c"]]]
 ) -> list[AnimationChannel]:
     """Channels of all nodes that move, and of those that are elsewhere than at rest."""
-    spans = [curve.times for paths in take.nodes.values() for each in paths.values() for curve in each.curves.values()]
-    spans += [curve.times for each in take.channels.values() for curve in each.curves.values()]
+    numbers = [each for paths in animation.nodes.values() for each in paths.values()]
+    spans = [curve.times for each in [*numbers, *animation.channels.values()] for curve in each.curves.values()]
     start = np.array([min(float(times[0]) for times in spans)])
     channels = []
     for node, (model, transform) in enumerate(zip(scene.models, scene.transforms), 1):
         keys = {path: (start, own[None, None]) for path, own in elsewhere[node].items()}
-        if moved := take.nodes.get(node):
+        if moved := animation.nodes.get(node):
             own = {path: _Numbers({}, getattr(transform, path)) for path in PATHS.values()}
-            times, values = _sampled({**own, **moved}, take.stack)
+            times, values = _sampled({**own, **moved}, animation.stack)
             _check_scale(values["scale"], transform.scale, model, limits[node])
             with_pivots = {"translation"} if transform.has_pivots else set()
             local = zip(PATHS.values(), transform.local(**values))
@@ -157,11 +159,11 @@ def _node_channels(
 
 
 def _check_scale(scale: Float[np.ndarray, "f 3"], rest: Float[np.ndarray, "3"], model: FbxObject, limit: int) -> None:
-    """Refuse scales that nodes below, as they take them on, would not have as matrices are multiplied."""
+    """Refuse scales that nodes below do not inherit by matrix multiplication."""
     size = SCALE_TOLERANCE * max(float(np.abs(rest).max()), 1e-12)
-    if limit == STILL and np.abs(scale - rest).max() > size:
+    if limit == CONSTANT and np.abs(scale - rest).max() > size:
         model.fail("a scale that does not move above a model of InheritType 2", "one that does")
-    if limit == EVEN and np.ptp(scale, axis=1).max() > size:
+    if limit == UNIFORM and np.ptp(scale, axis=1).max() > size:
         model.fail("the same scale along all axes above a model of InheritType 0 or 2", "others")
 
 
@@ -171,15 +173,15 @@ def _differs(found: Float[np.ndarray, " c"], rest: Float[np.ndarray, " c"], path
     return bool(np.abs(found - rest).max() > MOVED * max(1.0, np.abs(rest).max()))
 
 
-def _weight_channels(take: _Take, meshes: list[FbxMesh]) -> list[AnimationChannel]:
+def _weight_channels(animation: _Animation, meshes: list[FbxMesh]) -> list[AnimationChannel]:
     """Channels of the weights of shapes, one a mesh."""
     channels = []
     for found in meshes:
-        moved = {c.channel.identity: c for c in found.geometry.channels if c.channel.identity in take.channels}
+        moved = {c.channel.identity: c for c in found.geometry.channels if c.channel.identity in animation.channels}
         if not moved:
             continue
-        times, values = _sampled({number: take.channels[number] for number in moved}, take.stack)
-        take.stack.record.take(8 * len(times) * len(found.mesh.morph_weights))
+        times, values = _sampled({number: animation.channels[number] for number in moved}, animation.stack)
+        animation.stack.record.reserve(8 * len(times) * len(found.mesh.morph_weights))
         weights = np.repeat(np.array(found.mesh.morph_weights)[None], len(times), axis=0)
         for number, channel in moved.items():
             weights[:, list(channel.targets)] = channel.weights(values[number][:, 0])
@@ -191,10 +193,10 @@ def _sampled(numbers: dict[Key, _Numbers], stack: FbxObject) -> tuple[Times, dic
     """Times between which all numbers, of which some move, are near lines, a time twice where one of them jumps, and
     the numbers there."""
     curves = [curve for each in numbers.values() for curve in each.curves.values()]
-    stack.record.take(32 * sum(len(curve.times) for curve in curves), is_kept=False)
+    stack.record.reserve(32 * sum(len(curve.times) for curve in curves), is_kept=False)
     times = _divided(np.unique(np.concatenate([curve.times for curve in curves])), curves, stack)
-    stack.record.take(BYTES_A_TIME * len(times))
-    stack.record.take(BYTES_WHILE_SAMPLED // 3 * len(times) * len(numbers), is_kept=False)
+    stack.record.reserve(BYTES_A_TIME * len(times))
+    stack.record.reserve(BYTES_WHILE_SAMPLED // 3 * len(times) * len(numbers), is_kept=False)
     before = {key: each.at(times, True) for key, each in numbers.items()}
     after = {key: each.at(times, False) for key, each in numbers.items()}
     jumps = np.zeros(len(times), dtype=bool)
@@ -214,7 +216,7 @@ def _divided(keys: Float[np.ndarray, " k"], curves: list[FbxCurve], stack: FbxOb
     for curve in curves:
         moves |= ~curve.is_still(keys[:-1], keys[1:])
     parts = np.where((gaps > SPARSE) & moves, np.ceil(gaps / PART), 1).astype(np.int64)
-    stack.record.take(BYTES_A_TIME * int(parts.sum()), is_kept=False)
+    stack.record.reserve(BYTES_A_TIME * int(parts.sum()), is_kept=False)
     first = np.repeat(np.arange(len(gaps)), parts)
     share = (np.arange(len(first)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[first]
     return np.append(keys[first] + share * gaps[first], keys[-1])

@@ -26,9 +26,9 @@ class FbxCurve:
 
     Attributes:
         times: of the keys [s], not decreasing.
-        values: at the keys.
-        kinds: of the curve from each key to the next.
-        slopes: after each key, and before the next one [per second].
+        values: at the keys, in the unit of the property [units of the file, degrees, factors or percent].
+        kinds: of the curve from each key to the next: `LINE`, `STEP`, `STEP_NEXT` or `SPLINE`.
+        slopes: after each key, and before the next one [unit of the values per second].
     """
 
     times: Float[np.ndarray, " k"]
@@ -69,8 +69,8 @@ def read_curve(curve: FbxObject) -> FbxCurve | None:
     if listed is None or not listed.values:
         return None
     ticks, values = listed.integers(), record.required("KeyValueFloat").floats(1)[:, 0]
-    record.take(BYTES_A_KEY * len(ticks))
-    record.take(BYTES_WHILE_READ * len(ticks), is_kept=False)
+    record.reserve(BYTES_A_KEY * len(ticks))
+    record.reserve(BYTES_WHILE_READ * len(ticks), is_kept=False)
     times = ticks / record.file.ticks_per_second
     if len(values) != len(ticks):
         record.fail(f"{len(ticks)} values, as many as keys", f"{len(values)}")

@@ -27,12 +27,16 @@ AXES = ("CoordAxis", "UpAxis", "FrontAxis")
 BYTES_A_VISIT = 100
 """What following a connection counts for: small files may lead to one object on very many ways, which takes time."""
 UNITS = (1e-4, 1e6)
-"""Centimetres that a unit may have."""
+"""Smallest and largest unit that is accepted [cm]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Properties:
-    """Properties of an object by name, those of a template where it has none."""
+    """Properties of an object by name, those of a template where it has none.
+
+    `number`, `integer` and `vector` raise `InputError` where a property is of another type, not finite or beyond
+    `LARGEST_NUMBER`.
+    """
 
     records: dict[str, FbxRecord]
     template: dict[str, FbxRecord] = field(default_factory=dict)
@@ -117,7 +121,7 @@ class FbxDocument:
             InputError: more connections were followed than a file of this size should need.
         """
         found = self._owners.get(child.identity, [])
-        child.record.take(BYTES_A_VISIT * len(found))
+        child.record.reserve(BYTES_A_VISIT * len(found))
         return found
 
     def fail(self, expected: str, found: str) -> NoReturn:
@@ -128,9 +132,9 @@ class FbxDocument:
         """
         raise InputError(self.file.path, expected, found)
 
-    def of(self, record: str) -> list[FbxObject]:
-        """All objects whose records have a name, such as `Model`."""
-        return [found for found in self.objects.values() if found.record.name == record]
+    def objects_of_type(self, name: str) -> list[FbxObject]:
+        """All objects of a type, the name of their records, such as `Model`."""
+        return [found for found in self.objects.values() if found.record.name == name]
 
     def below(self, parent: FbxObject | int, record: str, kind: str = "") -> list[FbxObject]:
         """Objects that belong to another, by the name of their records, and by their kind where one is given.
@@ -156,7 +160,7 @@ class FbxDocument:
     def _connections_of(self, number: int) -> list[Connection]:
         connections = self.connections.get(number, [])
         if number in self.objects:
-            self.objects[number].record.take(BYTES_A_VISIT * len(connections))
+            self.objects[number].record.reserve(BYTES_A_VISIT * len(connections))
         return connections
 
     @cached_property

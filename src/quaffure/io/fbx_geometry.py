@@ -49,11 +49,11 @@ class Geometry:
 
     Attributes:
         source: vertex of the file that each vertex is.
-        vertices: in the space of the geometry.
+        vertices: in the space of the geometry [units of the file].
         faces: triangles.
         face_materials: index of the material of each triangle among those of its model.
         uv: texture coordinates, v down, where the file has them.
-        targets: differences of the shapes from `vertices`, by name.
+        targets: differences of the shapes from `vertices` [units of the file], by name.
         channels: that move them.
         vertex_count: vertices of the file.
     """
@@ -72,14 +72,15 @@ def read_geometry(document: FbxDocument, geometry: FbxObject) -> Geometry | None
     """A geometry of the kind Mesh; None of one without polygons.
 
     Raises:
-        InputError: polygons of vertices that there are not, or arrays of another size than they have.
+        InputError: polygons, texture coordinates or shapes of vertices that there are not, arrays of another size than
+            they have, numbers that are not finite, or more memory than a file of this size should need.
     """
     record = geometry.record
     listed, polygons = record.child("Vertices"), record.child("PolygonVertexIndex")
     if listed is None or polygons is None or not polygons.values or not listed.values:
         return None
     vertices, ends = listed.floats(3), polygons.integers()
-    record.take(BYTES_A_VERTEX * len(vertices) + BYTES_A_CORNER * len(ends))
+    record.reserve(BYTES_A_VERTEX * len(vertices) + BYTES_A_CORNER * len(ends))
     corners, polygon = _polygons(ends, len(vertices), polygons)
     triangles = _fans(polygon)
     if not len(triangles):
@@ -94,7 +95,11 @@ def read_geometry(document: FbxDocument, geometry: FbxObject) -> Geometry | None
 def _polygons(
     ends: Int[np.ndarray, " c"], vertex_count: int, record: FbxRecord
 ) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"]]:
-    """Vertex and polygon of every corner; the last corner of a polygon is written as -1 - vertex."""
+    """Vertex and polygon of every corner; the last corner of a polygon is written as -1 - vertex.
+
+    Raises:
+        InputError: vertices that there are not, or a polygon without an end.
+    """
     corners = np.where(ends < 0, ~ends, ends)
     if not len(ends) or int(corners.max()) >= vertex_count:
         record.fail(f"vertices below {vertex_count}", "others or none")
@@ -142,7 +147,11 @@ def _split(
 
 
 def _uv_of_corners(record: FbxRecord, corners: Int[np.ndarray, " c"]) -> Float[np.ndarray, "c 2"] | None:
-    """Texture coordinates of every corner, v up, of the first layer; None without one."""
+    """Texture coordinates of every corner, v up, of the first layer; None without one.
+
+    Raises:
+        InputError: fewer indices or coordinates than corners need.
+    """
     layer = record.child("LayerElementUV")
     listed = None if layer is None else layer.child("UV")
     if layer is None or listed is None or not listed.values:
@@ -188,7 +197,11 @@ def _add_shapes(document: FbxDocument, geometry: FbxObject, found: Geometry) -> 
 
 
 def _full_weights(channel: FbxObject, shapes: int) -> Float[np.ndarray, " k"]:
-    """Weights at which the shapes of a channel are reached, rising."""
+    """Weights at which the shapes of a channel are reached [percent], rising.
+
+    Raises:
+        InputError: another number of weights than of shapes, or weights that do not rise from 0.
+    """
     record = channel.record.child("FullWeights")
     weights = np.zeros(0) if record is None or not record.values else record.floats(1)[:, 0]
     if shapes == 1:  # some programs write a weight for every vertex here
@@ -199,9 +212,13 @@ def _full_weights(channel: FbxObject, shapes: int) -> Float[np.ndarray, " k"]:
 
 
 def _differences(shape: FbxObject, found: Geometry) -> Float[np.ndarray, "v 3"]:
-    """Differences of all vertices; the file has those that are not 0."""
+    """Differences of all vertices [units of the file]; the file has those that are not 0.
+
+    Raises:
+        InputError: another number of differences than of vertices, or vertices that there are not.
+    """
     record = shape.record
-    record.take(BYTES_A_SHAPE_VERTEX * (found.vertex_count + len(found.source)))
+    record.reserve(BYTES_A_SHAPE_VERTEX * (found.vertex_count + len(found.source)))
     moved = np.zeros((found.vertex_count, 3), np.float32)
     indexes = record.child("Indexes")
     if indexes is not None and indexes.values:

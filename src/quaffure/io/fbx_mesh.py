@@ -12,7 +12,7 @@ from quaffure.io.fbx_document import FbxDocument, FbxObject
 from quaffure.io.fbx_geometry import BYTES_A_VERTEX, Geometry, read_geometry
 from quaffure.io.fbx_nodes import FbxScene
 from quaffure.io.fbx_records import FbxRecord
-from quaffure.io.fbx_skin import Cluster, Shares, shares_of
+from quaffure.io.fbx_skin import Cluster, VertexWeights, vertex_weights
 
 BYTES_A_FACE = 80  # of a mesh: its material, while materials are numbered, and its corners where it is mirrored
 BYTES_A_BONE = 400  # of a mesh: its matrix, and while vertices are posed
@@ -38,36 +38,38 @@ def read_meshes(
     Raises:
         InputError: an array of another size than the others of its geometry, or an index of what there is not.
     """
-    geometries: dict[int, tuple[Geometry, Shares] | None] = {}
+    geometries: dict[int, tuple[Geometry, VertexWeights] | None] = {}
     found = []
     for node, model in enumerate(scene.models, 1):
         for source in document.below(model, "Geometry", "Mesh")[:1]:
             if source.identity not in geometries:
                 geometries[source.identity] = _geometry(document, source, clusters.get(source.identity, []))
             if (both := geometries[source.identity]) is not None:
-                geometry, shares = both
-                _count(source.record, geometry, shares)
+                geometry, weights = both
+                _reserve(source.record, geometry, weights)
                 materials = [material.name for material in document.below(model, "Material")]
-                skin = shares.skin(node, node_from_geometry(model))
-                mesh = _mesh(geometry, shares, skin, node, nodes, materials)
+                skin = weights.skin(node, node_from_geometry(model))
+                mesh = _mesh(geometry, weights, skin, node, nodes, materials)
                 if not np.isfinite(mesh.vertices).all():
                     source.fail("vertices within 1e300 of one another", "others")
                 found.append(FbxMesh(mesh, geometry))
     return found
 
 
-def _geometry(document: FbxDocument, source: FbxObject, clusters: list[Cluster]) -> tuple[Geometry, Shares] | None:
+def _geometry(
+    document: FbxDocument, source: FbxObject, clusters: list[Cluster]
+) -> tuple[Geometry, VertexWeights] | None:
     """A geometry and what moves its vertices; None of one without polygons."""
     geometry = read_geometry(document, source)
     if geometry is None:
         return None
-    return geometry, shares_of(clusters, geometry.source, geometry.vertex_count, source.record)
+    return geometry, vertex_weights(clusters, geometry.source, geometry.vertex_count, source)
 
 
-def _count(record: FbxRecord, geometry: Geometry, shares: Shares) -> None:
+def _reserve(record: FbxRecord, geometry: Geometry, weights: VertexWeights) -> None:
     """Account for a mesh before it is made: a small file may show one geometry by many models."""
-    record.take(BYTES_A_VERTEX * len(geometry.source) + BYTES_A_FACE * len(geometry.faces))
-    record.take(BYTES_A_BONE * len(shares.nodes) + BYTES_A_TARGET * len(geometry.targets))
+    record.reserve(BYTES_A_VERTEX * len(geometry.source) + BYTES_A_FACE * len(geometry.faces))
+    record.reserve(BYTES_A_BONE * len(weights.nodes) + BYTES_A_TARGET * len(geometry.targets))
 
 
 def node_from_geometry(model: FbxObject) -> Float[np.ndarray, "4 4"]:
@@ -79,7 +81,7 @@ def node_from_geometry(model: FbxObject) -> Float[np.ndarray, "4 4"]:
 
 
 def _mesh(
-    geometry: Geometry, shares: Shares, skin: Skin, node: int, nodes: CharacterNodes, materials: list[str]
+    geometry: Geometry, weights: VertexWeights, skin: Skin, node: int, nodes: CharacterNodes, materials: list[str]
 ) -> SkinnedMesh:
     # A material that the model does not have is none.
     known = ["", *materials]
@@ -91,7 +93,9 @@ def _mesh(
     if np.linalg.slogdet(matrices[0, :3, :3]).sign < 0:  # a mirrored mesh, whose faces would point inwards
         faces = np.ascontiguousarray(faces[:, ::-1])
     distinct = DistinctNames()
-    weights = [weight for channel in geometry.channels for weight in channel.weights(np.array([channel.weight]))[0]]
+    morph_weights = [
+        weight for channel in geometry.channels for weight in channel.weights(np.array([channel.weight]))[0]
+    ]
     mesh = SkinnedMesh(
         name=nodes.names[node],
         node=node,
@@ -102,10 +106,10 @@ def _mesh(
         faces=faces,
         skin=skin,
         is_rigid=skin.nodes.tolist() == [node],
-        skin_joints=shares.joints,
-        weights=shares.weights,
+        skin_joints=weights.joints,
+        weights=weights.weights,
         uv=geometry.uv,
         morph_targets={distinct.add(name): moved for name, moved in geometry.targets},
-        morph_weights=tuple(float(weight) for weight in weights),
+        morph_weights=tuple(float(weight) for weight in morph_weights),
     )
     return replace(mesh, vertices=mesh.posed(nodes.world))

@@ -20,12 +20,12 @@ ORDERS = ("xyz", "xzy", "yzx", "yxz", "zxy", "zyx")
 """Axes of a rotation by number, in the order in which the figure is turned about those of its parent."""
 ROOT = "RootNode"
 """Name of the node above all models, which takes the file's axes and unit to those of glTF."""
-SCALE_APART, SCALE_ALONG, SCALE_WITHOUT_PARENT = 0, 1, 2
-"""How a model takes on scales from above: along its own axes (RrSs), along those of the models above, as matrices are
-multiplied (RSrs), and without that of its parent (Rrs)."""
+INHERIT_RRSS, INHERIT_RSRS, INHERIT_RRS = 0, 1, 2
+"""How a model inherits scale (InheritType): RrSs, along its own axes; RSrs, along those of the models above, by matrix
+multiplication; Rrs, without the scale of its parent."""
 SCALE_TOLERANCE = 1e-3
-FREE, EVEN, STILL = range(3)
-"""What scales above nodes may do that do not take them on as matrices are multiplied."""
+ANY, UNIFORM, CONSTANT = range(3)
+"""How scales may be animated above nodes that do not inherit them by matrix multiplication."""
 
 Vectors = Float[np.ndarray, "f 3"]
 
@@ -35,12 +35,14 @@ class FbxTransform:
     """The transform of a model.
 
     Attributes:
-        translation, rotation, scale: at rest, rotation about three axes [degrees]; these three can be animated.
-        order: of the axes.
-        before, after: rotations before and after it, the last one inverted.
-        rotation_pivot, offset: of the rotation, offset of the rotation added.
-        scaling_pivot, scaling_offset: of the scale.
-        parent_scale: by which the scale is divided.
+        translation: at rest [units of the file]. Translation, rotation and scale can be animated.
+        rotation: at rest, about three axes [degrees].
+        scale: factors at rest.
+        order: of the rotations about these axes, one of `ORDERS`.
+        before, after: rotations before and after it: Rpre and the inverse of Rpost.
+        rotation_pivot, scaling_pivot: points that rotation and scale leave where they are [units of the file].
+        rotation_offset, scaling_offset: translations before the pivots [units of the file].
+        parent_scale: factor by which the scale is divided.
     """
 
     translation: Float[np.ndarray, "3"]
@@ -63,7 +65,11 @@ class FbxTransform:
     def local(
         self, translation: Vectors, rotation: Vectors, scale: Vectors
     ) -> tuple[Vectors, Float[np.ndarray, "f 4"], Vectors]:
-        """Translation, rotation (`xyzw`) and scale relative to the parent, of the model's own in some frames."""
+        """Translation [units of the file], rotation (`xyzw`) and scale relative to the parent.
+
+        Args:
+            translation, rotation, scale: the model's own in some frames [units of the file, degrees, factors].
+        """
         angles = rotation[:, ["xyz".index(axis) for axis in self.order]]
         turned = self.before * Rotation.from_euler(self.order, angles, degrees=True) * self.after
         inner = self.scaling_offset + self.scaling_pivot - self.rotation_pivot - scale * self.scaling_pivot
@@ -85,13 +91,13 @@ class FbxScene:
         nodes: at rest.
         models: of all nodes but the first.
         transforms: the same.
-        place: node of each model, by its number.
+        node_of_model: by the number of the model.
     """
 
     nodes: CharacterNodes
     models: list[FbxObject]
     transforms: list[FbxTransform]
-    place: dict[int, int]
+    node_of_model: dict[int, int]
 
 
 def read_scene(document: FbxDocument) -> FbxScene:
@@ -100,7 +106,7 @@ def read_scene(document: FbxDocument) -> FbxScene:
     Raises:
         InputError: no models or too many, a model with two parents or below itself, a transform that no node has.
     """
-    models = document.of("Model")
+    models = document.objects_of_type("Model")
     if not 1 <= len(models) <= MOST_NODES:
         document.fail(f"1 to {MOST_NODES} models", f"{len(models)}")
     number = {model.identity: index for index, model in enumerate(models)}
@@ -117,9 +123,9 @@ def read_scene(document: FbxDocument) -> FbxScene:
     sequence = parents_first(parents, children)
     if len(sequence) < len(models):
         document.fail("models in trees", "models below themselves")
-    place = {models[index].identity: node for node, index in enumerate(sequence, 1)}
+    node_of_model = {models[index].identity: node for node, index in enumerate(sequence, 1)}
     ordered = [models[index] for index in sequence]
-    above = np.array([-1, *(place[models[parents[i]].identity] if parents[i] >= 0 else 0 for i in sequence)])
+    above = np.array([-1, *(node_of_model[models[parents[i]].identity] if parents[i] >= 0 else 0 for i in sequence)])
     transforms = _with_scales([_transform(model) for model in ordered], ordered, above)
     root = decomposed(document.scene_from_file)
     translation, rotation, scale = map(np.array, zip(root, *(each.at_rest for each in transforms)))
@@ -128,7 +134,7 @@ def read_scene(document: FbxDocument) -> FbxScene:
     nodes = CharacterNodes((names.add(ROOT), *named), above, translation, rotation, scale)
     if not np.isfinite(nodes.world).all():
         document.fail("models within 1e300 of one another", "others")
-    return FbxScene(nodes, ordered, transforms, place)
+    return FbxScene(nodes, ordered, transforms, node_of_model)
 
 
 def in_bind_pose(scene: FbxScene, bound: dict[int, Float[np.ndarray, "4 4"]]) -> CharacterNodes:
@@ -189,15 +195,17 @@ def _with_scales(own: list[FbxTransform], models: list[FbxObject], above: np.nda
     Raises:
         InputError: they are not, or a way that there is not.
     """
-    is_even = np.ones(len(above), dtype=bool)
+    is_uniform = np.ones(len(above), dtype=bool)
     found = []
     for node, (transform, model) in enumerate(zip(own, models), 1):
         parent = above[node]
-        is_even[node] = is_even[parent] and np.ptp(transform.scale) <= SCALE_TOLERANCE * np.abs(transform.scale).max()
+        is_uniform[node] = (
+            is_uniform[parent] and np.ptp(transform.scale) <= SCALE_TOLERANCE * np.abs(transform.scale).max()
+        )
         how = inherited_scale(model)
-        if how != SCALE_ALONG and not is_even[parent]:
+        if how != INHERIT_RSRS and not is_uniform[parent]:
             model.fail("the same scale along all axes above a model of InheritType 0 or 2", "others")
-        if how == SCALE_WITHOUT_PARENT and parent > 0:
+        if how == INHERIT_RRS and parent > 0:
             parent_scale = float(own[parent - 1].scale[0])
             if parent_scale == 0:
                 model.fail("a scale above a model of InheritType 2", "0")
@@ -208,11 +216,11 @@ def _with_scales(own: list[FbxTransform], models: list[FbxObject], above: np.nda
 
 def scale_limits(scene: FbxScene) -> list[int]:
     """What scales of each node may do in an animation: anything, be the same along all axes, or stay."""
-    limits = [FREE] * len(scene.nodes)
+    limits = [ANY] * len(scene.nodes)
     for node in range(len(limits) - 1, 0, -1):
         how, parent = inherited_scale(scene.models[node - 1]), scene.nodes.parents[node]
-        of_parent = {SCALE_ALONG: FREE, SCALE_APART: EVEN, SCALE_WITHOUT_PARENT: STILL}[how]
-        limits[parent] = max(limits[parent], of_parent, min(limits[node], EVEN))
+        of_parent = {INHERIT_RSRS: ANY, INHERIT_RRSS: UNIFORM, INHERIT_RRS: CONSTANT}[how]
+        limits[parent] = max(limits[parent], of_parent, min(limits[node], UNIFORM))
     return limits
 
 
@@ -222,7 +230,7 @@ def inherited_scale(model: FbxObject) -> int:
     Raises:
         InputError: another one.
     """
-    how = model.properties.integer("InheritType", SCALE_ALONG)
-    if how not in (SCALE_APART, SCALE_ALONG, SCALE_WITHOUT_PARENT):
+    how = model.properties.integer("InheritType", INHERIT_RSRS)
+    if how not in (INHERIT_RRSS, INHERIT_RSRS, INHERIT_RRS):
         model.fail("InheritType 0, 1 or 2", f"{how}")
     return how

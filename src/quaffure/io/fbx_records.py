@@ -65,7 +65,7 @@ class FbxFile:
         path: the file.
         content: all of it.
         version: 7100 to 7700.
-        free_bytes: that its arrays may still take.
+        free_bytes: memory that arrays may still use [bytes].
     """
 
     path: Path
@@ -114,14 +114,14 @@ class FbxRecord:
         file: that it is in.
         name: in one line.
         start, end: of the record [bytes].
-        properties: number of its properties, where they begin and end.
+        property_range: number of its properties, and where they begin and end [bytes].
     """
 
     file: FbxFile
     name: str
     start: int
     end: int
-    properties: tuple[int, int, int]
+    property_range: tuple[int, int, int]
 
     def fail(self, expected: str, found: str) -> NoReturn:
         """Refuse the file because of this record.
@@ -131,7 +131,7 @@ class FbxRecord:
         """
         raise InputError(f"{self.file.path}, {self.name[:40]} at byte {self.start}", expected, found)
 
-    def take(self, count: int, is_kept: bool = True) -> None:
+    def reserve(self, count: int, is_kept: bool = True) -> None:
         """Account for bytes before memory is taken for them.
 
         Args:
@@ -147,7 +147,7 @@ class FbxRecord:
 
     @cached_property
     def children(self) -> "list[FbxRecord]":
-        return list(_records(self.file, self.properties[2], self.end))
+        return list(_records(self.file, self.property_range[2], self.end))
 
     def child(self, name: str) -> "FbxRecord | None":
         """The first record of a name below this one; None where it is missing."""
@@ -158,16 +158,25 @@ class FbxRecord:
         return {record.name: record for record in reversed(self.children)}
 
     def required(self, name: str) -> "FbxRecord":
+        """The first record of a name below this one.
+
+        Raises:
+            InputError: it is missing.
+        """
         record = self.child(name)
         return record if record is not None else self.fail(f"a record {name}", "none")
 
     @cached_property
     def values(self) -> list[Value]:
-        """The properties; arrays packed."""
-        count, at, end = self.properties
+        """The properties; arrays packed.
+
+        Raises:
+            InputError: properties that do not fit in the record, or of unknown types.
+        """
+        count, at, end = self.property_range
         if count > end - at:
             self.fail(f"at most {end - at} properties in its bytes", f"{count}")
-        self.take(64 * count)
+        self.reserve(64 * count)
         found: list[Value] = []
         for _ in range(count):
             value, at = self._value(at, end)
@@ -175,19 +184,31 @@ class FbxRecord:
         return found
 
     def integer(self, index: int) -> int:
-        """A property that is a whole number."""
+        """A property that is a whole number.
+
+        Raises:
+            InputError: no such property, or another type.
+        """
         value = self.values[index] if index < len(self.values) else None
         return value if isinstance(value, int) else self.fail(f"a whole number as property {index}", "another or none")
 
     def real(self, index: int) -> float:
-        """A property that is a number."""
+        """A property that is a number.
+
+        Raises:
+            InputError: no such property, another type, or a number that is not finite or beyond `LARGEST_NUMBER`.
+        """
         value = self.values[index] if index < len(self.values) else None
         if not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:
             self.fail(f"a number within {LARGEST_NUMBER:g} as property {index}", "another or none")
         return float(value)
 
     def text(self, index: int) -> str:
-        """A property that is a text, in one line but for the zero between the name of an object and its class."""
+        """A property that is a text, in one line but for the zero between the name of an object and its class.
+
+        Raises:
+            InputError: no such property, or another type.
+        """
         value = self.values[index] if index < len(self.values) else None
         if not isinstance(value, bytes):
             self.fail(f"a text as property {index}", "another or none")
@@ -202,7 +223,7 @@ class FbxRecord:
         values = self.numbers()
         if values.size % width:
             self.fail(f"rows of {width} numbers", f"{values.size} numbers")
-        self.take(16 * values.size)
+        self.reserve(16 * values.size)
         return self.within(values.astype(np.float64).reshape(-1, width))
 
     def within(self, values: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
@@ -224,7 +245,7 @@ class FbxRecord:
         values = self.numbers()
         if values.dtype.kind == "f":
             self.fail("whole numbers", "real ones")
-        self.take(8 * values.size)
+        self.reserve(8 * values.size)
         return values.astype(np.int64)
 
     def numbers(self) -> Shaped[np.ndarray, " n"]:
@@ -242,7 +263,7 @@ class FbxRecord:
             return np.frombuffer(content, packed.dtype, packed.length)
         if size > MOST_INFLATION * len(content):
             self.fail(f"at most {MOST_INFLATION * len(content)} bytes of {len(content)} compressed ones", f"{size}")
-        self.take(2 * size)
+        self.reserve(2 * size)
         decoder = zlib.decompressobj()
         try:
             inflated = decoder.decompress(content, size + 1)
@@ -276,7 +297,9 @@ class FbxRecord:
 
     def _checked(self, needed: int, end: int) -> int:
         if needed > end:
-            self.fail(f"properties of at least {needed - self.properties[1]} bytes", f"{end - self.properties[1]}")
+            self.fail(
+                f"properties of at least {needed - self.property_range[1]} bytes", f"{end - self.property_range[1]}"
+            )
         return needed
 
 
@@ -314,6 +337,6 @@ def _records(file: FbxFile, start: int, end: int) -> Iterator[FbxRecord]:
             raise InputError(place, f"an end from byte {name_end + size} to {end}", f"{last}")
         name = one_line(file.content[after:name_end].decode("utf-8", "replace"))
         record = FbxRecord(file, name, at, last, (count, name_end, name_end + size))
-        record.take(BYTES_A_RECORD)
+        record.reserve(BYTES_A_RECORD)
         yield record
         at = last

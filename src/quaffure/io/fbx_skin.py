@@ -11,7 +11,7 @@ from quaffure.io.fbx_nodes import FbxScene
 from quaffure.io.fbx_records import FbxRecord
 
 MOST_JOINTS = 32
-"""That move a vertex; of more, the strongest are kept."""
+"""Most joints per vertex; the strongest are kept."""
 BYTES_A_SHARE = 100  # of a cluster, while shares are sorted
 BYTES_A_JOINT = 32  # of a vertex: its index and its weight, and the same once more by the vertices of the file
 BIND_TOLERANCE = 1e-3
@@ -27,9 +27,10 @@ class Cluster(NamedTuple):
 
     Attributes:
         node: the joint.
-        vertices, weights: of the geometry.
-        joint_from_mesh: when it was bound; from the space of the mesh's node.
-        file_from_joint: when it was bound.
+        vertices: indices among those of the geometry in the file.
+        weights: of these vertices, not below `LEAST_WEIGHT`; those of a vertex need not sum to 1.
+        joint_from_mesh: when it was bound, from the space of the mesh's node [units of the file].
+        file_from_joint: when it was bound [units of the file].
     """
 
     node: int
@@ -39,12 +40,12 @@ class Cluster(NamedTuple):
     file_from_joint: Float[np.ndarray, "4 4"]
 
 
-class Shares(NamedTuple):
+class VertexWeights(NamedTuple):
     """What moves the vertices of a geometry, whichever models show it.
 
     Attributes:
         nodes: joints; -1 is the node of a mesh, which moves the vertices that no cluster does.
-        joint_from_mesh: when they were bound.
+        joint_from_mesh: when they were bound [units of the file].
         joints: indices among `nodes`, of each vertex.
         weights: of these joints; they sum to 1.
     """
@@ -66,9 +67,9 @@ def read_clusters(document: FbxDocument, scene: FbxScene) -> dict[int, list[Clus
         InputError: one without matrices, with another number of weights than vertices, or of the additive mode.
     """
     found = {}
-    for geometry in document.of("Geometry"):
+    for geometry in document.objects_of_type("Geometry"):
         clusters = [
-            _cluster(cluster, scene.place[joint.identity])
+            _cluster(cluster, scene.node_of_model[joint.identity])
             for deformer in document.below(geometry, "Deformer", "Skin")
             for cluster in document.below(deformer, "Deformer", "Cluster")
             for joint in document.below(cluster, "Model")[:1]
@@ -105,21 +106,23 @@ def bind_pose(
     return joints
 
 
-def shares_of(clusters: list[Cluster], source: Int[np.ndarray, " v"], vertex_count: int, record: FbxRecord) -> Shares:
+def vertex_weights(
+    clusters: list[Cluster], source: Int[np.ndarray, " v"], vertex_count: int, geometry: FbxObject
+) -> VertexWeights:
     """What moves the vertices of a geometry.
 
     Args:
         clusters: of the geometry.
         source: vertex of the file that each vertex is.
         vertex_count: vertices of the file.
-        record: of the geometry.
+        geometry: its object, for messages.
 
     Raises:
         InputError: clusters of vertices that there are not, or more memory than a file of this size should need.
     """
     for cluster in clusters:
         if len(cluster.vertices) and not 0 <= cluster.vertices.min() <= cluster.vertices.max() < vertex_count:
-            record.fail(f"weights of vertices below {vertex_count}", "others")
+            geometry.fail(f"weights of vertices below {vertex_count}", "others")
     vertices = np.concatenate([np.arange(0), *(cluster.vertices for cluster in clusters)])
     weights = np.concatenate([np.zeros(0), *(cluster.weights for cluster in clusters)])
     joints = np.repeat(np.arange(len(clusters)), [len(cluster.vertices) for cluster in clusters])
@@ -134,13 +137,13 @@ def shares_of(clusters: list[Cluster], source: Int[np.ndarray, " v"], vertex_cou
     vertices, joints, weights = vertices[order], joints[order], weights[order]
     rank = np.arange(len(vertices)) - np.searchsorted(vertices, vertices)
     width = min(int(rank.max(initial=0)) + 1, MOST_JOINTS)
-    record.take(BYTES_A_JOINT * width * (vertex_count + len(source)))
+    geometry.record.reserve(BYTES_A_JOINT * width * (vertex_count + len(source)))
     kept = rank < width
     skin_joints, shares = np.zeros((vertex_count, width), np.int64), np.zeros((vertex_count, width))
     skin_joints[vertices[kept], rank[kept]] = joints[kept]
     shares[vertices[kept], rank[kept]] = weights[kept]
     shares /= shares.sum(axis=1, keepdims=True)
-    return Shares(np.array(nodes), np.array(bound), skin_joints[source], shares[source])
+    return VertexWeights(np.array(nodes), np.array(bound), skin_joints[source], shares[source])
 
 
 def matrix_of(record: FbxRecord) -> Float[np.ndarray, "4 4"]:
@@ -169,7 +172,7 @@ def _cluster(cluster: FbxObject, node: int) -> Cluster:
             record.fail(f"{len(vertices)} weights, as many as vertices", f"{len(weights)}")
         if not (weights >= LEAST_WEIGHT).all():
             record.fail("weights from 0 up", f"{weights.min():.3g}")
-        record.take(BYTES_A_SHARE * len(weights))
+        record.reserve(BYTES_A_SHARE * len(weights))
     transform, link = (matrix_of(record.required(name)) for name in ("Transform", "TransformLink"))
     return Cluster(node, vertices, weights, transform, link)
 
@@ -177,9 +180,9 @@ def _cluster(cluster: FbxObject, node: int) -> Cluster:
 def _posed(document: FbxDocument, scene: FbxScene) -> dict[int, Float[np.ndarray, "4 4"]]:
     """`file_from_node` of the nodes in the bind poses that the file lists."""
     nodes: dict[int, Float[np.ndarray, "4 4"]] = {}
-    for pose in (pose for pose in document.of("Pose") if pose.kind == "BindPose"):
+    for pose in (pose for pose in document.objects_of_type("Pose") if pose.kind == "BindPose"):
         for record in (record for record in pose.record.children if record.name == "PoseNode"):
-            node = scene.place.get(record.required("Node").integer(0))
+            node = scene.node_of_model.get(record.required("Node").integer(0))
             if node is not None:
                 nodes.setdefault(node, matrix_of(record.required("Matrix")))
     return nodes

@@ -108,6 +108,18 @@ def many_stacks() -> FbxFile:
     return file
 
 
+def one_layer_of_many_stacks() -> FbxFile:
+    """A layer that moves many models, in many animations."""
+    file = FbxFile()
+    layer = file.stack("a")
+    for index in range(50):
+        curves = file.curve_node(layer, file.model(f"{index}"), "Lcl Rotation")
+        file.curve(curves, "d|X", [0, 0.05], [0, 1])
+    for index in range(50):
+        file.connect(layer, file.add("AnimationStack", "", f"{index}"))
+    return file
+
+
 def one_layer_often() -> FbxFile:
     """A layer that is often in an animation, with much that moves nothing."""
     file = FbxFile()
@@ -121,7 +133,7 @@ def one_layer_often() -> FbxFile:
 
 
 HOSTILE = (zeros, many_vertices, many_faces, many_clusters, one_strong_vertex, many_shapes, many_sliders, distant_keys,
-           many_stacks, one_layer_often)  # fmt: skip
+           many_stacks, one_layer_of_many_stacks, one_layer_often)  # fmt: skip
 
 
 @pytest.fixture

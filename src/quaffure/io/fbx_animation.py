@@ -24,6 +24,7 @@ SPARSE, PART = 0.1, 1 / 60
 """Intervals longer than `SPARSE` are subdivided into intervals of at most `PART` [s]."""
 BYTES_A_TIME, BYTES_WHILE_SAMPLED = 100, 800  # of a node, kept and while it is sampled
 BYTES_A_NODE, BYTES_A_SLIDER = 1000, 100  # of an animation, whether it moves them or not
+BYTES_A_MOVED_NODE = 10_000  # of an animation; a bound on its time, more than on its memory
 MOVED = 1e-9
 
 Times = Float[np.ndarray, " f"]
@@ -84,6 +85,7 @@ def read_animations(
             _add_layer(animation, layer, document, scene, channels)
         if animation.nodes or animation.channels:
             stack.record.reserve(BYTES_A_NODE * len(nodes) + BYTES_A_SLIDER * len(sliders))
+            stack.record.reserve(BYTES_A_MOVED_NODE * len(animation.nodes))
             made = [*_node_channels(animation, scene, limits, elsewhere), *_weight_channels(animation, meshes)]
             animations.append(CharacterAnimation(names.add(animation.name), tuple(made)))
     return tuple(animations)

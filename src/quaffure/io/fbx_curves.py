@@ -17,7 +17,7 @@ CONSTANT_NEXT, BY_TENSION = 0x100, 0x200
 LINE, STEP, STEP_NEXT, SPLINE = range(4)
 KEY_NUMBERS = 4
 """Numbers of a key: slope after it, slope before the next one, and what is not used here, weights and velocities."""
-BYTES_A_KEY, BYTES_WHILE_READ = 40, 150  # kept and while it is read
+BYTES_A_CURVE, BYTES_A_KEY, BYTES_WHILE_READ = 2000, 40, 150  # kept, and of a key while it is read
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ def read_curve(curve: FbxObject) -> FbxCurve | None:
     if listed is None or not listed.values:
         return None
     ticks, values = listed.integers(), record.required("KeyValueFloat").floats(1)[:, 0]
-    record.reserve(BYTES_A_KEY * len(ticks))
+    record.reserve(BYTES_A_CURVE + BYTES_A_KEY * len(ticks))
     record.reserve(BYTES_WHILE_READ * len(ticks), is_kept=False)
     times = ticks / record.file.ticks_per_second
     if len(values) != len(ticks):

@@ -9,6 +9,8 @@ import numba
 import pytest
 import torch
 
+from tests import groom_cache
+
 if TYPE_CHECKING:
     from quaffure.body import BodyModel
     from quaffure.geometry import Surface
@@ -26,6 +28,7 @@ if importlib.util.find_spec("beartype") is not None:
 # ten times as long. Processes that tests start take the number over.
 os.environ["OMP_NUM_THREADS"] = "1"
 torch.set_num_threads(1)
+groom_cache.install()
 ALL_THREADS = (
     "cell_list", "cohesion", "comparison", "cpu_backend", "descent", "energies", "head_frame", "initial_shape",
     "mls_surface", "polyline", "projection", "rod", "rotation", "scalar_formulas", "signed_distance", "surroundings",

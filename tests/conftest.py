@@ -1,3 +1,4 @@
+import gc
 import importlib.util
 import os
 import sys
@@ -8,6 +9,8 @@ from typing import TYPE_CHECKING
 import numba
 import pytest
 import torch
+
+from tests import groom_cache
 
 if TYPE_CHECKING:
     from quaffure.body import BodyModel
@@ -26,6 +29,7 @@ if importlib.util.find_spec("beartype") is not None:
 # ten times as long. Processes that tests start take the number over.
 os.environ["OMP_NUM_THREADS"] = "1"
 torch.set_num_threads(1)
+groom_cache.install()
 ALL_THREADS = (
     "cell_list", "cohesion", "comparison", "cpu_backend", "descent", "energies", "head_frame", "initial_shape",
     "mls_surface", "polyline", "projection", "rod", "rotation", "scalar_formulas", "signed_distance", "surroundings",
@@ -44,6 +48,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(no_data)
         if "cuda" in item.keywords and not torch.cuda.is_available():
             item.add_marker(no_cuda)
+
+
+def pytest_collection_finish() -> None:
+    """The hundred thousands of objects that imports have left are no garbage: collections need not visit them."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="module", autouse=True)

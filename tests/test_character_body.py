@@ -1,5 +1,6 @@
 """A character becomes a body: joints, surface, scalp; grooms and drapes on it."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from quaffure.body.character import Character
 from quaffure.body.hair_names import is_hair_name
 from quaffure.body.joint_map import JointSource
 from quaffure.body.joint_names import automatic_joint_map
+from quaffure.character.collision_surface import Triangles, closed_surface
 from quaffure.character.import_body import ImportedBody, ImportSettings, import_body
 from quaffure.character.parts import parts_of
 from quaffure.character.skeleton import fit_skeleton, rest_clip
@@ -29,6 +31,21 @@ from tests.characters import MIXAMO, REFERENCE_GRID, character, mesh_of, with_me
 pytest.importorskip("igl")
 WIDE_HEAD = (1.3, 1.2, 1.25)
 COARSE = ImportSettings(cell=REFERENCE_GRID)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _each_surface_is_closed_once() -> Iterator[None]:
+    """A collision surface takes seconds, and many characters here have the same skin."""
+    found: dict[tuple[bytes, bytes, bytes, float], Triangles] = {}
+
+    def once(skin: Triangles, head: np.ndarray, cell: float) -> Triangles:
+        key = (skin.vertices.tobytes(), skin.faces.tobytes(), head.tobytes(), cell)
+        found[key] = found.get(key) or closed_surface(skin, head, cell)
+        return found[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("quaffure.character.import_body.closed_surface", once)
+        yield
 
 
 @pytest.fixture(scope="module")

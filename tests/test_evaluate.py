@@ -164,17 +164,17 @@ def test_evaluate_writes_the_same_on_file_page_and_screen(
 
 
 @pytest.fixture
-def every_third_strand(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Grooms of the set with a third of their strands."""
+def every_ninth_strand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Grooms of the set with a ninth of their strands."""
 
     def thinned(name: str, body: BodyModel) -> Groom:
         groom = load_groom(name, body)
-        return groom.select(torch.arange(0, len(groom), 3))
+        return groom.select(torch.arange(0, len(groom), 9))
 
     monkeypatch.setattr("quaffure.benchmark.evaluation_set.load_groom", thinned)
 
 
-@pytest.mark.usefixtures("every_third_strand")
+@pytest.mark.usefixtures("every_ninth_strand")
 def test_the_quick_evaluation_of_the_shipped_weights(tmp_path: Path) -> None:
     out = tmp_path / "quick.json"
     main(["evaluate", "--quick", "--out", str(out), "--report", str(tmp_path), "--cache", str(tmp_path / "cache")])

@@ -44,7 +44,7 @@ def own(rest: Character, body: BodyModel) -> BodyModel:
 @pytest.mark.slow
 def test_the_body_of_a_file_is_that_of_its_character(rest: Character, path: Path, body: BodyModel) -> None:
     pytest.importorskip("igl")
-    settings = ImportSettings(cell=REFERENCE_GRID)
+    settings = ImportSettings(cell=2 * REFERENCE_GRID)
     found, expected = (import_body(each, "0" * 64, body, settings) for each in (read_character(path), rest))
     assert found.notes[:2] == expected.notes[:2]  # the others name the mesh
     assert found.body.origin is not None

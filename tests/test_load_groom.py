@@ -6,11 +6,15 @@ import torch
 
 from quaffure.body import BodyModel, load_body
 from quaffure.errors import InputError
-from quaffure.hair import Groom
+from quaffure.hair import Groom, HeadMesh, Strands
+from quaffure.hair.file_frame import FileFrame
 from quaffure.io import read_groom, read_head, write_groom
 from quaffure.io.groom_file import NUMBERS, is_groom_file
 from quaffure.io.load_groom import load_groom
 from quaffure.procedural import make_groom
+from tests.scenes import Registered
+
+SINTEL = Path("grooms/sintel/sintel_hair_16points.tfx")
 
 
 @pytest.fixture(scope="module")
@@ -123,10 +127,23 @@ def test_head_meshes_are_read_and_checked(tmp_path: Path) -> None:
 
 
 @pytest.mark.shared_data
-def test_sintel_loads_with_and_without_its_head(shared_data: Path, body: BodyModel) -> None:
-    folder = shared_data / "grooms" / "sintel"
+def test_sintel_loads_with_and_without_its_head(
+    shared_data: Path, body: BodyModel, registered: Registered, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its registration, which takes seconds, is shared with other tests."""
+    folder, handed = shared_data / SINTEL.parent, []
+
+    def shared(strands: Strands, onto: BodyModel, name: str, head: HeadMesh | None, frame: FileFrame):
+        handed.append((len(strands), name, head is not None, frame == FileFrame()))
+        assert onto is body
+        return registered(str(SINTEL), head=str(SINTEL.with_name("sintel_head.obj")) if head else "")
+
+    monkeypatch.setattr("quaffure.io.load_groom.register_groom", shared)
     for head in (None, folder / "sintel_head.obj"):
-        sintel = load_groom(folder / "sintel_hair_16points.tfx", body, head)
-        assert sintel.name == "sintel_hair_16points"
+        sintel = load_groom(shared_data / SINTEL, body, head)
+        assert sintel.name == SINTEL.stem
         assert sintel.rest_strands.shape[1:] == (24, 3)
         assert 2000 < len(sintel) == sintel.texels().unique().numel()
+    (count, *_), _ = handed
+    assert count > 11300
+    assert handed == [(count, SINTEL.stem, with_head, True) for with_head in (False, True)]

@@ -126,7 +126,8 @@ def test_a_turn_of_a_curl_takes_enough_vertices_to_show() -> None:
 
 
 def test_the_same_seed_gives_the_same_groom(body: BodyModel, surface: Surface, grooms: dict[str, Groom]) -> None:
-    assert torch.equal(make_groom("bob", body, seed=0).rest_strands, grooms["bob"].rest_strands)
+    again = make_groom.__wrapped__("bob", body, seed=0)  # made anew
+    assert torch.equal(again.rest_strands, grooms["bob"].rest_strands)
     small = replace(STYLES["bob"], root_rows=12)
     first, other = (make_groom(small, body, seed=seed).root_uv for seed in (0, 1))
     assert first.shape != other.shape or not torch.equal(first, other)

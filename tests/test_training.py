@@ -353,10 +353,11 @@ def test_impossible_networks_are_refused(tmp_path: Path) -> None:
     network = build_network(replace(TINY.network, strand_layers=1))
     save_network(tmp_path / "n.safetensors", network, HairMaterial(), {})
     assert load_network(tmp_path / "n.safetensors")[0].config.strand_layers == 1
-    torch.nn.init.constant_(network.decoder.dense[0].bias, float("nan"))
-    save_network(tmp_path / "n.safetensors", network, HairMaterial(), {})
-    with pytest.raises(InputError, match="finite weights"):
-        load_network(tmp_path / "n.safetensors")
+    for value in (float("nan"), float("inf"), -float("inf")):
+        torch.nn.init.constant_(network.decoder.dense[0].bias, value)
+        save_network(tmp_path / "n.safetensors", network, HairMaterial(), {})
+        with pytest.raises(InputError, match="finite weights"):
+            load_network(tmp_path / "n.safetensors")
 
 
 def test_settings_out_of_range_are_refused() -> None:

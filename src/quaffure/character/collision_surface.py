@@ -24,6 +24,8 @@ CELL = 0.003
 """Edge of a cell of the grid [m]."""
 BLOCK = 8
 """Cells of the grid in a block, which is left out where the surface does not pass."""
+PARTS = 4
+"""Parts of a block along an axis: most of them are left out before distances of cells are measured."""
 MARGIN = 0.012
 """Width of the grid around the mesh [m]."""
 CORNERS = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])
@@ -152,9 +154,16 @@ def _cells(mesh: Triangles, level: float, low: Float[np.ndarray, "3"], cell: flo
     count = np.ceil((mesh.vertices.max(0) + MARGIN + max(level, 0.0) - low) / size).astype(int)
     blocks = _lattice(*count.tolist())
     passed, torn = _near(blocks, size, low, mesh, level), _near_hole(blocks, count, low, size, mesh)
-    fine = (BLOCK * blocks[passed & ~torn][:, None] + _lattice(BLOCK, BLOCK, BLOCK)).reshape(-1, 3)
-    whole = (BLOCK * blocks[torn][:, None] + _lattice(BLOCK, BLOCK, BLOCK)).reshape(-1, 3)
-    return np.concatenate([fine[_near(fine, cell, low, mesh, level)], whole])
+    measured = blocks[passed & ~torn]
+    near = _near(_split(measured, PARTS), size / PARTS, low, mesh, level).reshape(-1, PARTS**3)
+    part_of_cell = _lattice(BLOCK, BLOCK, BLOCK) * PARTS // BLOCK @ [PARTS**2, PARTS, 1]
+    fine = _split(measured, BLOCK)[near[:, part_of_cell].ravel()]
+    return np.concatenate([fine[_near(fine, cell, low, mesh, level)], _split(blocks[torn], BLOCK)])
+
+
+def _split(cells: Int[np.ndarray, "n 3"], count: int) -> Int[np.ndarray, "m 3"]:
+    """The `count`^3 cells of a finer grid in each cell."""
+    return (count * cells[:, None] + _lattice(count, count, count)).reshape(-1, 3)
 
 
 def _near(
@@ -236,7 +245,8 @@ def _relaxed(mesh: Triangles) -> Triangles:
 def neighbour_mean(faces: Int[np.ndarray, "f 3"], count: int) -> csr_matrix:
     """Matrix that takes the mean over the neighbours of every vertex."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    edges = np.unique(np.concatenate([edges, edges[:, ::-1]]), axis=0)
+    edges = np.concatenate([edges, edges[:, ::-1]])
+    edges = np.stack(np.divmod(np.unique(edges[:, 0] * count + edges[:, 1]), count), 1)  # faster than of rows
     degree = np.bincount(edges[:, 0], minlength=count)
     return csr_matrix((1.0 / degree[edges[:, 0]], (edges[:, 0], edges[:, 1])), shape=(count, count))
 

@@ -26,6 +26,8 @@ def fused_self_collision(positions: Positions, rest: RestState, material: HairMa
         ValueError: a coordinate is not finite.
     """
     check_finite(positions)
+    if material.k_self_collision == 0:  # nothing to search neighbours for
+        return with_gradient(positions, positions.new_zeros(len(positions)), torch.zeros_like(positions))
     found = [self_collision_and_gradient(sample.detach(), rest, material) for sample in positions]
     energy = positions.new_tensor([own for own, _ in found])
     return with_gradient(positions, energy, torch.stack([gradient for _, gradient in found]))

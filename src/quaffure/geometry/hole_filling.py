@@ -8,7 +8,10 @@ def boundary_loops(faces: Int[np.ndarray, "k 3"]) -> list[Int[np.ndarray, " n"]]
     """Vertices of each hole's rim, in the order that a filling face must follow to keep the orientation."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     count = edges.max(initial=0) + 1
-    open_edges = ~np.isin(edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0])
+    forwards, backwards = edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]
+    if np.array_equal(np.sort(forwards), np.sort(backwards)):  # most often, and much cheaper to see
+        return []
+    open_edges = ~np.isin(forwards, backwards)
     following = {end: start for start, end in edges[open_edges].tolist()}
     loops = []
     while following:

@@ -1,5 +1,6 @@
 """Weights of a network in half precision, with what its reader needs to know, in one safetensors file."""
 
+import math
 from collections.abc import Collection
 from pathlib import Path
 
@@ -43,6 +44,7 @@ def read_weights(path: Path, expected: str) -> tuple[dict[str, Tensor], dict[str
     with refused(path, expected, OSError, SafetensorError), safe_open(path, framework="pt") as file:
         weights = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
         notes = dict(file.metadata() or {})
-    if not all(bool(torch.isfinite(value).all()) for value in weights.values()):
+    # NaN is the least and the most of values that hold one; `isfinite` takes twenty times as long.
+    if not all(math.isfinite(bound) for value in weights.values() if value.numel() for bound in value.aminmax()):
         raise InputError(path, "finite weights", "NaN or infinity")
     return weights, notes

@@ -19,7 +19,8 @@ from quaffure.hair.placed_clip import PlacedClip
 from quaffure.io.output_path import check_distinct, check_not_input, check_one_frame, check_output
 from quaffure.io.usd_layers import frame_layers
 
-PICTURES = (".png", ".mp4")
+VIDEO = ".mp4"
+PICTURES = (".png", VIDEO)
 USD = (".usd", ".usda", ".usdc")
 EXPORTS = (*USD, ".abc")
 ONE_FRAME = (".hair", ".ply", ".data", ".bin")

@@ -38,6 +38,9 @@ SHOWN_STRANDS, SHOWN_IN_VIDEOS = 12_000, 6_000
 1.5 s of a core with 2,465 guides, 2.5 s with 6,000 strands and 4 s with 12,000."""
 # A root off the scalp (the hull of the guides can be wider) is moved half the way to its nearest guide, this often.
 HALVINGS = 4
+# Where guides are further apart than this [m], their shapes may differ more before they count as diverged, up to a
+# factor: strands would copy the nearest guide alone, and stand in slabs.
+DENSE_SPACING, MOST_SLACK = 0.015, 2.0
 FARTHEST_ROOT = 2e-3  # m: a drape's roots lie on its body
 
 
@@ -50,7 +53,7 @@ class GuideInterpolation:
         weights: share of each in the strand's axis at rest; they sum to 1.
         carriers: body vertices of the root's face.
         root_weights: barycentric coordinates of the root among them.
-        guide_lengths: of the guides at rest [m].
+        guide_lengths: to which distances between guides are compared: theirs at rest, times `spacing_slack` [m].
         vertex_count: of a guide and of a strand.
     """
 
@@ -134,7 +137,7 @@ def interpolation_of(groom: Groom, body: BodyModel, count: int, seed: int = 0) -
     guides, shares = np.take_along_axis(guides, order, 1), np.take_along_axis(shares, order, 1)
     faces, root_weights = _roots(groom, body, guides, shares)
     axes = axis_projection(rest.shape[1]) @ (rest - rest[:, :1])
-    lengths = groom.strand_lengths.numpy()
+    lengths = spacing_slack(triangles, rest[:, 0]) * groom.strand_lengths.numpy()
     shares[:, 1:] *= _coherences(axes, lengths, guides, first_direction_vertex(rest.shape[1]))
     weights = shares / shares.sum(axis=1, keepdims=True)
     return GuideInterpolation(
@@ -157,6 +160,17 @@ def shown_between(groom: Groom, body: BodyModel, in_video: bool = False) -> Guid
         return interpolation_of(groom, body, count)
     except InputError:
         return None
+
+
+def spacing_slack(triangles: Int[np.ndarray, "t 3"], roots: Float[np.ndarray, "s 3"]) -> np.float32:
+    """Factor by which guides may diverge more: 1 of dense guides, 2 of guides that are 30 mm apart [-].
+
+    Args:
+        triangles: of guides that are neighbours.
+        roots: of the guides [m].
+    """
+    spacing = np.median(np.linalg.norm(roots[triangles] - roots[np.roll(triangles, 1, axis=1)], axis=-1))
+    return np.float32(np.clip(spacing / DENSE_SPACING, 1.0, MOST_SLACK))
 
 
 def _roots(

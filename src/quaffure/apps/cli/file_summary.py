@@ -117,6 +117,10 @@ def _strands(path: Path, body: BodyModel, frame: FileFrame) -> Summary:
         "attributes": sorted({*strands.attributes.arrays()} - {"group_names"}),
         "groups": _shortened(strands.attributes.group_names),
     }
+    if strands.times is not None and len(strands.times) > 1:
+        seconds = float(strands.times[-1] - strands.times[0])
+        rate = round((len(strands.times) - 1) / max(seconds, 1e-9), 3)
+        summary |= {"samples": len(strands.times), "samples_a_second": rate}
     try:
         groom, report = register_groom(strands, body, path.stem, frame=frame)
     except InputError as error:

@@ -16,8 +16,10 @@ import quaffure
 from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import writing_text
 from quaffure.apps.render.framing import frames_of_picture
+from quaffure.body.clips import CLIP_NAMES
 from quaffure.hair.export_clip import ExportClip
 from quaffure.io import read_drape, write_drape, write_groom
+from quaffure.io.load_motion import load_motion
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom
 from tests.synthetic_drape import drape, patch_of_strands
@@ -123,6 +125,27 @@ def test_pictures_and_videos_are_filled(tmp_path: Path, body, capfd: pytest.Capt
     filled = quaffure.draw(read_drape(tmp_path / "a.npz"), size=64)
     quaffure.save_drape(read_drape(tmp_path / "a.npz"), tmp_path / "b.png")
     assert np.abs(np.asarray(filled).astype(int) - pixels(tmp_path / "b.png")[:64, :64]).mean() < 0.5
+
+
+def test_large_files_are_named_with_their_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write_drape(tmp_path / "drape.npz", drape(patch_of_strands((0.0, 0.0, 1.0)), frames=5))
+    monkeypatch.setattr("quaffure.apps.cli.outputs.LARGE_BYTES", 1000)
+    lines = printed(capfd, "render", tmp_path / "drape.npz", "--out", tmp_path / "a.glb")
+    size = (tmp_path / "a.glb").stat().st_size / 1e6
+    assert f"written: {tmp_path}/a.glb ({size:.0f} MB)" in lines
+
+
+def test_help_names_the_bundled_clips_with_their_lengths(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["drape", "--help"])
+    said = " ".join(capfd.readouterr().out.replace("│", " ").split())
+    for clip in CLIP_NAMES:
+        assert clip in said
+        motion = load_motion(clip)
+        assert re.search(rf"\b{clip}\b[^()]*\({len(motion) / motion.fps:g} s", said)
+    assert "{None}" not in said
 
 
 def test_what_is_no_drape_is_named_with_what_makes_one(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from quaffure.apps.cli.outputs import (
     known_groom,
     write_output,
     writing_text,
+    written_text,
 )
 from quaffure.apps.cli.shown_strands import GUIDES, ORIGINAL, clip_of_pictures, source_of_drape, strands_between
 from quaffure.body.body_model import BodyModel, load_body
@@ -83,6 +84,7 @@ class RenderCommand:
             shown = pictured(suffix == VIDEO) if suffix in PICTURES else clip
             console.print(writing_text(path, len(sequence)), markup=False, highlight=False, soft_wrap=True)
             write_output(path, shown)
+        console.print(f"written: {written_text(self.out, clip.frames, self.export)}", soft_wrap=True)
 
     def _pictured(self, clip: ExportClip, groom: Groom | None, body: BodyModel, in_video: bool) -> ExportClip:
         """What pictures or videos show; a line is printed where it is the draped strands because of another body."""

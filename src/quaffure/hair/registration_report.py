@@ -159,7 +159,7 @@ class RegistrationReport:
     def _warning(self) -> str:
         if self.inside_before <= MUCH_INSIDE or self.frame.registered:
             return ""
-        cure = "look at the picture of both (--picture)"
+        cure = "look at the picture of before and after (--picture)"
         if self.head is None:
             cure = f"give the head mesh that the groom was made on (--head), or {cure}"
         return f"warning: {100 * self.inside_before:.0f} % of the points inside the body are many: {cure}"

@@ -179,6 +179,15 @@ def test_files_of_other_kinds_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.npz").write_text("no archive")
     with pytest.raises(InputError, match=r"text\.npz"):
         load_body(tmp_path / "text.npz")
+    with pytest.raises(InputError, match=r"body import.*found a character"):
+        load_body(tmp_path / "anna.GLB")
+
+
+def test_a_body_is_printed_in_a_line(body: BodyModel) -> None:
+    assert (
+        repr(body)
+        == f"BodyModel ({len(body.rest_vertices)} vertices, 27 joints, {len(body.scalp.faces)} triangles of scalp)"
+    )
 
 
 def test_a_header_that_promises_more_than_the_file_holds_is_refused(tmp_path: Path) -> None:

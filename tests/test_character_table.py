@@ -24,7 +24,7 @@ def table_of(folder: Path, *lines: str) -> Path:
 def test_rows_are_draped_failures_named_and_finished_rows_left(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    out = [tmp_path / f"{name}.npz" for name in ("soft", "stiff", "lost")]
+    out = [tmp_path / "made" / f"{name}.npz" for name in ("soft", "stiff", "lost")]
     table = table_of(
         tmp_path,
         f"bob,nod,0:2,{out[0]},0.3,1,1 0 0 0 0 0 0 0 0 0",
@@ -34,10 +34,12 @@ def test_rows_are_draped_failures_named_and_finished_rows_left(
     with pytest.raises(SystemExit) as stop:
         main(["crowd", str(table), "--workers", "1"])
     assert stop.value.code == 4
-    said = capfd.readouterr().out.replace("\n", " ")
-    assert "3 rows, 0 of them finished before" in said
-    assert "none.hair: expected" in said
-    assert "written: 2" in said
+    lines = capfd.readouterr().out.splitlines()
+    assert "3 rows, 0 of them finished before; 1 process" in lines
+    assert [
+        line for line in lines if line.startswith(f"{out[2]}: none.hair: expected") and "found no such file" in line
+    ]
+    assert [line for line in lines if line.startswith("written: 2")]
     drapes = [read_drape(path) for path in out[:2]]
     assert [len(drape) for drape in drapes] == [2, 1]
     assert drapes[0].body_shape[0] == 1

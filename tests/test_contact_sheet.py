@@ -25,7 +25,7 @@ def grooms(body: BodyModel) -> list[Groom]:
 
 @pytest.fixture(autouse=True)
 def few_strands(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(contact_sheet, "DRAWN_STRANDS", 600)
+    monkeypatch.setattr(contact_sheet, "SHOWN_STRANDS", 600)
     monkeypatch.setattr(contact_sheet, "SUPERSAMPLING", 1)
 
 

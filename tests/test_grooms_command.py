@@ -18,7 +18,7 @@ def three_small_styles(monkeypatch: pytest.MonkeyPatch) -> None:
     few = {name: replace(STYLES[name], root_rows=16) for name in ("bob", "mullet", "ponytail")}
     monkeypatch.setattr(command, "STYLES", few)
     monkeypatch.setattr("quaffure.procedural.generator.STYLES", few)
-    monkeypatch.setattr(contact_sheet, "DRAWN_STRANDS", 300)
+    monkeypatch.setattr(contact_sheet, "SHOWN_STRANDS", 300)
     monkeypatch.setattr(contact_sheet, "SUPERSAMPLING", 1)
 
 

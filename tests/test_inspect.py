@@ -1,6 +1,7 @@
 """`quaffure inspect`, of a file of every kind."""
 
 import json
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,10 @@ import pytest
 
 from quaffure.apps.cli.file_summary import summary_of
 from quaffure.apps.cli.main import main
+from quaffure.apps.cli.outputs import asset_path, write_output
 from quaffure.body import BodyModel
 from quaffure.errors import InputError
+from quaffure.hair.export_clip import ExportClip
 from quaffure.hair.file_frame import FileFrame
 from quaffure.io import write_drape
 from quaffure.model.quaffure_model import WEIGHTS
@@ -98,3 +101,29 @@ def test_a_file_that_cannot_be_read_ends_with_one_line(tmp_path: Path, capfd: py
     with pytest.raises(SystemExit):
         main(["inspect", str(tmp_path / "hair.ply"), "--save-joints", str(tmp_path / "map.toml")])
     assert not (tmp_path / "map.toml").exists()
+
+
+def test_a_body_file_and_bundled_names(tmp_path: Path, body: BodyModel) -> None:
+    shipped = Path(str(files("quaffure") / "assets" / "body.npz"))
+    found = summary_of(shipped, body)
+    assert (found["kind"], found["joints"], found["vertices"]) == ("body", 27, len(body.rest_vertices))
+    assert found["scalp_triangles"] == len(body.scalp.faces)
+    assert summary_of(Path("nod"), body)["frames"] == 90
+    assert summary_of(Path("crew_cut"), body)["kind"] == "groom"
+
+
+@pytest.mark.parametrize("suffix", [".abc", ".usd"])
+def test_samples_of_an_animated_file(tmp_path: Path, body: BodyModel, suffix: str) -> None:
+    pytest.importorskip({".abc": "alembic3d", ".usd": "pxr"}[suffix])
+    clip = ExportClip(drape(patch_of_strands((0.0, 0.0, 1.0)), frames=5))
+    write_output(tmp_path / f"hair{suffix}", clip)
+    found = summary_of(tmp_path / f"hair{suffix}", body)
+    assert (found["samples"], found["samples_a_second"]) == (5, clip.sequence.fps)
+    if suffix == ".abc":
+        assert "samples" not in summary_of(asset_path(tmp_path / "hair.abc"), body)
+
+
+def test_text_is_no_alembic_file(tmp_path: Path, body: BodyModel) -> None:
+    (tmp_path / "hair.abc").write_text("X:1\nT:a tune\n")
+    with pytest.raises(InputError, match="found plain text"):
+        summary_of(tmp_path / "hair.abc", body)

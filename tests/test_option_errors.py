@@ -23,6 +23,7 @@ def refused(capfd: pytest.CaptureFixture[str], words: str) -> str:
         ("drape bob --drapr neural --out a.npz", "unknown option --drapr, did you mean --draper?", "drape"),
         ("drape bob more --out a.npz", "unexpected more", "drape"),
         ("drape bob --motion", "--motion: expected a value, found none", "drape"),
+        ("drape --wrong bob --out a.npz", "unknown option --wrong", "drape"),
         ("drape bob --settle few --out a.npz", "--settle: expected a whole number, found 'few'", "drape"),
         ("drape bob --stiffness soft --out a.npz", "--stiffness: expected a number, found 'soft'", "drape"),
         ("drape bob --points many --out a.npz", "--points: expected a whole number, found 'many'", "drape"),

@@ -70,7 +70,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_pictures: None
         return interpolation_of(groom, body, min(count, STRANDS_BETWEEN), *rest, **more)
 
     monkeypatch.setattr("quaffure.apps.cli.shown_strands.interpolation_of", fewer)
-    monkeypatch.setattr("quaffure.apps.render.contact_sheet.DRAWN_STRANDS", STRANDS_BETWEEN)
+    monkeypatch.setattr("quaffure.apps.render.contact_sheet.SHOWN_STRANDS", STRANDS_BETWEEN)
+    for name in ("SHOWN_STRANDS", "SHOWN_IN_VIDEOS"):
+        monkeypatch.setattr(f"quaffure.hair.guide_interpolation.{name}", STRANDS_BETWEEN)
     monkeypatch.setattr("quaffure.apps.render.contact_sheet.SUPERSAMPLING", 1)
     monkeypatch.chdir(tmp_path)
     character_table._groom.cache_clear()

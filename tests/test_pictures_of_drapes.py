@@ -1,19 +1,25 @@
 """What commands print while they draw a drape, and what pictures of sparse grooms show."""
 
+import inspect
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
+import quaffure
 from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import writing_text
 from quaffure.apps.render.framing import frames_of_picture
+from quaffure.body.clips import CLIP_NAMES
 from quaffure.hair.export_clip import ExportClip
-from quaffure.io import write_drape, write_groom
+from quaffure.io import read_drape, write_drape, write_groom
+from quaffure.io.load_motion import load_motion
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom
 from tests.synthetic_drape import drape, patch_of_strands
@@ -77,6 +83,7 @@ def test_the_first_picture_of_a_sparse_groom_has_a_full_head_of_hair(
     lines = printed(capfd, *words)
     (hint,) = [line for line in lines if line.startswith("pictures show 12000 strands between the 200 draped ones")]
     assert "--strands guides" in hint
+    assert any(line.startswith("warning: 200 guides are few: ") for line in lines)
     assert len(read_strands(usd).counts) == 200
     lines = printed(capfd, "render", drape_file, "--out", drawn)
     assert hint in lines
@@ -105,6 +112,58 @@ def test_strands_between_are_part_of_the_time_of_pictures(
     laps = json.loads(capfd.readouterr().out)["seconds"]
     assert laps["pictures"] > 0.9e6
     assert laps["files"] == 0
+
+
+def test_pictures_and_videos_are_filled(tmp_path: Path, body, capfd: pytest.CaptureFixture[str]) -> None:
+    groom = make_groom(STYLES["bob"], body).thinned(1600)
+    write_groom(tmp_path / "groom.npz", groom)
+    outputs = "--out", tmp_path / "a.png", "--out", tmp_path / "a.mp4", "--out", tmp_path / "a.npz"
+    lines = printed(capfd, "drape", tmp_path / "groom.npz", "--draper", "posed", "--frames", "0:2", *outputs)
+    for shown in ("pictures show 12000", "videos show 6000"):
+        assert [line for line in lines if line.startswith(f"{shown} strands between the {len(groom)} draped ones")]
+    assert not [line for line in lines if line.startswith("warning")]
+    filled = quaffure.draw(read_drape(tmp_path / "a.npz"), size=64)
+    quaffure.save_drape(read_drape(tmp_path / "a.npz"), tmp_path / "b.png")
+    assert np.abs(np.asarray(filled).astype(int) - pixels(tmp_path / "b.png")[:64, :64]).mean() < 0.5
+
+
+def test_large_files_are_named_with_their_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write_drape(tmp_path / "drape.npz", drape(patch_of_strands((0.0, 0.0, 1.0)), frames=5))
+    monkeypatch.setattr("quaffure.apps.cli.outputs.LARGE_BYTES", 1000)
+    lines = printed(capfd, "render", tmp_path / "drape.npz", "--out", tmp_path / "a.glb")
+    size = (tmp_path / "a.glb").stat().st_size / 1e6
+    assert f"written: {tmp_path}/a.glb ({size:.0f} MB)" in lines
+
+
+def test_help_names_the_bundled_clips_with_their_lengths(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["drape", "--help"])
+    said = " ".join(capfd.readouterr().out.replace("│", " ").split())
+    for clip in CLIP_NAMES:
+        assert clip in said
+        motion = load_motion(clip)
+        assert re.search(rf"\b{clip}\b[^()]*\({len(motion) / motion.fps:g} s", said)
+    assert "{None}" not in said
+
+
+def test_what_is_no_drape_is_named_with_what_makes_one(tmp_path: Path) -> None:
+    hair = torch.zeros(1, 5, 24, 3)
+    for use, more in ((quaffure.draw, ()), (quaffure.save_drape, (tmp_path / "a.png",))):
+        with pytest.raises(quaffure.InputError, match=r"drape_clip.*found a Tensor"):
+            inspect.unwrap(use)(hair, *more)
+
+
+def test_a_drape_on_another_body_names_its_file(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    other = drape(patch_of_strands((0.0, 0.0, 1.0)), frames=1)
+    write_drape(tmp_path / "other.npz", replace(other, meta={"body": "anna.npz"}))
+    lines = printed(capfd, "render", tmp_path / "other.npz", "--out", tmp_path / "other.png")
+    cure = f"{tmp_path}/other.npz: expected a drape on the shipped body, found another body"
+    assert [line for line in lines if cure in line and line.endswith("--body anna.npz")]
+    with pytest.raises(SystemExit):
+        main(["render", str(tmp_path / "other.npz"), "--strands", "50", "--out", str(tmp_path / "other.png")])
+    assert cure in capfd.readouterr().err
 
 
 def test_two_strands_are_drawn_as_they_are(tmp_path: Path, body, capfd: pytest.CaptureFixture[str]) -> None:

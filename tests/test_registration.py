@@ -22,7 +22,7 @@ from quaffure.hair import (
 from quaffure.hair.file_frame import UNKNOWN, FileFrame
 from quaffure.hair.head_alignment import FINE_ROUNDS, TRIAL_ROUNDS, Similarity, _Start, align
 from quaffure.hair.registration import nearest_on_scalp
-from quaffure.hair.registration_report import RegistrationReport
+from quaffure.hair.registration_report import HeadFit, RegistrationReport
 from quaffure.hair.scalp_target import ScalpTarget, scalp_target
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom
@@ -425,3 +425,14 @@ def test_eyebrows_are_recognised_and_left_out(shared_data: Path, body: BodyModel
     _, report = register_groom(as_file(points), body, "brows")
     assert (report.kept, report.eyebrows, report.beard, report.dropped) == (400, len(hairs), 0, 0)
     assert f"left out: {len(hairs)} of eyebrows" in str(report)
+
+
+@pytest.mark.shared_data
+def test_a_groom_that_arrives_inside_the_body_is_warned_of(registered: Registered) -> None:
+    _, report = registered(BASE)
+    assert "warning" not in str(report)
+    inside = replace(report, inside_before=0.31)
+    assert "warning: 31 % of the points inside the body are many: give the head mesh" in str(inside)
+    assert "(--head)" in str(inside)
+    assert "warning: 31 %" in str(replace(inside, head=HeadFit(2.0, 4.0)))
+    assert "--head" not in str(replace(inside, head=HeadFit(2.0, 4.0)))

@@ -2,10 +2,14 @@
 
 import re
 import stat
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 
 from quaffure.errors import InputError, refused
 
+PREVIEW = 512
+"""Bytes of a file from which to say what it is."""
 _NAMED_CLIP = re.compile(r"(.+\.(?:glb|gltf|fbx))#(.*)", re.IGNORECASE | re.DOTALL)
 
 
@@ -37,6 +41,30 @@ def read_text(path: Path, expected: str, encoding: str = "utf-8", errors: str = 
     check_input_file(path, expected)
     with refused(path, expected, OSError, UnicodeDecodeError):
         return path.read_text(encoding=encoding, errors=errors)
+
+
+def did_you_mean(word: str | Path, names: Iterable[str]) -> str:
+    """Text that ends a message about a word that is none of some names: the name that is most similar, if any is."""
+    similar = get_close_matches(str(word), names, 1)
+    return f"; did you mean {similar[0]}?" if similar else ""
+
+
+def check_start(path: Path, starts: tuple[bytes, ...], expected: str) -> None:
+    """Refuse a file that is of another format by its first bytes, before a library is given it.
+
+    Args:
+        starts: first bytes of the format's files.
+        expected: as of `check_input_file`.
+
+    Raises:
+        InputError: it starts otherwise.
+    """
+    check_input_file(path, expected)
+    with refused(path, expected, OSError), path.open("rb") as file:
+        start = file.read(PREVIEW)
+    if not start.startswith(starts):
+        is_text = start and all(byte >= 32 or byte in b"\t\n\r" for byte in start)
+        raise InputError(path, expected, "plain text" if is_text else "another format" if start else "an empty file")
 
 
 def file_and_clip(source: str | Path) -> tuple[Path, str]:

@@ -9,17 +9,16 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
 from quaffure.drape_motion import drape_motion
 from quaffure.draper import Draper
+from quaffure.errors import InputError
 from quaffure.extras import require_extra
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
-from quaffure.hair.guide_interpolation import groom_of_drape, interpolation_of
+from quaffure.hair.guide_interpolation import groom_of_drape, interpolation_of, shown_between
 from quaffure.solvers.coherent_clip import CoherentDraper
 from quaffure.types import Float, Tensor
 
 if TYPE_CHECKING:
     from PIL.Image import Image
-
-SHOWN_STRANDS = 12_000
 
 
 def drape_clip(
@@ -50,14 +49,24 @@ def save_drape(
     """Write a drape as the suffix says: .npz, .usd, .usda, .usdc, .abc, .glb, .png, .mp4, and of one frame .hair, .ply.
 
     Args:
-        strands: to interpolate between the draped ones; an .npz always holds the draped ones.
+        strands: to interpolate between the draped ones; an .npz always holds the draped ones. Without it, pictures show
+            12,000, videos 6,000, and other files have the draped ones.
         body: of the drape; the shipped one by default. Files of an imported one are in the scene of its character.
         motion: the character's file and clip that the drape is of (`FILE.glb#NAME`); its skin then moves the roots.
 
     Raises:
-        InputError: another suffix, a missing package, or not writable.
+        InputError: no drape of `drape_clip`, another suffix, a missing package, or not writable.
     """
-    from quaffure.apps.cli.outputs import check_frames, check_outputs, is_export, known_groom, write_output
+    _check_drape(sequence)
+    from quaffure.apps.cli.outputs import (
+        PICTURES,
+        VIDEO,
+        check_frames,
+        check_outputs,
+        is_export,
+        known_groom,
+        write_output,
+    )
     from quaffure.hair.export_clip import ExportClip
     from quaffure.hair.groom_binding import groom_binding
     from quaffure.hair.placed_clip import placed_clip
@@ -68,7 +77,11 @@ def save_drape(
     check_frames((path,), range(len(sequence)))
     is_bound = is_export((path,)) or body.origin is not None
     groom = known_groom(sequence, body) if is_bound else None
-    interpolation = None if strands is None else interpolation_of(groom_of_drape(sequence, body), body, strands)
+    interpolation = None
+    if strands is not None:
+        interpolation = interpolation_of(groom_of_drape(sequence, body), body, strands)
+    elif path.suffix.lower() in PICTURES:
+        interpolation = shown_between(groom_of_drape(sequence, body), body, path.suffix.lower() == VIDEO)
     binding = None if groom is None else groom_binding(groom, body, torch.from_numpy(sequence.body_shape))
     clip = ExportClip(sequence, interpolation, binding)
     space = read_character_space(body, motion, sequence.times)
@@ -86,13 +99,21 @@ def draw(
         body: of the drape; the shipped one by default.
 
     Raises:
-        InputError: missing packages, or no OpenGL on this machine.
+        InputError: no drape of `drape_clip`, missing packages, or no OpenGL on this machine.
     """
+    _check_drape(sequence)
     require_extra("render", "draw")
     from PIL import Image
 
     from quaffure.apps.render.pictures import frame_picture
 
     body = body or load_body()
-    interpolation = interpolation_of(groom_of_drape(sequence, body), body, SHOWN_STRANDS)
+    interpolation = shown_between(groom_of_drape(sequence, body), body)
     return Image.fromarray(frame_picture(sequence, frame, view, interpolation, size))
+
+
+def _check_drape(sequence: object) -> None:
+    """`Quaffure.drape` returns a tensor, which lacks the body that is drawn and written with the hair."""
+    if not isinstance(sequence, DrapeSequence):
+        expected = "a DrapeSequence, as quaffure.drape_clip(groom, motion, draper=model.draper) returns"
+        raise InputError("drape", expected, f"a {type(sequence).__name__}")

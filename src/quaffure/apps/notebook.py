@@ -16,10 +16,9 @@ from quaffure.errors import InputError
 from quaffure.extras import require_extra
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
-from quaffure.hair.guide_interpolation import GuideInterpolation, groom_of_drape, interpolation_of
+from quaffure.hair.guide_interpolation import groom_of_drape, shown_between
 
 TILE = 256  # pixels
-SHOWN_STRANDS = 8_000
 VIEWS = ("front", "3/4", "back")
 MOST_FRAMES = 3
 JPEG_QUALITY = 88
@@ -61,7 +60,7 @@ def _groom_tiles(groom: Groom) -> list[np.ndarray]:
     groom, body = groom.to("cpu"), load_body()
     strands = groom.rest_strands.float().numpy()
     if _is_on(groom, body):
-        interpolation, vertices = _interpolation(groom, body), body.rest_vertices.numpy()
+        interpolation, vertices = shown_between(groom, body), body.rest_vertices.numpy()
         if interpolation is not None:
             strands = interpolation.strands(strands, vertices)
         subject = Subject(strands, vertices, body.faces.numpy())
@@ -87,7 +86,7 @@ def _drape_tiles(sequence: DrapeSequence) -> list[np.ndarray]:
     shown = _select(sequence, np.linspace(0, len(sequence) - 1, count).round().astype(int)).in_place()
     try:
         body = load_body()
-        interpolation = _interpolation(groom_of_drape(shown, body), body)
+        interpolation = shown_between(groom_of_drape(shown, body), body)
     except InputError:  # the drape of another body
         interpolation = None
     centre, extent = frame_hair(shown)
@@ -111,14 +110,6 @@ def _select(sequence: DrapeSequence, frames: np.ndarray) -> DrapeSequence:
         body_pose=sequence.body_pose[frames],
         body_translation=None if translation is None else translation[frames],
     )
-
-
-def _interpolation(groom: Groom, body: BodyModel) -> GuideInterpolation | None:
-    """Strands between the guides; None where the guides are too few."""
-    try:
-        return interpolation_of(groom, body, SHOWN_STRANDS)
-    except InputError:
-        return None
 
 
 def _is_on(groom: Groom, body: BodyModel) -> bool:

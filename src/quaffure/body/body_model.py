@@ -21,6 +21,8 @@ from quaffure.npz import INTEGER, REAL, TEXT, Spec, read_arrays
 from quaffure.types import BodyPose, BodyShape, MeshFaces
 
 JOINT_COUNT, SHAPE_COUNT = 27, 10
+CHARACTERS = (".glb", ".gltf", ".fbx")
+"""Files that a body is often mistaken for."""
 
 FILE_ARRAYS: Spec = {
     "rest_vertices": (("v", 3), REAL),
@@ -99,6 +101,12 @@ class BodyModel:
     scalp: ScalpChart
     meta: str
     origin: BodyOrigin | None = None
+
+    def __repr__(self) -> str:
+        """A line: the arrays of the generated text are 30 kB."""
+        of = "" if self.origin is None else f" of {self.origin.source}"
+        counts = f"{len(self.rest_vertices)} vertices, {len(self.joint_names)} joints"
+        return f"BodyModel{of} ({counts}, {len(self.scalp.faces)} triangles of scalp)"
 
     def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> "BodyModel":
         """The same body on a device, its real numbers in `dtype` (float64 in gradient checks).
@@ -244,6 +252,9 @@ def _shipped_body() -> BodyModel:
 
 
 def _read_body(path: Path) -> BodyModel:
+    if path.suffix.lower() in CHARACTERS:
+        expected = "a body file (.npz), which `quaffure body import` makes of a character"
+        raise InputError(path, expected, "a character")
     arrays, sizes = read_arrays(path, FILE_ARRAYS, "a body file (.npz)", ORIGIN_ARRAYS)
     _check_indices(arrays, sizes, path)
     with np.errstate(over="ignore", invalid="ignore"):

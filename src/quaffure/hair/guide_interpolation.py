@@ -9,6 +9,7 @@ diverge in a drape, at a shoulder, the weights of the further ones fade out smoo
 
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -32,8 +33,14 @@ from quaffure.hair.strands import held_parts_of
 AXIS_DEGREE = 4
 """Degree of the polynomial that is the axis of a strand; the remainder is curls and frizz."""
 MOST_STRANDS = 1_000_000
+SHOWN_STRANDS, SHOWN_IN_VIDEOS = 12_000, 6_000
+"""Strands that pictures and videos show at least: fewer are drawn wide, and look like wires. A frame of a video takes
+1.5 s of a core with 2,465 guides, 2.5 s with 6,000 strands and 4 s with 12,000."""
 # A root off the scalp (the hull of the guides can be wider) is moved half the way to its nearest guide, this often.
 HALVINGS = 4
+# Where guides are further apart than this [m], their shapes may differ more before they count as diverged, up to a
+# factor: strands would copy the nearest guide alone, and stand in slabs.
+DENSE_SPACING, MOST_SLACK = 0.015, 2.0
 FARTHEST_ROOT = 2e-3  # m: a drape's roots lie on its body
 
 
@@ -46,7 +53,7 @@ class GuideInterpolation:
         weights: share of each in the strand's axis at rest; they sum to 1.
         carriers: body vertices of the root's face.
         root_weights: barycentric coordinates of the root among them.
-        guide_lengths: of the guides at rest [m].
+        guide_lengths: to which distances between guides are compared: theirs at rest, times `spacing_slack` [m].
         vertex_count: of a guide and of a strand.
     """
 
@@ -130,7 +137,7 @@ def interpolation_of(groom: Groom, body: BodyModel, count: int, seed: int = 0) -
     guides, shares = np.take_along_axis(guides, order, 1), np.take_along_axis(shares, order, 1)
     faces, root_weights = _roots(groom, body, guides, shares)
     axes = axis_projection(rest.shape[1]) @ (rest - rest[:, :1])
-    lengths = groom.strand_lengths.numpy()
+    lengths = spacing_slack(triangles, rest[:, 0]) * groom.strand_lengths.numpy()
     shares[:, 1:] *= _coherences(axes, lengths, guides, first_direction_vertex(rest.shape[1]))
     weights = shares / shares.sum(axis=1, keepdims=True)
     return GuideInterpolation(
@@ -141,6 +148,29 @@ def interpolation_of(groom: Groom, body: BodyModel, count: int, seed: int = 0) -
         guide_lengths=lengths,
         vertex_count=rest.shape[1],
     )
+
+
+def shown_between(groom: Groom, body: BodyModel, in_video: bool = False) -> GuideInterpolation | None:
+    """Strands for a picture of guides, or for a video, that are fewer than it shows; None where the guides are as many,
+    or too few to have strands between them."""
+    count = SHOWN_IN_VIDEOS if in_video else SHOWN_STRANDS
+    if len(groom) >= count:
+        return None
+    try:
+        return interpolation_of(groom, body, count)
+    except InputError:
+        return None
+
+
+def spacing_slack(triangles: Int[np.ndarray, "t 3"], roots: Float[np.ndarray, "s 3"]) -> np.float32:
+    """Factor by which guides may diverge more: 1 of dense guides, 2 of guides that are 30 mm apart [-].
+
+    Args:
+        triangles: of guides that are neighbours.
+        roots: of the guides [m].
+    """
+    spacing = np.median(np.linalg.norm(roots[triangles] - roots[np.roll(triangles, 1, axis=1)], axis=-1))
+    return np.float32(np.clip(spacing / DENSE_SPACING, 1.0, MOST_SLACK))
 
 
 def _roots(
@@ -166,21 +196,25 @@ def axis_projection(vertices: int) -> Float32[np.ndarray, "n n"]:
     return (basis @ np.linalg.pinv(basis)).astype(np.float32)
 
 
-def groom_of_drape(sequence: DrapeSequence, body: BodyModel) -> Groom:
+def groom_of_drape(sequence: DrapeSequence, body: BodyModel, source: str | Path = "drape") -> Groom:
     """The groom at rest of a drape, recovered from the first of its posed frames.
+
+    Args:
+        source: its file, for errors.
 
     Raises:
         InputError: the drape's body is not `body`, or its roots are not on the scalp.
     """
     if not np.array_equal(sequence.body_faces, body.faces.numpy()):
-        found = f"{len(sequence.body_faces)} other faces"
-        raise InputError("drape", "the body of this package", found)
+        file = sequence.meta.get("body") or "my_body.npz"
+        expected = f"a drape on the {'shipped' if body.origin is None else 'given'} body"
+        raise InputError(source, expected, f"another body; give the drape's own, as in --body {file}")
     sequence = sequence.in_place()
     posed, vertices = torch.from_numpy(sequence.posed[0]), torch.from_numpy(sequence.body_vertices[0])
     faces, weights, closest = nearest_on_scalp(posed[:, 0], replace(body, rest_vertices=vertices))
     apart = float((closest - posed[:, 0]).norm(dim=-1).max())
     if apart > FARTHEST_ROOT:
-        raise InputError("drape", f"roots within {1e3 * FARTHEST_ROOT:g} mm of the scalp", f"{1e3 * apart:.1f} mm")
+        raise InputError(source, f"roots within {1e3 * FARTHEST_ROOT:g} mm of the scalp", f"{1e3 * apart:.1f} mm")
     carriers = body.faces[faces]
     rest_from_world = triangle_rotations(carriers, vertices, body).mT
     roots = (weights[..., None] * body.rest_vertices[carriers]).sum(-2)

@@ -10,6 +10,8 @@ from quaffure.hair.file_frame import FileFrame
 
 FARTHEST_ROOT = 0.035
 """Largest distance of a root from the scalp [m]; others are dropped."""
+MUCH_INSIDE = 0.15
+"""Share of the vertices inside the body above which a fit is doubtful."""
 LARGEST_MEDIAN_RESIDUAL = 0.012
 """Largest median distance of the roots from the scalp; worse fits are refused [m]."""
 
@@ -88,8 +90,10 @@ class RegistrationReport:
         return sum(self.unused)
 
     def __str__(self) -> str:
-        """Five lines or fewer, for who made the groom."""
-        lines = (f"{self.source}: {self._axes}", self._strands, self._turns, self._fit, self._head, self._skin)
+        """Seven lines or fewer, for who made the groom."""
+        lines = (
+            f"{self.source}: {self._axes}", self._strands, self._turns, self._fit, self._head, self._skin, self._warning
+        )  # fmt: skip
         return "\n".join(line for line in lines if line)
 
     @property
@@ -150,3 +154,12 @@ class RegistrationReport:
             f"skin: {100 * self.inside_before:.2f} % of the points were inside the body; "
             f"{100 * self.inside_after:.3f} % are, now that they are pushed out"
         )
+
+    @property
+    def _warning(self) -> str:
+        if self.inside_before <= MUCH_INSIDE or self.frame.registered:
+            return ""
+        cure = "look at the picture of before and after (--picture)"
+        if self.head is None:
+            cure = f"give the head mesh that the groom was made on (--head), or {cure}"
+        return f"warning: {100 * self.inside_before:.0f} % of the points inside the body are many: {cure}"

@@ -36,6 +36,7 @@ class Strands:
         tie_vertex: as in `Groom`, counted on each strand.
         dropped: strands of the file that are not here: bald roots, of fewer than two points.
         attributes: what else the file says of them.
+        times: of the samples of an animated file, of which this is the first [s]; None of a file without.
     """
 
     points: Float[np.ndarray, "p 3"]
@@ -46,6 +47,7 @@ class Strands:
     tie_vertex: Int[np.ndarray, " s"] | None = None
     dropped: int = 0
     attributes: StrandAttributes = NONE
+    times: Float[np.ndarray, " t"] | None = None
 
     def __len__(self) -> int:
         return len(self.counts)

@@ -70,7 +70,9 @@ def _read_archive(path: Path) -> Strands:
             kinds = ", ".join(sorted(schema for schema in schemas if schema)) or "nothing"
             raise InputError(path, "at least one strand, in curves", f"no strands: no curves, only {kinds}")
         every = concatenate_strands(parts)
-        return checked_strands(every.points, every.counts, path, attributes=every.attributes.with_groups_by_name())
+        named = every.attributes.with_groups_by_name()
+        checked = checked_strands(every.points, every.counts, path, attributes=named)
+        return replace(checked, times=max(map(_times, visible), key=len))
 
 
 def _objects(archive: Any) -> Iterator[_Object]:
@@ -119,6 +121,13 @@ def _read_curves(found: _Object, path: Path) -> tuple[Strands, np.ndarray]:
     polylines, lengths = _polylines(sample, points, counts, name)
     attributes = _attributes(schema, counts, lengths, name).scaled(mean_scale(found.world[:3, :3]))
     return Strands(polylines, lengths, str(path), attributes=attributes), _guides(schema, len(counts))
+
+
+def _times(found: _Object) -> np.ndarray:
+    """Times of the samples of curves [s]."""
+    schema = AbcGeom.ICurves(found.handle.getParent(), found.handle.getName()).getSchema()
+    sampling = schema.getTimeSampling()
+    return np.array([sampling.getSampleTime(index) for index in range(schema.getNumSamples())], dtype=np.float64)
 
 
 def _polylines(sample: Any, points: np.ndarray, counts: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,12 @@
 from pathlib import Path
 
 from quaffure.hair.strands import Strands
+from quaffure.input_file import check_start
 from quaffure.io.strand_process import read_in_process
+
+EXPECTED = "an Alembic file"
+STARTS = (b"Ogawa", b"\x89HDF")
+"""First bytes of Alembic's two containers."""
 
 
 def read_alembic_strands(path: Path) -> Strands:
@@ -16,4 +21,5 @@ def read_alembic_strands(path: Path) -> Strands:
         InputError: the Alembic library is not installed; not an Alembic file, one that takes more time or memory than
             its size accounts for, or no curves in it.
     """
-    return read_in_process("quaffure.io.alembic_curves", path, "alembic", "an Alembic file")
+    check_start(path, STARTS, EXPECTED)
+    return read_in_process("quaffure.io.alembic_curves", path, "alembic", EXPECTED)

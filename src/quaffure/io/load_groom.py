@@ -19,7 +19,7 @@ from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.hair.source_strands import PlacedStrands, place_strands
 from quaffure.hair.strands import Strands
-from quaffure.input_file import read_text
+from quaffure.input_file import did_you_mean, read_text
 from quaffure.io.groom_file import is_groom_file, read_groom, read_source
 from quaffure.io.ply_strands import read_ply_mesh
 from quaffure.io.read_strands import read_strands
@@ -52,7 +52,10 @@ def load_groom(
     path = Path(groom)
     # Not Path.exists, which raises where the text is longer than a name can be.
     if not os.path.exists(path) and not path.suffix:
-        raise InputError(groom, f"a bundled groom ({', '.join(sorted(STYLES))}) or a file", "neither")
+        names = sorted(STYLES)
+        raise InputError(
+            groom, f"a bundled groom ({', '.join(names)}) or a file", f"neither{did_you_mean(path, names)}"
+        )
     if path.suffix.lower() == ".npz" and is_groom_file(path):
         loaded = _read_groom(path, body)
         if loaded.rest_strands.shape[1] != VERTICES_PER_STRAND:

@@ -6,7 +6,7 @@ from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.clips import CLIP_NAMES, bundled_clip
 from quaffure.body.motion import Motion, resample
 from quaffure.errors import InputError
-from quaffure.input_file import file_and_clip
+from quaffure.input_file import did_you_mean, file_and_clip
 from quaffure.io.read_motion import read_motion
 
 FPS = 30.0
@@ -35,6 +35,8 @@ def load_motion(
             raise InputError(joints, "a joint map for a motion file or a character", f"the bundled motion {name}")
         return bundled_clip(name, body)
     if not file_and_clip(name)[0].suffix:
-        raise InputError(f"motion '{name}'", f"a file or one of {', '.join(CLIP_NAMES)}", "neither")
+        raise InputError(
+            f"motion '{name}'", f"a file or one of {', '.join(CLIP_NAMES)}", f"neither{did_you_mean(name, CLIP_NAMES)}"
+        )
     motion = resample(read_motion(Path(name), body, joints), FPS)
     return motion.in_place() if in_place else motion

@@ -98,6 +98,8 @@ def serve(path: Path, read: Callable[[Path], Strands]) -> int:
             output.write(json.dumps([error.expected, error.found]).encode())
             return REFUSED
         numbers = {"points": strands.points, "counts": strands.counts, "dropped": np.array(strands.dropped)}
+        if strands.times is not None:
+            numbers["times"] = strands.times
         more = {f"{ATTRIBUTE}{name}": values for name, values in strands.attributes.arrays().items()}
         np.savez(output, **numbers, **more, **held_parts_of(strands))  # type: ignore[arg-type]  # taken for allow_pickle
     return 0

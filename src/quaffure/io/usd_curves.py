@@ -61,9 +61,10 @@ def _read_stage(path: Path) -> Strands:
             found = f"no strands: no curves{only}"
             raise InputError(path, "at least one strand, in BasisCurves or NurbsCurves", found)
         every = concatenate_strands(parts)
-        return checked_strands(
-            every.points, every.counts, path, held_parts_of(every), every.attributes.with_groups_by_name()
-        )
+        named = every.attributes.with_groups_by_name()
+        checked = checked_strands(every.points, every.counts, path, held_parts_of(every), named)
+        samples = max((curve.GetPointsAttr().GetTimeSamples() for curve in _rendered(curves)), key=len)
+        return replace(checked, times=np.array(samples, dtype=np.float64) / stage.GetTimeCodesPerSecond())
 
 
 def _rendered(curves: list[UsdGeom.Curves]) -> list[UsdGeom.Curves]:

@@ -122,8 +122,8 @@ class NetworkConfig:
     strand_layers: int = 2
     """Hidden layers common to all strands, the first included (`directions` only)."""
     skin_features: Annotated[bool, tyro.conf.arg(name="views")] = True
-    """The strand layers read local features of the skin near the initial strand, or, with `--no-views`, do not
-    (`directions` only)."""
+    """The strand layers read local features of the skin near the initial strand, or, with `--no-views`, do
+    not (`directions` only)."""
     surroundings: bool = False
     """The strand layers read the density of other hair around the initial strand, and the distance that it is to keep
     from the body (`quaffure.model.surroundings`; `directions` only, with the skin's features)."""

@@ -39,6 +39,9 @@ class Quaffure:
     def __init__(self, body: BodyModel, draper: NeuralDraper, notes: dict[str, str]) -> None:
         self.body, self.draper, self.notes = body, draper, notes
 
+    def __repr__(self) -> str:
+        return f"Quaffure({self.draper.name} on {self.body!r})"
+
     def with_loading(self, loading: Loading) -> "Quaffure":
         """The same network for hair of another stiffness, or under another gravity and wind; it shares weights and
         prepared grooms with this one.

@@ -31,8 +31,8 @@ class ImportBody:
     joints: Path | None = None
     """A joint map (.toml) where names are not known; `quaffure inspect CHARACTER --save-joints` writes one to edit."""
     scalp: str = ""
-    """Mesh or material that is the scalp, or attribute of vertices that is above 0.5 there (glTF: _NAME). Without
-    --scalp, --hair-mesh and --groom it is the shipped body's, fitted to the head. Names may have * for any letters."""
+    """Mesh or material that is the scalp, or attribute of vertices that is above 0.5 there (glTF: _NAME). Names may
+    have * for any letters. Without --scalp, --hair-mesh and --groom it is the shipped body's, fitted to the head."""
     hair_mesh: str = ""
     """Mesh or material of hair whose footprint is the scalp."""
     groom: Path | None = None

@@ -10,11 +10,12 @@ from typing import Annotated
 import tyro
 
 from quaffure.apps.character_table import CLIP_DRAPERS, read_table
-from quaffure.apps.cli.console import console, print_json, progress_bar
+from quaffure.apps.cli.console import console, counted, print_json, progress_bar
 from quaffure.apps.cli.outputs import check_outputs
 from quaffure.apps.row_workers import LocalProcesses, RayCluster, RowWorkers, drape_rows
 from quaffure.drapers import NEURAL
 from quaffure.errors import InputError
+from quaffure.io.output_path import made_folder
 
 ROWS_FAILED = 4
 """Exit code where rows have failed; all others are written."""
@@ -52,18 +53,22 @@ class CharactersCommand:
             if value < 0:
                 raise InputError(option, "0 or more", f"{value}")
         rows = read_table(self.table)
+        for folder in {Path(row.out).parent for row in rows}:
+            made_folder(folder, "a folder for drapes")
         check_outputs([Path(row.out) for row in rows], (self.table,))
         left = [row for row in rows if not Path(row.out).exists()]
         begin, failed = time.perf_counter(), {}
         workers, where = self._workers(len(left))
-        console.print(f"{len(rows)} rows, {len(rows) - len(left)} of them finished before; {where}")
+        console.print(f"{counted(len(rows), 'row')}, {len(rows) - len(left)} of them finished before; {where}")
         try:
             with progress_bar("draping", len(left), transient=True) as update:
                 for finished in drape_rows(left, self.draper, workers, self.retries):
                     update(advance=1)
                     if finished.error:
                         failed[finished.row.out] = finished.error
-                        console.print(f"{finished.row.out}: {finished.error}", markup=False, highlight=False)
+                        console.print(
+                            f"{finished.row.out}: {finished.error}", markup=False, highlight=False, soft_wrap=True
+                        )
         finally:
             workers.close()
         seconds = time.perf_counter() - begin
@@ -78,6 +83,6 @@ class CharactersCommand:
         """What drapes the rows, and what to say of it."""
         if self.ray:
             cluster = RayCluster(self.ray, self.workers)
-            return cluster, f"a Ray cluster of {cluster.processors} processors"
+            return cluster, f"a Ray cluster of {counted(cluster.processors, 'processor')}"
         count = min(self.workers or os.cpu_count() or 1, max(rows, 1))
-        return LocalProcesses(count), f"{count} processes"
+        return LocalProcesses(count), counted(count, "process", "es")

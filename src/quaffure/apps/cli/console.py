@@ -30,6 +30,15 @@ SHARE_PER_LINE = 0.1
 """That time as a share of what the work has taken, within the bounds."""
 
 
+def counted(count: int, noun: str, ending: str = "s") -> str:
+    """A number of things in words: `1 row`, `2 rows`.
+
+    Args:
+        ending: of the plural.
+    """
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}{ending}"
+
+
 @contextmanager
 def progress_bar(
     description: str, total: int | None, done: int = 0, to: Console = console, **options: bool

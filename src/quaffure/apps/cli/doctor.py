@@ -9,7 +9,6 @@ import torch
 from numba import get_num_threads
 
 from quaffure.apps.cli.console import console, print_json, print_rows
-from quaffure.apps.cli.kernel_cache import is_cached
 from quaffure.benchmark.machine_facts import processor
 from quaffure.body.body_model import load_body
 from quaffure.body.clips import bundled_clip
@@ -17,11 +16,9 @@ from quaffure.draper import Draper
 from quaffure.extras import EXTRAS, is_installed
 from quaffure.io.load_groom import load_groom
 from quaffure.model.inference_network import fast_bfloat16
-from quaffure.model.initial_shape_kernels import initial_shape_kernel
 from quaffure.model.quaffure_model import load_model
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers.strand_newton import StrandNewtonDraper
-from quaffure.solvers.strand_recursion import newton_rotations
 
 FEATURES = {
     "alembic": "Alembic in and out (.abc)",
@@ -76,8 +73,6 @@ def _extras() -> list[dict[str, str]]:
 
 
 def _drapes() -> list[dict[str, str]]:
-    if not (is_cached(initial_shape_kernel) and is_cached(newton_rotations)):
-        console.print("compiling kernels, first run only: some minutes")
     body = load_body()
     groom, pose = load_groom(GROOM, body), bundled_clip(CLIP, body).body_pose[FRAME : FRAME + 1]
     drapers: dict[str, Draper] = {"network": load_model().draper, "strand_newton": StrandNewtonDraper()}

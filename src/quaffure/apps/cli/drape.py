@@ -23,9 +23,9 @@ from quaffure.apps.cli.drape_report import (
 from quaffure.apps.cli.groom_report import loaded_groom
 from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, character_space_of, clip_of
 from quaffure.apps.cli.kept_frames import kept_frames
-from quaffure.apps.cli.kernel_cache import is_cached
 from quaffure.apps.cli.outputs import (
     PICTURES,
+    VIDEO,
     check_frames,
     check_outputs,
     is_export,
@@ -49,19 +49,16 @@ from quaffure.energies.gravity import GRAVITY, Acceleration
 from quaffure.energies.loading import Loading
 from quaffure.energies.sag_free import design_of
 from quaffure.errors import InputError
-from quaffure.geometry.cell_list import sort_into_cells
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.placed_clip import placed_clip
 from quaffure.io.drape_file import read_drape
-from quaffure.model.initial_shape_kernels import initial_shape_kernel
 from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_model import MODELS
 from quaffure.scene import Scene
 from quaffure.solvers.by_name import SOLVERS, solver
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
-from quaffure.solvers.strand_recursion import newton_rotations
 from quaffure.training.pose_sampler import LARGEST_COEFFICIENT
 from quaffure.types import Float, Positions, Tensor
 
@@ -78,17 +75,19 @@ class DrapeCommand:
     groom: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="GROOM")]
     """A bundled groom (see `quaffure grooms`) or a file: .abc, .bin, .data, .hair, .npy, .npz, .ply, .tfx, .usd."""
     out: tyro.conf.UseAppendAction[tuple[Path, ...]]
-    """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .abc, .glb,
-    .hair, .ply, .data and .bin (of one frame), .png (up to four frames, evenly spaced from the first to the last, each
-    from four sides), .mp4 (every frame). An .abc, for Unreal a groom cache, comes with its groom asset:
-    walk_groom.abc beside walk.abc."""
+    """Where to write; may be given several times. The suffix picks the format: .npz, .usd, .usda, .usdc, .abc, .glb; of
+    one frame .hair, .ply, .data, .bin; .png (up to four frames, evenly spaced from the first to the last, each from
+    four sides), .mp4 (every frame). An .abc, for Unreal a groom cache, comes with its groom asset: walk_groom.abc
+    beside walk.abc."""
     motion: str = "neck_turn"
-    """A bundled clip, or a file: .bvh of any skeleton, a character (.glb, .gltf, .fbx; FILE#NAME is one of several
-    animations), .npz of AMASS, SMPL-X or poses of this body."""
+    """A bundled clip: neck_turn, bow, idle (4 s each), nod (3 s), shrug (2.4 s) or walk (2 s); or a file: .bvh of any
+    skeleton, a character (.glb, .gltf, .fbx; FILE#NAME is one of several animations), .npz of AMASS, SMPL-X or poses of
+    this body."""
     joints: Path | None = None
     """A joint map (.toml) for a motion whose joint names are not known; `quaffure inspect` writes one to edit."""
     frames: str = ":"
-    """Frames A:B:STEP of the motion at 30 frames per second."""
+    """Frames A:B:STEP of the motion at 30 frames per second, from A up to B, which is not included; `30` alone is one
+    frame."""
     in_place: bool = False
     """Leave out the path of the body through the world; it turns, but does not travel."""
     body: Path | None = None
@@ -100,8 +99,9 @@ class DrapeCommand:
     draper: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(DRAPERS)}}}")] = None
     """The method: one of the solvers (docs/solvers.md), the network, or the supervised baseline (docs/groomgen.md).
     Without it strand_newton, or with --weights the network."""
-    coherent: bool = True
-    """With strand_newton: every frame starts from the last one, so that clips do not jump; otherwise each by itself."""
+    coherent: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    """With strand_newton: drape each frame by itself. Without this option every frame starts from the last one, so that
+    clips do not jump."""
     settle: int = 0
     """Passes of strand_newton from the output of another draper; 0 is that draper alone."""
     elastic: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = None
@@ -130,9 +130,9 @@ class DrapeCommand:
     """Exit with 3 where a tip jumps or hair is inside the body; the files are written all the same."""
     strands: str | None = None
     """Strands for all files but .npz: a number of them to interpolate between the draped ones, 10,000 to 100,000 make
-    a full head of hair; `original`, every strand of a groom file as it was made, driven by the draped ones
-    (docs/guides.md); or `guides`, the draped ones. Without it, files have the draped strands, and so have pictures,
-    unless there are fewer than 1,500: then they show 12,000 between them. An .npz always holds the draped strands."""
+    a full head of hair; `original`, every strand of a groom file as it was made, driven by the draped ones (see
+    docs/guides.md); or `guides`, the draped ones. Without it, files have the draped strands; pictures show 12,000
+    and videos 6,000 between them, unless as many are draped. An .npz always holds the draped strands."""
     export: ExportSettings = field(default_factory=ExportSettings)
     resume: bool = False
     """Continue an interrupted run of the same command after its last frames, which are kept beside the first output."""
@@ -154,8 +154,6 @@ class DrapeCommand:
             console.print(f"shape: beyond the trained and measured +-{LARGEST_COEFFICIENT:g} standard deviations")
         reference = None if self.reference is None else read_drape(self.reference)
         self._check_options()
-        if not all(map(is_cached, self._kernels)):
-            console.print("compiling kernels, first run only: some minutes more")
         groom = loaded_groom(self.groom, body, self.head)
         draper, terms = self._draper(groom, body)
         interpolation = strands_between(self.strands, self.groom, groom, body, self.head)
@@ -196,10 +194,10 @@ class DrapeCommand:
             sys.exit(FAULTS_FOUND)
 
     def _write(self, clip: ExportClip, groom: Groom, body: BodyModel, times: Stopwatch) -> None:
-        pictured = cache(lambda: clip_of_pictures(clip, self.strands, groom, body))
+        pictured = cache(lambda in_video: clip_of_pictures(clip, self.strands, groom, body, in_video))
         for path in self.out:
             is_picture = path.suffix.lower() in PICTURES
-            shown = pictured() if is_picture else clip
+            shown = pictured(path.suffix.lower() == VIDEO) if is_picture else clip
             console.print(writing_text(path, len(clip.sequence)), markup=False, highlight=False, soft_wrap=True)
             write_output(path, shown)
             times.lap("pictures" if is_picture else "files")
@@ -231,16 +229,10 @@ class DrapeCommand:
     def _measures(self) -> bool:
         return self.metrics or self.reference is not None
 
-    @property
-    def _kernels(self) -> tuple[object, ...]:
-        """The kernels that take longest to compile, of those that run."""
-        runs_newton = self._name == StrandNewtonDraper.name or self.settle
-        solver_kernels = (newton_rotations,) if runs_newton else ()
-        network_kernels = (initial_shape_kernel,) if self._name == NEURAL else ()
-        return (*solver_kernels, *network_kernels, *((sort_into_cells,) if self._measures else ()))
-
     def _describe(self, meta: dict[str, Any]) -> None:
-        """Note the energy that was minimized."""
+        """Note the body's file, and the energy that was minimized."""
+        if self.body is not None:
+            meta["body"] = str(self.body)
         meta["elastic"] = self._elastic
         if self._elastic == ROD:
             meta["rest"] = self._rest

@@ -4,7 +4,7 @@ import time
 from collections.abc import Sized
 from typing import Any
 
-from quaffure.apps.cli.console import console, print_json, print_rows
+from quaffure.apps.cli.console import console, counted, print_json, print_rows
 from quaffure.apps.cli.kernel_cache import kernel_seconds
 from quaffure.benchmark.drape_checks import MOST_INSIDE_PERCENT, DrapeChecks
 from quaffure.benchmark.metrics import UNITS, DrapeMetrics, PerFrame
@@ -48,7 +48,7 @@ class Stopwatch:
         Args:
             notes: what is added to steps, in brackets.
         """
-        notes = {KERNELS: "compiled, in the first run only" if self.compiled else "loaded"} | notes
+        notes = {KERNELS: "compiled; first use of this feature only" if self.compiled else "loaded"} | notes
         steps = [f"{step} {duration(1000 * seconds)}" for step, seconds in self.seconds.items()]
         return ", ".join(
             f"{text} ({notes[step]})" if step in notes else text for step, text in zip(self.seconds, steps)
@@ -117,4 +117,4 @@ def duration(milliseconds: float) -> str:
 
 
 def frames_text(count: int) -> str:
-    return "1 frame" if count == 1 else f"{count} frames"
+    return counted(count, "frame")

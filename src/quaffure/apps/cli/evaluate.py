@@ -65,7 +65,7 @@ class EvaluationOptions:
     """Version of the evaluation set."""
     motion_folder: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
     """Folder of the set's motion files; may be given several times; without it, data/motion_evaluation and data/motion.
-    `quaffure evaluate` leaves out cases whose files are missing."""
+    Cases whose files are missing are left out by `quaffure evaluate`."""
     groom_folder: tyro.conf.UseAppendAction[tuple[Path, ...]] = ()
     """The same for the set's groom files; without it, data/grooms_evaluation and data/grooms."""
 

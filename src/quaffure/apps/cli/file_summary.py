@@ -6,13 +6,22 @@ from pathlib import Path
 import numpy as np
 
 from quaffure.apps.cli.character_summary import character_summary
-from quaffure.apps.cli.motion_summary import REFUSED, Summary, extent, joint_map_summary, usable_motion
-from quaffure.body.body_model import BodyModel
+from quaffure.apps.cli.motion_summary import (
+    REFUSED,
+    Summary,
+    extent,
+    joint_map_summary,
+    motion_summary,
+    usable_motion,
+)
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.character_clip import character_clip
+from quaffure.body.clips import CLIP_NAMES
 from quaffure.body.joint_map import joint_map_text
 from quaffure.body.joint_names import guess_joint_map
 from quaffure.errors import InputError
 from quaffure.hair.file_frame import UNKNOWN, FileFrame
+from quaffure.hair.groom import Groom
 from quaffure.hair.registration import register_groom
 from quaffure.hair.resample import polyline_lengths
 from quaffure.hair.scalp_texture import select_guides
@@ -21,14 +30,17 @@ from quaffure.io.amass import ROTATION_KEYS
 from quaffure.io.bvh import read_bvh
 from quaffure.io.drape_file import read_drape
 from quaffure.io.groom_file import is_groom_file, read_groom
-from quaffure.io.load_groom import read_head
+from quaffure.io.load_groom import load_groom, read_head
+from quaffure.io.load_motion import load_motion
 from quaffure.io.ply_tables import read_ply_tables
 from quaffure.io.read_character import CHARACTER_SUFFIXES, read_character
 from quaffure.io.read_motion import SKELETON_SUFFIXES, read_joint_map
 from quaffure.io.read_strands import STRAND_READERS, read_strands
 from quaffure.model.checkpoint import load_network
 from quaffure.npz import array_names
+from quaffure.procedural.hair_style import STYLES
 
+BODY_ARRAYS = {"rest_vertices", "skin_weights", "scalp_faces"}
 DRAPE_ARRAYS = {"strands", "posed", "body_vertices"}
 MOTION_ARRAYS = ({"body_pose", "fps"}, *({*keys} for keys in ROTATION_KEYS))
 MOST_NAMES = 12
@@ -37,16 +49,21 @@ SUFFIXES = (*SKELETON_SUFFIXES, ".obj", ".safetensors", *sorted(STRAND_READERS))
 
 
 def summary_of(path: Path, body: BodyModel, joints: Path | None = None, frame: FileFrame = UNKNOWN) -> Summary:
-    """What a file holds: its `kind` (`strands`, `groom`, `motion`, `character`, `drape`, `head` or `weights`), and by
-    name what there is to know of it; `REFUSED` where it cannot be used.
+    """What a file holds, or a bundled groom or motion: its `kind` (`strands`, `groom`, `motion`, `character`, `body`,
+    `drape`, `head` or `weights`), and by name what there is to know of it; `REFUSED` where it cannot be used.
 
     Args:
+        path: the file, or the bundled name.
         joints: a joint map for a motion file or a character.
         frame: what is known of a groom file's axes and unit.
 
     Raises:
         InputError: no such file, of no kind that is read, or one that cannot be read.
     """
+    if str(path) in STYLES:
+        return _groom(load_groom(str(path), body))
+    if str(path) in CLIP_NAMES:
+        return {"kind": "motion", **motion_summary(load_motion(path, body), body)}
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(path, f"a file that is read ({', '.join(SUFFIXES)})", f"suffix {path.suffix!r}")
@@ -62,8 +79,10 @@ def summary_of(path: Path, body: BodyModel, joints: Path | None = None, frame: F
         names = array_names(path)
         if names >= DRAPE_ARRAYS:
             return _drape(path)
+        if names >= BODY_ARRAYS:
+            return _body(path)
         if is_groom_file(path):
-            return _groom(path, body)
+            return _groom(read_groom(path, body))
         if any(names >= keys for keys in MOTION_ARRAYS):
             return {"kind": "motion", **usable_motion(path, body)}
     return _strands(path, body, frame)
@@ -98,6 +117,10 @@ def _strands(path: Path, body: BodyModel, frame: FileFrame) -> Summary:
         "attributes": sorted({*strands.attributes.arrays()} - {"group_names"}),
         "groups": _shortened(strands.attributes.group_names),
     }
+    if strands.times is not None and len(strands.times) > 1:
+        seconds = float(strands.times[-1] - strands.times[0])
+        rate = round((len(strands.times) - 1) / max(seconds, 1e-9), 3)
+        summary |= {"samples": len(strands.times), "samples_a_second": rate}
     try:
         groom, report = register_groom(strands, body, path.stem, frame=frame)
     except InputError as error:
@@ -126,8 +149,7 @@ def _shortened(names: Sequence[str]) -> list[str]:
     return [*names[:MOST_NAMES], *([f"{more} more"] if more > 0 else [])]
 
 
-def _groom(path: Path, body: BodyModel) -> Summary:
-    groom = read_groom(path, body)
+def _groom(groom: Groom) -> Summary:
     return {
         "kind": "groom",
         "name": groom.name,
@@ -168,6 +190,19 @@ def _drape(path: Path) -> Summary:
         "body_shape": [round(float(value), 3) for value in drape.body_shape],
         "held_parts": sorted(held_parts_of(drape)),
         "meta": drape.meta,
+    }
+
+
+def _body(path: Path) -> Summary:
+    body = load_body(path)
+    return {
+        "kind": "body",
+        "character": None if body.origin is None else body.origin.source,
+        "joints": len(body.joint_names),
+        "vertices": len(body.rest_vertices),
+        "triangles": len(body.faces),
+        "scalp_triangles": len(body.scalp.faces),
+        "extent_m": extent(body.rest_vertices.numpy()),
     }
 
 

@@ -18,17 +18,17 @@ from quaffure.io.output_path import check_output
 
 @dataclass(frozen=True)
 class InspectCommand:
-    """Say what a groom, motion, character, drape, head or weights file holds, what is guessed about it, and what would
-    be refused."""
+    """Say what a file of a groom, motion, character, body, drape, head or weights holds, or a bundled groom or motion;
+    what is guessed about it, and what would be refused."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
-    """Strands, a groom, a motion, a character (.glb, .gltf, .fbx), a drape, a head mesh (.obj, .ply) or weights
-    (.safetensors)."""
+    """Strands, a groom, a motion, a character (.glb, .gltf, .fbx), a body, a drape, a head mesh (.obj, .ply), or
+    weights (.safetensors); or the name of a bundled groom or motion."""
     joints: Path | None = None
     """A joint map (.toml) for a .bvh file or a character, instead of the map by names."""
     save_joints: Path | None = None
-    """Write the joint map of a .bvh file or a character by its names to this file (.toml), to edit and to give to
-    --joints."""
+    """Write the joint map of a .bvh file or a character by its names to this file (.toml), to edit and to give by
+    option --joints."""
     up: str = ""
     """Axis of a strand file that points up, as in +y or z; guessed without it."""
     forward: str = ""
@@ -86,6 +86,7 @@ def _use(summary: dict[str, Any]) -> str:
         "groom": "GROOM of quaffure drape",
         "motion": "--motion of quaffure drape",
         "character": f"CHARACTER of quaffure body import{clip}",
+        "body": "--body of quaffure drape, view and groom import",
         "drape": "DRAPE of quaffure render and --reference of quaffure drape",
         "head": "--head of quaffure groom import",
         "weights": "--weights of quaffure drape",

@@ -1,9 +1,11 @@
-"""Whether numba has compiled kernels before, on this machine and for these sources, and how long it takes now."""
+"""When numba compiles kernels that its cache does not hold, and how long it takes."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from numba.core.event import TimingListener, register
+from numba.core.event import Event, Listener, TimingListener, register, unregister
 
 
 class KernelSeconds(NamedTuple):
@@ -28,19 +30,38 @@ def _seconds(kind: str) -> float:
     return float(listener.duration) if listener.done else 0.0
 
 
+class CompileNotice(Listener):
+    """Calls a function once, when numba begins to compile a kernel that its cache does not hold.
+
+    Args:
+        say: prints that it does.
+    """
+
+    def __init__(self, say: Callable[[], object]) -> None:
+        self._say: Callable[[], object] | None = say
+
+    def on_start(self, event: Event) -> None:
+        if self._say is not None:
+            say, self._say = self._say, None
+            say()
+
+    def on_end(self, event: Event) -> None:
+        pass
+
+
+@contextmanager
+def announced_compiling(say: Callable[[], object]) -> Iterator[None]:
+    """While the block runs, call `say` where a kernel is compiled, once."""
+    notice = CompileNotice(say)
+    register("numba:compile", notice)  # type: ignore[no-untyped-call]
+    try:
+        yield
+    finally:
+        unregister("numba:compile", notice)  # type: ignore[no-untyped-call]
+
+
 @cache
 def _listener(kind: str) -> TimingListener:
     listener = TimingListener()  # type: ignore[no-untyped-call]
     register(kind, listener)  # type: ignore[no-untyped-call]
     return listener
-
-
-def is_cached(kernel: Any) -> bool:
-    """Whether numba's cache holds the kernel, compiled from the source as it is; True where numba compiles nothing.
-
-    numba itself decides whether a source is the one of before: by its time, and by its content from numba 0.62 on.
-    """
-    if not hasattr(kernel, "stats"):
-        return True
-    # No public name says it. `_load_index` returns nothing where the index is of another source or another numba.
-    return bool(kernel._cache._cache_file._load_index())

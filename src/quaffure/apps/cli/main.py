@@ -22,6 +22,7 @@ from quaffure.apps.cli.groom import GroomCommand, GroomsCommand
 from quaffure.apps.cli.groomgen import GroomgenDataCommand, TrainGroomgenCommand
 from quaffure.apps.cli.info import InfoCommand
 from quaffure.apps.cli.inspect import InspectCommand
+from quaffure.apps.cli.kernel_cache import announced_compiling
 from quaffure.apps.cli.option_errors import option_error
 from quaffure.apps.cli.render import RenderCommand
 from quaffure.apps.cli.rig import RigCommand
@@ -60,7 +61,10 @@ def main(arguments: list[str] | None = None) -> None:
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     console.quiet = False  # after a command with --json in the same process
     try:
-        parse(arguments).run()
+        with announced_compiling(
+            lambda: console.print("compiling kernels; first use of this feature only: up to some minutes")
+        ):
+            parse(arguments).run()
     except InputError as error:
         _refuse(str(error))
     except KeyboardInterrupt:
@@ -85,7 +89,12 @@ def parse(arguments: list[str] | None = None) -> Command:
                 prog="quaffure",
                 description="Drape strand hair on a posed, shaped body. `quaffure --version` prints the version.",
                 args=words,
-                config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+                config=(
+                    tyro.conf.OmitSubcommandPrefixes,
+                    tyro.conf.OmitArgPrefixes,
+                    tyro.conf.FlagCreatePairsOff,
+                    tyro.conf.DisallowNone,
+                ),
             )
     except SystemExit as stop:
         if not stop.code:  # --help

@@ -40,6 +40,11 @@ def usable_motion(path: Path, body: BodyModel, joints: Path | None = None) -> Su
         motion = read_motion(path, body, joints)
     except InputError as error:
         return {REFUSED: f"expected {error.expected}, found {error.found}"}
+    return motion_summary(motion, body)
+
+
+def motion_summary(motion: Motion, body: BodyModel) -> Summary:
+    """A motion on the body's joints."""
     first = calibration_pose(resample(motion, FPS), body)
     return {
         "frames": len(motion),

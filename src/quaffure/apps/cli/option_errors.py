@@ -1,11 +1,13 @@
 """One plain line for words that are no command, in place of the box that tyro prints."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import is_dataclass
 from typing import Any, get_args, get_type_hints
 
 KINDS = {"INT": "a whole number", "FLOAT": "a number"}
 """What tyro's words for types mean."""
+NO_VALUE = "expected a value, found none"
 NONE_OF_TYPES = re.compile(r"\['([^']*)'\]")
 QUOTED = re.compile(r"'([^']*)'\s*$")
 # tyro adds a name of its own to errors of dataclasses that refuse their values.
@@ -23,7 +25,10 @@ def option_error(message: str, arguments: Sequence[str], commands: Any) -> str:
     command, choices = command_of(arguments, commands)
     program = " ".join(("quaffure", *command))
     blocks = _blocks(message)
-    return f"{_reason(blocks, program, choices)}; see: {program} --help"
+    reason = _reason(blocks, program, choices)
+    if reason.endswith(NO_VALUE) and (unknown := _unknown_options(arguments, _type_of(command, commands))):
+        reason = f"unknown option {', '.join(unknown)}"
+    return f"{reason}; see: {program} --help"
 
 
 def command_of(arguments: Sequence[str], commands: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -36,6 +41,28 @@ def command_of(arguments: Sequence[str], commands: Any) -> tuple[tuple[str, ...]
     nested = next((field for field in of_fields if all(map(_name, get_args(field) or [None]))), None)
     found, choices = command_of(arguments[arguments.index(named) + 1 :], nested)
     return (named, *found), choices
+
+
+def _type_of(command: Sequence[str], commands: Any) -> Any:
+    """The dataclass of a subcommand."""
+    found = None
+    for name in command:
+        found = next(get_args(member)[0] for member in get_args(commands) if _name(member) == name)
+        of_fields = get_type_hints(found, include_extras=True).values()
+        commands = next((field for field in of_fields if all(map(_name, get_args(field) or [None]))), None)
+    return found
+
+
+def _unknown_options(arguments: Sequence[str], command: Any) -> list[str]:
+    """Options that a subcommand does not have: a word after one may be the value that another argument lacks."""
+    given = [word.partition("=")[0] for word in arguments if word.startswith("--")]
+    return [option for option in given if option not in {"--help", *_options(command)}]
+
+
+def _options(command: Any) -> Iterator[str]:
+    for field, kind in get_type_hints(command).items() if is_dataclass(command) else ():
+        yield from (f"--{prefix}{field.replace('_', '-')}" for prefix in ("", "no-"))
+        yield from _options(kind)
 
 
 def _name(member: Any) -> str:
@@ -57,7 +84,7 @@ def _reason(blocks: Sequence[str], program: str, choices: Sequence[str]) -> str:
     if re.match(r"Expected one of \{", first):
         return f"expected a command, one of {', '.join(choices)}, found none"
     if missing := re.match(r"Missing value for argument '(\S+)'", first):
-        return f"{missing[1]}: expected a value, found none"
+        return f"{missing[1]}: {NO_VALUE}"
     if chosen := re.match(r"invalid choice '(.*)' for argument '(\S+)'. Expected one of \((.*)\)", first):
         names = sorted({*re.findall(r"'([^']+)'", chosen[3])} - {"None"})
         return f"{chosen[2]}: expected one of {', '.join(names)}, found '{chosen[1]}'"

@@ -19,13 +19,16 @@ from quaffure.hair.placed_clip import PlacedClip
 from quaffure.io.output_path import check_distinct, check_not_input, check_one_frame, check_output
 from quaffure.io.usd_layers import frame_layers
 
-PICTURES = (".png", ".mp4")
+VIDEO = ".mp4"
+PICTURES = (".png", VIDEO)
 USD = (".usd", ".usda", ".usdc")
 EXPORTS = (*USD, ".abc")
 ONE_FRAME = (".hair", ".ply", ".data", ".bin")
 SUFFIXES = (".npz", *EXPORTS, ".glb", *ONE_FRAME, *PICTURES)
 EXTRA_OF = {**dict.fromkeys(PICTURES, "render"), **dict.fromkeys(USD, "usd"), ".abc": "alembic"}
 SHOWN_BYTES = 2e8
+LARGE_BYTES = 2e7
+"""Size from which a file is printed with it: who writes a clip as meshes may not expect it."""
 MOST_BYTES = 4e9
 """Limit of the frames that a format keeps in memory until they are written."""
 
@@ -92,16 +95,21 @@ def files_of(paths: Iterable[Path]) -> list[Path]:
 
 
 def written_text(paths: Iterable[Path], frames: range, settings: ExportSettings) -> str:
-    """Names of all files that were written.
+    """Names of all files that were written, and sizes of large ones.
 
     Args:
         frames: of the drape.
     """
     paths = [*paths]
-    names, layers = [*map(str, files_of(paths))], layers_of(paths, frames, settings)
+    names, layers = [*map(_named, files_of(paths))], layers_of(paths, frames, settings)
     if layers:
         names.append(f"frames in {len(layers)} layers, {layers[0].name} to {layers[-1].name}")
     return ", ".join(names)
+
+
+def _named(path: Path) -> str:
+    size = path.stat().st_size if path.is_file() else 0
+    return f"{path} ({size / 1e6:.0f} MB)" if size >= LARGE_BYTES else str(path)
 
 
 def asset_path(path: Path) -> Path:

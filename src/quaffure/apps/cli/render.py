@@ -12,17 +12,20 @@ from quaffure.apps.cli.console import console
 from quaffure.apps.cli.inputs import character_space_of
 from quaffure.apps.cli.outputs import (
     PICTURES,
+    VIDEO,
     check_frames,
     check_outputs,
     is_export,
     known_groom,
     write_output,
     writing_text,
+    written_text,
 )
 from quaffure.apps.cli.shown_strands import GUIDES, ORIGINAL, clip_of_pictures, source_of_drape, strands_between
-from quaffure.body.body_model import load_body
+from quaffure.body.body_model import BodyModel, load_body
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip, ExportSettings
+from quaffure.hair.groom import Groom
 from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.guide_interpolation import groom_of_drape
 from quaffure.hair.placed_clip import placed_clip
@@ -44,10 +47,9 @@ class RenderCommand:
     motion: str = ""
     """The character's file that the drape is of, and its animation (FILE.glb#NAME): its skin then moves the roots."""
     strands: str | None = None
-    """A number of strands to interpolate between the draped ones, 10,000 to 100,000 are a full head of hair;
-    `original`, every strand of the groom file that was draped (--groom); or `guides`, the draped ones. Without it,
-    files have the draped strands, and so have pictures, unless there are fewer than 1,500: then they show 12,000
-    between them."""
+    """A number of strands to interpolate between the draped ones, 10,000 to 100,000 are a full head of hair; the
+    word `original`, every strand of the groom file that was draped (--groom); or `guides`, the draped ones. Without it,
+    files have the draped strands; pictures show 12,000 and videos 6,000 between them, unless as many are draped."""
     groom: Path | None = None
     """With --strands original: the groom file that was draped."""
     head: Path | None = None
@@ -64,7 +66,7 @@ class RenderCommand:
         check_frames(self.out, range(0, len(sequence), self.export.every), self.export, inputs)
         body, groom, interpolation, binding = load_body(self.body), None, None, None
         if self.strands not in (None, GUIDES):
-            groom, source = groom_of_drape(sequence, body), str(self.drape)
+            groom, source = groom_of_drape(sequence, body, self.drape), str(self.drape)
             if self.strands == ORIGINAL:
                 groom, source = source_of_drape(groom, self.groom, body, self.head), str(self.groom)
             interpolation = strands_between(self.strands, source, groom, body, self.head)
@@ -76,8 +78,19 @@ class RenderCommand:
         space = character_space_of(self.motion, body, sequence.times, self.export)
         if space is not None:
             clip = placed_clip(clip, space)
-        pictured = cache(lambda: clip_of_pictures(clip, self.strands, groom or known_groom(sequence, body), body))
+        pictured = cache(lambda in_video: self._pictured(clip, groom, body, in_video))
         for path in self.out:
-            shown = pictured() if path.suffix.lower() in PICTURES else clip
+            suffix = path.suffix.lower()
+            shown = pictured(suffix == VIDEO) if suffix in PICTURES else clip
             console.print(writing_text(path, len(sequence)), markup=False, highlight=False, soft_wrap=True)
             write_output(path, shown)
+        console.print(f"written: {written_text(self.out, clip.frames, self.export)}", soft_wrap=True)
+
+    def _pictured(self, clip: ExportClip, groom: Groom | None, body: BodyModel, in_video: bool) -> ExportClip:
+        """What pictures or videos show; a line is printed where it is the draped strands because of another body."""
+        try:
+            groom = groom or groom_of_drape(clip.sequence, body, self.drape)
+        except InputError as error:
+            if self.strands is None:
+                console.print(f"the draped strands alone: {error}", markup=False, highlight=False, soft_wrap=True)
+        return clip_of_pictures(clip, self.strands, groom, body, in_video)

@@ -8,16 +8,14 @@ from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip
 from quaffure.hair.groom import Groom
-from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of
+from quaffure.hair.guide_interpolation import GuideInterpolation, interpolation_of, shown_between
 from quaffure.hair.source_strands import original_strands
 from quaffure.io.load_groom import load_groom, load_source
 
 ORIGINAL, GUIDES = "original", "guides"
 OPTION = "--strands"
-SPARSE = 1500
-"""Fewer strands than these, drawn as wide as strands are at most, leave the scalp bare between them."""
-STRANDS_OF_PICTURES = 12_000
-"""Strands in pictures of sparse grooms."""
+FEW_GUIDES = 500
+"""Fewer guides than these are too far apart for strands between them to look like hair."""
 SAME_STRAND = 1e-3
 """Largest distance of roots, and difference of lengths, of one strand of a drape and of its groom [m]."""
 
@@ -44,27 +42,31 @@ def strands_between(
     return interpolation_of(groom, body, int(strands))
 
 
-def clip_of_pictures(clip: ExportClip, strands: str | None, groom: Groom | None, body: BodyModel) -> ExportClip:
-    """What pictures and videos show. Where nobody asked for certain strands and the draped ones are too few to cover
-    the scalp, it is strands between them, and a line is printed about it.
+def clip_of_pictures(
+    clip: ExportClip, strands: str | None, groom: Groom | None, body: BodyModel, in_video: bool = False
+) -> ExportClip:
+    """What pictures or videos show. Where nobody asked for certain strands and the draped ones are fewer than shown
+    there, it is strands between them, and a line is printed about it.
 
     Args:
         strands: what was asked for.
         groom: that was draped, where it is known.
     """
-    draped = clip.sequence.strands.shape[1]
-    if strands is not None or groom is None or draped >= SPARSE:
+    between = None if strands is not None or groom is None else shown_between(groom, body, in_video)
+    if between is None:
         return clip
-    try:
-        between = interpolation_of(groom, body, STRANDS_OF_PICTURES)
-    except InputError:  # too few for a triangle
-        return clip
-    console.print(
-        f"pictures show {len(between)} strands between the {draped} draped ones, which would leave the scalp bare "
-        f"({OPTION} {GUIDES}: the draped ones alone; {OPTION} N: another number)",
-        highlight=False,
-        soft_wrap=True,
-    )
+    draped, what = clip.sequence.strands.shape[1], "videos" if in_video else "pictures"
+    lines = [
+        f"{what} show {len(between)} strands between the {draped} draped ones "
+        f"({OPTION} {GUIDES}: the draped ones alone; {OPTION} N: another number)"
+    ]
+    if draped < FEW_GUIDES:
+        lines.append(
+            f"warning: {draped} guides are few: strands between them may look like slabs. Export {FEW_GUIDES} or more "
+            f"from the program that made them, or draw them alone ({OPTION} {GUIDES})"
+        )
+    for line in lines:
+        console.print(line, highlight=False, soft_wrap=True)
     return replace(clip, interpolation=between)
 
 

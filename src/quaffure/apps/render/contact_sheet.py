@@ -12,7 +12,7 @@ from quaffure.apps.render.pictures import save_png
 from quaffure.apps.render.scene import StrandRenderer
 from quaffure.body.body_model import BodyModel
 from quaffure.hair.groom import Groom
-from quaffure.hair.guide_interpolation import interpolation_of
+from quaffure.hair.guide_interpolation import SHOWN_STRANDS, interpolation_of
 from quaffure.io.output_path import check_output
 
 VIEWS = ("3/4", "side", "back")
@@ -22,8 +22,6 @@ GAP, CAPTION, CAPTION_SIZE = 18, 40, 20  # pixels
 SUPERSAMPLING = 3
 # Width of a tile in the scene, height of its upper edge above the Head joint, and its margin above higher hair [m].
 TILE_EXTENT, TILE_TOP, TOP_MARGIN = 0.36, 0.19, 0.015
-# Guides alone look sparse: strands between them are drawn as well.
-DRAWN_STRANDS = 12_000
 PAPER, INK, PALE_INK = (246, 246, 247), (38, 38, 42), (128, 128, 136)
 NATURAL_COLOURS = (
     (0.150, 0.062, 0.025),  # chestnut
@@ -78,7 +76,7 @@ def _views(
     groom: Groom, body: BodyModel, renderer: StrandRenderer, hair_colour: tuple[float, float, float]
 ) -> UInt8[np.ndarray, "h w 3"]:
     vertices, faces = body.rest_vertices.numpy(), body.faces.numpy()
-    strands = interpolation_of(groom, body, DRAWN_STRANDS).strands(groom.rest_strands.numpy(), vertices)
+    strands = interpolation_of(groom, body, SHOWN_STRANDS).strands(groom.rest_strands.numpy(), vertices)
     head = body.rest_joints[body.joint_names.index("Head")].numpy()
     top = max(head[2] + TILE_TOP, float(groom.rest_strands[..., 2].max()) + TOP_MARGIN)
     centre = np.array([head[0], head[1], top - 0.5 * TILE_EXTENT * TILE_HEIGHT / TILE_WIDTH])

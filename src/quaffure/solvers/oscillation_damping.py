@@ -38,6 +38,6 @@ class OscillationDamping:
         product = np.einsum("sva,sva->s", moved, moved_before)
         lengths = np.sqrt((moved * moved).sum(axis=(1, 2)) * (moved_before * moved_before).sum(axis=(1, 2)))
         cosine = product / np.maximum(lengths, 1e-12)
-        grown = np.clip(self.growth * damping, self.first, self.most)
+        raised = np.clip(self.growth * damping, self.first, self.most)
         kept = np.where(cosine > self.steady, self.decay * damping, damping)
-        return np.where(cosine < self.reversed, grown, kept).astype(damping.dtype)
+        return np.where(cosine < self.reversed, raised, kept).astype(damping.dtype)

@@ -14,7 +14,7 @@ APART, BESIDE = 0.015, 0.010
 """A strand is a stray if one of its vertices is farther than `APART` [m] from all other strands, and each was within
 `BESIDE` [m] of one in the posed groom."""
 FIRST_VERTEX = 3
-"""Vertices nearer to the root are not looked at: they stand where they are rooted."""
+"""The first vertex of a strand that counts; those before it stand where the strand is rooted."""
 
 
 def stands_apart(positions: np.ndarray, distance: float) -> np.ndarray:
@@ -32,8 +32,12 @@ def stands_apart(positions: np.ndarray, distance: float) -> np.ndarray:
 
 
 def nearest_of(root: np.ndarray, strays: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Of the strands `others`, the one rooted nearest to each of the `strays`; both are indices, `root` is
-    [strand 3]."""
+    """For each of the `strays`, which of the strands `others` is rooted nearest to it.
+
+    Args:
+        root: positions of all roots [m], [strand 3].
+        strays, others: indices of strands.
+    """
     return others[cKDTree(root[others]).query(root[strays])[1]]
 
 

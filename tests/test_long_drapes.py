@@ -19,7 +19,7 @@ from quaffure.io.frame_folder import FrameFolder
 BATCH, TOTAL = 4, 10
 RANDOM = np.random.default_rng(0)
 WHOLE = Frames(*(RANDOM.random((TOTAL, *shape), np.float32) for shape in ((5, 3, 3), (5, 3, 3), (7, 3))))
-DIRECTION = RANDOM.random((5, 2, 3), np.float32)
+STATE = RANDOM.random((5, 7), np.float32)
 
 
 def batches() -> Iterator[Frames]:
@@ -35,7 +35,7 @@ def filled(path: Path, count: int) -> FrameFolder:
     """A folder with some batches."""
     store = folder(path, resume=False)
     for number, batch in zip(range(count), batches()):
-        store.append(batch, BatchState(float(number), DIRECTION + number))
+        store.append(batch, BatchState(float(number), STATE + number))
     return store
 
 
@@ -50,8 +50,8 @@ def test_frames_are_kept(tmp_path: Path) -> None:
     store.close()
     again = folder(tmp_path / "frames", resume=True)
     assert (len(again), again.milliseconds) == (TOTAL, store.milliseconds)
-    assert again.direction is not None
-    np.testing.assert_array_equal(again.direction, DIRECTION + 2)
+    assert again.follows is not None
+    np.testing.assert_array_equal(again.follows, STATE + 2)
 
 
 @pytest.mark.parametrize("name", Frames._fields)
@@ -61,11 +61,11 @@ def test_what_a_killed_run_left_of_a_batch_is_cut_off(tmp_path: Path, name: str)
         filled(tmp_path / "frames", 2).close()
         file = tmp_path / "frames" / f"{name}.f32"
         file.write_bytes(file.read_bytes()[:-lost])
-        np.save(tmp_path / "frames" / "direction-4.npy", DIRECTION)  # removed after a batch is whole
+        np.save(tmp_path / "frames" / "state-4.npy", STATE)  # removed after a batch is whole
         again = folder(tmp_path / "frames", resume=True)
         assert (len(again), again.milliseconds) == (BATCH, [0.0])
-        assert again.direction is not None
-        np.testing.assert_array_equal(again.direction, DIRECTION)
+        assert again.follows is not None
+        np.testing.assert_array_equal(again.follows, STATE)
         for number, batch in enumerate([*batches()][1:], 1):
             again.append(batch, BatchState(float(number)))
         for expected, found in zip(WHOLE, again.frames()):

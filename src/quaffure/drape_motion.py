@@ -64,15 +64,15 @@ def drape_motion(
         path = _path(motion, rows)
         if rows.stop <= stored:
             draped = torch.from_numpy(store.frames().strands[rows] - path[:, None, None])
-            if rows.stop == stored and isinstance(draper, ResumableDraper) and store.direction is not None:
-                draper.follow(scene, torch.from_numpy(store.direction))
+            if rows.stop == stored and isinstance(draper, ResumableDraper) and store.follows is not None:
+                draper.follow(scene, torch.from_numpy(store.follows))
         else:
             draped = draper.drape(scene).detach()
             milliseconds = 1000 * (time.perf_counter() - start) / len(body_pose)
-            direction = draper.direction if isinstance(draper, ResumableDraper) else None
+            state = draper.state if isinstance(draper, ResumableDraper) else None
             store.append(
                 _along_path(draped, scene, path),
-                BatchState(milliseconds, None if direction is None else direction.numpy().astype(np.float32)),
+                BatchState(milliseconds, None if state is None else state.numpy().astype(np.float32)),
             )
         on_frames(draped, scene)
     times = store.milliseconds[1:] or store.milliseconds

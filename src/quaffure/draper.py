@@ -62,14 +62,14 @@ class ResumableDraper(ClipDraper, Protocol):
     """One that can go on after frames that another process draped.
 
     Attributes:
-        direction: unit direction of every edge in the last frame, from which the next one follows.
+        state: what the next frame follows from, a row of numbers of every strand; None before the first frame.
     """
 
     @property
-    def direction(self) -> Float[Tensor, "s e 3"] | None: ...
+    def state(self) -> Float[Tensor, "s k"] | None: ...
 
-    def follow(self, scene: Scene, direction: Float[Tensor, "s e 3"]) -> None:
-        """Continue from the last of these frames, whose edges have these directions, as if it had been draped here."""
+    def follow(self, scene: Scene, state: Float[Tensor, "s k"]) -> None:
+        """Continue from the last of these frames, after which `state` was this, as if it had been draped here."""
         ...
 
 

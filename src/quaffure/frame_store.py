@@ -27,11 +27,11 @@ class BatchState:
 
     Attributes:
         milliseconds: wall time of one of its drapes.
-        direction: of every edge in its last frame, from which the next frame follows; None where frames are alone.
+        follows: what the next frame follows from (`ResumableDraper.state`); None where frames are alone.
     """
 
     milliseconds: float
-    direction: Float32[np.ndarray, "s e 3"] | None = None
+    follows: Float32[np.ndarray, "s k"] | None = None
 
 
 @runtime_checkable
@@ -48,8 +48,8 @@ class FrameStore(Protocol):
         ...
 
     @property
-    def direction(self) -> Float32[np.ndarray, "s e 3"] | None:
-        """`BatchState.direction` of the last batch."""
+    def follows(self) -> Float32[np.ndarray, "s k"] | None:
+        """`BatchState.follows` of the last batch."""
         ...
 
     def append(self, frames: Frames, state: BatchState) -> None:
@@ -76,8 +76,8 @@ class FramesInMemory:
         return [state.milliseconds for state in self._states]
 
     @property
-    def direction(self) -> Float32[np.ndarray, "s e 3"] | None:
-        return self._states[-1].direction if self._states else None
+    def follows(self) -> Float32[np.ndarray, "s k"] | None:
+        return self._states[-1].follows if self._states else None
 
     def append(self, frames: Frames, state: BatchState) -> None:
         self._batches.append(frames)

@@ -16,7 +16,7 @@ from quaffure.io.atomic import write_json
 
 SETTINGS = "settings.json"
 WRITABLE = "a folder for frames that can be written"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 def frames_path(output: Path) -> Path:
@@ -81,9 +81,9 @@ class FrameFolder:
         return self._count
 
     @property
-    def direction(self) -> Float32[np.ndarray, "s e 3"] | None:
-        """Direction of every edge in the last frame of the last batch, where frames follow from it."""
-        path = self._direction_path(self._count)
+    def follows(self) -> Float32[np.ndarray, "s k"] | None:
+        """What the frame after the last batch follows from, where frames follow each other."""
+        path = self._state_path(self._count)
         return np.load(path, allow_pickle=False) if path.exists() else None
 
     def append(self, frames: Frames, state: BatchState) -> None:
@@ -96,13 +96,13 @@ class FrameFolder:
             if not self._count:
                 self._start(frames)
             count = self._count + len(frames.strands)
-            if state.direction is not None:
-                np.save(self._direction_path(count), state.direction)
+            if state.follows is not None:
+                np.save(self._state_path(count), state.follows)
             # The number of whole frames is that in the smallest file, so the batch counts once all of them are there.
             for name, array in frames._asdict().items():
                 self._extend(name, np.ascontiguousarray(array, dtype="<f4"))
             self._extend("milliseconds", np.array([state.milliseconds], dtype="<f4"))
-            self._direction_path(self._count).unlink(missing_ok=True)
+            self._state_path(self._count).unlink(missing_ok=True)
         self._count = count
         self.milliseconds.append(state.milliseconds)
 
@@ -161,5 +161,5 @@ class FrameFolder:
     def _file(self, name: str) -> Path:
         return self.path / f"{name}.f32"
 
-    def _direction_path(self, count: int) -> Path:
-        return self.path / f"direction-{count}.npy"
+    def _state_path(self, count: int) -> Path:
+        return self.path / f"state-{count}.npy"

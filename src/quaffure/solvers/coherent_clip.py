@@ -6,6 +6,7 @@ jump between them. Here strands go from one frame's minimum to the next, by limi
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
 from quaffure.config import HairMaterial
@@ -15,6 +16,7 @@ from quaffure.hair.groom_cache import GroomCopy
 from quaffure.scene import PosedScene, Scene
 from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.strand_newton import StrandNewtonDraper
+from quaffure.solvers.stray_strands import BESIDE, stands_apart
 from quaffure.types import Float, Positions, RestLengths, Tensor
 
 FRAME_SECONDS = 1 / 30
@@ -39,6 +41,8 @@ class CoherentSetting:
         cut_distance, cut_angle: mean displacement [m] and rotation [rad] of the roots in one frame from which on the
             motion is cut and hair is settled anew.
         cut_seconds: between frames, above which every frame is settled anew [s].
+        stray_rounds, stray_passes: of a frame that is settled anew: how often strands that stand apart rejoin the
+            others, and passes after that.
     """
 
     passes: int = 4
@@ -51,6 +55,8 @@ class CoherentSetting:
     cut_distance: float = 0.25
     cut_angle: float = 0.8
     cut_seconds: float = 0.5
+    stray_rounds: int = 2
+    stray_passes: int = 5
 
     def over(self, seconds: float) -> "CoherentSetting":
         """The setting for frames that are further apart, or nearer: hair and roots are as fast as before, and hair
@@ -98,14 +104,18 @@ class CoherentDraper:
         self._last = None
 
     @property
-    def direction(self) -> Float[Tensor, "s e 3"] | None:
-        """Unit direction of every edge in the last frame; None before the first one."""
-        return None if self._last is None else self._last.direction
+    def state(self) -> Float[Tensor, "s k"] | None:
+        """The directions of every strand's edges in the last frame, then its damping; None before the first one."""
+        last = self._last
+        if last is None:
+            return None
+        return torch.cat([last.direction.flatten(1), torch.from_numpy(last.damping)[:, None]], dim=1)
 
-    def follow(self, scene: Scene, direction: Float[Tensor, "s e 3"]) -> None:
-        """Continue from the last of these frames, whose edges have these directions, as if it had been draped here."""
+    def follow(self, scene: Scene, state: Float[Tensor, "s k"]) -> None:
+        """Continue from the last of these frames, after which `state` was this, as if it had been draped here."""
         last = scene.sample(len(scene.posed) - 1)
-        self._last = _frame(last, direction)
+        direction = state[:, :-1].reshape(len(state), -1, 3)
+        self._last = replace(_frame(last, direction), damping=state[:, -1].numpy().astype(np.float32))
 
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of the next frames, which follow those of the last call [m, world]."""
@@ -117,16 +127,29 @@ class CoherentDraper:
         frame = _frame(scene, scene.director[0])
         if last is None or not last.groom.is_of(scene.groom) or self._is_cut(last, frame):
             descent, self.is_moving = self.draper.descend(energy, scene), False
+            self._gather_strays(descent, scene)
         else:
             most_with_head = self.setting.over(self.frame_seconds).most_with_head
-            descent = self._followed(energy, scene, last.rotated_to(frame, scene.groom.rest_lengths, most_with_head))
+            direction = last.rotated_to(frame, scene.groom.rest_lengths, most_with_head)
+            descent = self._followed(energy, scene, direction, last.damping)
             self.is_moving = self._moves(descent)
-        self._last = replace(frame, direction=torch.from_numpy(descent.direction.copy()))
+        self._last = replace(frame, direction=torch.from_numpy(descent.direction.copy()), damping=descent.damping)
         return descent.positions
 
-    def _followed(self, energy: HairEnergy, scene: PosedScene, direction: Float[Tensor, "s e 3"]) -> StrandDescent:
+    def _gather_strays(self, descent: StrandDescent, scene: PosedScene) -> None:
+        had_company = ~stands_apart(scene.posed[0].numpy(), BESIDE)
+        for _ in range(self.setting.stray_rounds):
+            if not descent.rejoin_strays(had_company):
+                break
+            descent.resolve_contact(self.draper.setting.resolved_share)
+            descent.settle(self.setting.stray_passes)
+
+    def _followed(
+        self, energy: HairEnergy, scene: PosedScene, direction: Float[Tensor, "s e 3"], damping: np.ndarray
+    ) -> StrandDescent:
         setting = self.setting.over(self.frame_seconds)
         descent = StrandDescent(energy, scene, self.draper.setting.control, direction)
+        descent.damping = damping
         # A limb may sweep through hair faster than hair may move in a frame.
         descent.resolve_contact(0.0)
         descent.follow(setting.passes, setting.most_move, setting.most_moved)
@@ -155,6 +178,7 @@ class _Frame:
         root, posed_tip: positions [m].
         rotation: of the scalp triangles from rest.
         direction: unit direction of every edge.
+        damping: of every strand, see `OscillationDamping`.
     """
 
     groom: GroomCopy
@@ -162,6 +186,7 @@ class _Frame:
     posed_tip: Float[Tensor, "s 3"]
     rotation: Float[Tensor, "s 3 3"]
     direction: Float[Tensor, "s e 3"]
+    damping: np.ndarray
 
     def rotated_to(self, frame: "_Frame", lengths: RestLengths, most_with_head: float) -> Float[Tensor, "s e 3"]:
         """The directions of the edges, rotated as the scalp has rotated.
@@ -184,4 +209,5 @@ class _Frame:
 def _frame(scene: PosedScene, direction: Float[Tensor, "s e 3"]) -> _Frame:
     """The first frame of a scene, with hair of these directions."""
     posed = scene.posed[0]
-    return _Frame(GroomCopy(scene.groom), posed[:, 0], posed[:, -1], scene.root_rotation[0], direction)
+    undamped = np.zeros(len(direction), np.float32)
+    return _Frame(GroomCopy(scene.groom), posed[:, 0], posed[:, -1], scene.root_rotation[0], direction, undamped)

@@ -6,7 +6,7 @@ diagonal a stiffness that lets no vertex go far before the force is computed ane
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from quaffure.energies.rod_term import PosedRod, Rod
 from quaffure.geometry.cell_list import check_finite
 from quaffure.geometry.polyline import directors
 from quaffure.scene import HairScene
+from quaffure.solvers.oscillation_damping import OscillationDamping
 from quaffure.solvers.strand_kernels import (
     DensityModel,
     Evaluation,
@@ -31,6 +32,7 @@ from quaffure.solvers.strand_kernels import (
     rotate_edges,
 )
 from quaffure.solvers.strand_recursion import StrandModel, newton_rotations
+from quaffure.solvers.stray_strands import APART, nearest_of, stands_apart
 from quaffure.types import Float, Positions, Tensor
 
 FREE_TURN = 1.5
@@ -49,6 +51,7 @@ class StepControl:
             slower; longer, groups of strands move past each other.
         most_damping: factor by which the stiffness against the hair around is raised at most, when a pass after which
             the energy of all hair has risen is undone.
+        oscillation: damping of strands that move back and forth while they `follow`.
     """
 
     most_turn: float = 1.0
@@ -56,6 +59,7 @@ class StepControl:
     shortening: float = 0.4
     yield_distance: float = 2e-3
     most_damping: float = 1e3
+    oscillation: OscillationDamping = field(default_factory=OscillationDamping)
 
 
 class _State(NamedTuple):
@@ -73,6 +77,7 @@ class StrandDescent:
         direction: unit direction of every edge [strand edge 3].
         passes: done so far.
         moved: largest displacement of a vertex of each strand in the last pass [m].
+        damping: of every strand while it follows, see `OscillationDamping`.
     """
 
     def __init__(
@@ -124,6 +129,8 @@ class StrandDescent:
         # Stiffness of contact that `_now` was evaluated with; None where the directions have changed since.
         self._k_of_now: np.float32 | None = None
         self._start: np.ndarray | None = None
+        self.damping = np.zeros(strands, np.float32)
+        self._displacement: np.ndarray | None = None  # of the last pass of `follow`
 
     @property
     def positions(self) -> Positions:
@@ -160,13 +167,38 @@ class StrandDescent:
         """Passes with all terms, in each of which no vertex moves by more than `most_move` [m], and in all since
         the start by more than `most_moved` [m], both to first order. The energy may rise: hair that follows a
         head is on its way."""
+        oscillation = self._control.oscillation
         for _ in range(passes):
-            self._model_surroundings(self._with_other_hair()[1])
+            gradient = self._with_other_hair()[1]
+            self._model_surroundings(gradient, self.damping[:, None], oscillation.weight_share)
+            before = self._now.positions.copy()
             if self._start is None:
-                self._start = self._now.positions.copy()
-            gone = np.linalg.norm(self._now.positions - self._start, axis=-1).max(axis=-1)
+                self._start = before
+            gone = np.linalg.norm(before - self._start, axis=-1).max(axis=-1)
             limit = np.clip(most_moved - gone, 0.0, most_move)
             self._move(self._k_body_collision, self._control.most_turn, limit, self._control.backtracks)
+            moved, moved_before = self._now.positions - before, self._displacement
+            if moved_before is not None:
+                self.damping = oscillation.updated(self.damping, moved, moved_before)
+            self._displacement = moved
+
+    def rejoin_strays(self, had_company: np.ndarray) -> int:
+        """Give strands that stand apart the directions of the strand rooted nearest to them; the new start.
+
+        Args:
+            had_company: strands that may be strays [strand]; those that something holds are none.
+
+        Returns:
+            How many there were.
+        """
+        self._evaluate(self._k_body_collision)
+        may_be = had_company & (self._rod.goal_weight == 0).all(axis=1)
+        is_stray = may_be & stands_apart(self._now.positions, APART)
+        strays, others = np.flatnonzero(is_stray), np.flatnonzero(may_be & ~is_stray)
+        if len(strays) and len(others):
+            self.direction[strays] = self.direction[nearest_of(self._hair.root, strays, others)]
+            self._best = self._k_of_now = self._start = None
+        return len(strays)
 
     @property
     def has_goals(self) -> bool:
@@ -202,7 +234,7 @@ class StrandDescent:
         else:
             self._best = _State(total, self.direction.copy(), gradient)
             self._damping = 0.5 * self._damping if self._damping > 0.1 else 0.0
-        self._model_surroundings(self._best.gradient_of_others)
+        self._model_surroundings(self._best.gradient_of_others, self._damping)
 
     def _with_other_hair(self) -> tuple[float, np.ndarray]:
         """Energy of all terms [J], and the gradient of those between strands."""
@@ -219,7 +251,7 @@ class StrandDescent:
         """Each strand is held by the rest of its tail alone, and free hair by nothing."""
         if self._cohesion.terms:
             self._evaluate(np.float32(0.0) if self._k_of_now is None else self._k_of_now)
-            self._model_surroundings(self._cohesion_and_gradient()[1])
+            self._model_surroundings(self._cohesion_and_gradient()[1], self._damping)
         else:
             self._around.gradient[:], self._around.stiffness[:] = 0.0, 0.0
 
@@ -229,13 +261,13 @@ class StrandDescent:
         energy = self._cohesion.total(hair, self._scene)
         return float(energy.detach()), torch.autograd.grad(energy, hair)[0][0].numpy()
 
-    def _model_surroundings(self, gradient: np.ndarray) -> None:
+    def _model_surroundings(self, gradient: np.ndarray, damping: float | np.ndarray, weight_share: float = 1.0) -> None:
         size = np.linalg.norm(gradient, axis=-1)
         # Where strands cross, Eq. 11 has forces of 1e7 weights, beside which float64 keeps nothing of the rod.
         limited = np.minimum(size, self._most_force)
         self._around.gradient[:] = gradient * (limited / np.maximum(size, 1e-30))[..., None]
         self._around.positions[:] = self._now.positions
-        force = (1 + self._damping) * limited + self._damping * self._own_weight
+        force = (1 + damping) * limited + weight_share * damping * self._own_weight
         self._around.stiffness[:] = force / self._control.yield_distance
 
     def _move(self, k_body_collision: np.float32, most_turn: float, most_move: np.ndarray, backtracks: int) -> None:

@@ -1,6 +1,7 @@
 """Clips by `CoherentDraper`: the table in docs/hanging.md.
 
-python scripts/clip_table.py [FILE.bvh ...] [--styles STYLE ...]; bundled neck_turn, bow, and 150 frames of each file.
+python scripts/clip_table.py [FILE.bvh ...] [--styles STYLE ...]; idle, neck_turn, bow, and 150 frames of
+each file.
 """
 
 import time
@@ -9,7 +10,7 @@ from pathlib import Path
 import torch
 import tyro
 
-from quaffure.benchmark.appearance import JUMP_SPEED, jumps
+from quaffure.benchmark.appearance import JUMP_SPEED, jumps, velocity_changes
 from quaffure.body import BodyModel, Motion, bundled_clip, load_body, resample
 from quaffure.energies.body_collision import intersection_percent
 from quaffure.hair import Groom
@@ -22,8 +23,8 @@ FPS, FRAMES = 30.0, 150
 EVERY = 15
 """Frames between those that are draped alone as well, to compare energies."""
 COLUMNS = (
-    "style", "clip", "frames", "jumps", "largest [mm]", "energy above frames alone, mean", "most", "inside %",
-    "ms a frame",
+    "style", "clip", "frames", "jumps", "largest [mm]", "velocity change [mm]", "posed [mm]",
+    "energy above frames alone, mean", "most", "inside %", "ms a frame",
 )  # fmt: skip
 
 
@@ -31,7 +32,7 @@ def main(
     motions: tyro.conf.Positional[tuple[Path, ...]] = (), styles: tuple[str, ...] = ("long_straight", "ponytail")
 ) -> None:
     body = load_body()
-    clips = [bundled_clip("neck_turn", body), bundled_clip("bow", body)]
+    clips = [bundled_clip(name, body) for name in ("idle", "neck_turn", "bow")]
     clips += [resample(read_motion(path, body), FPS) for path in motions]
     print(f"| {' | '.join(COLUMNS)} |")
     print("|---" * len(COLUMNS) + "|")
@@ -58,12 +59,14 @@ def _row(groom: Groom, body: BodyModel, clip: Motion) -> list[str]:
             difference = energy.total(draped[-1], scene) - energy.total(alone.drape(scene), scene)
             above.append(float(energy.per_vertex(difference)))
     moved = jumps(torch.cat(draped), torch.cat(posed))
+    changes = [float(velocity_changes(torch.cat(hair)[:, :, -1]).median()) for hair in (draped, posed)]
     return [
         groom.name,
         clip.name,
         f"{len(draped)}",
         f"{int((moved > JUMP_SPEED / FPS).sum())}",
         f"{1000 * float(moved.max()):.0f}",
+        *(f"{1000 * change:.1f}" for change in changes),
         f"{sum(above) / len(above):.3f}",
         f"{max(above):.3f}",
         f"{sum(inside) / len(inside):.3f}",

@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from quaffure.benchmark.appearance import GAP, in_the_air, jumps, off_vertical
+from quaffure.benchmark.appearance import GAP, in_the_air, jumps, off_vertical, velocity_changes
 from tests.scenes import posed_scene, sphere_groom
 
 RADIUS = 0.1  # of the sphere [m]
@@ -50,3 +50,10 @@ def test_jumps_are_beyond_what_root_and_pose_move() -> None:
     expected = torch.tensor([[0.0, 0.0], [0.0, 0.08]])
     torch.testing.assert_close(moved, expected)
     assert math.isclose(float(moved.max()), 0.08, abs_tol=1e-6)
+
+
+def test_tips_that_move_evenly_do_not_tremble() -> None:
+    frame = torch.arange(5.0)[:, None]
+    even, trembling = 0.02 * frame, 0.02 * frame + 0.003 * (frame % 2)
+    tips = torch.stack([torch.cat([moved, torch.zeros(5, 2)], dim=1) for moved in (even, trembling)], dim=1)
+    torch.testing.assert_close(velocity_changes(tips), torch.tensor([[0.0, 0.006]]).repeat(3, 1))

@@ -77,3 +77,12 @@ def jumps(draped: Positions, posed: Positions) -> Float[Tensor, "f s"]:
         hair.diff(dim=0).norm(dim=-1) for hair in (draped[:, :, -1], draped[:, :, 0], posed[:, :, -1])
     )
     return (tip - torch.maximum(root, posed_tip)).clamp(min=0)
+
+
+def velocity_changes(tips: Float[Tensor, "f s 3"]) -> Float[Tensor, "f-2 s"]:
+    """How much the displacement of every tip changes from a frame to the next [m]: large where hair trembles.
+
+    Args:
+        tips: of consecutive frames [m, world].
+    """
+    return tips.diff(n=2, dim=0).norm(dim=-1)

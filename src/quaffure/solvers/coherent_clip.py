@@ -133,7 +133,9 @@ class CoherentDraper:
             direction = last.rotated_to(frame, scene.groom.rest_lengths, most_with_head)
             descent = self._followed(energy, scene, direction, last.damping)
             self.is_moving = self._moves(descent)
-        self._last = replace(frame, direction=torch.from_numpy(descent.direction.copy()), damping=descent.damping)
+        self._last = replace(
+            frame, direction=torch.from_numpy(descent.direction.copy()), damping=descent.strand_damping
+        )
         return descent.positions
 
     def _gather_strays(self, descent: StrandDescent, scene: PosedScene) -> None:
@@ -149,7 +151,7 @@ class CoherentDraper:
     ) -> StrandDescent:
         setting = self.setting.over(self.frame_seconds)
         descent = StrandDescent(energy, scene, self.draper.setting.control, direction)
-        descent.damping = damping
+        descent.strand_damping = damping
         # A limb may sweep through hair faster than hair may move in a frame.
         descent.resolve_contact(0.0)
         descent.follow(setting.passes, setting.most_move, setting.most_moved)

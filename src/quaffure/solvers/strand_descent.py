@@ -77,7 +77,7 @@ class StrandDescent:
         direction: unit direction of every edge [strand edge 3].
         passes: done so far.
         moved: largest displacement of a vertex of each strand in the last pass [m].
-        damping: of every strand while it follows, see `OscillationDamping`.
+        strand_damping: of every strand while it follows, see `OscillationDamping`.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class StrandDescent:
         # Stiffness of contact that `_now` was evaluated with; None where the directions have changed since.
         self._k_of_now: np.float32 | None = None
         self._start: np.ndarray | None = None
-        self.damping = np.zeros(strands, np.float32)
+        self.strand_damping = np.zeros(strands, np.float32)
         self._displacement: np.ndarray | None = None  # of the last pass of `follow`
 
     @property
@@ -170,7 +170,7 @@ class StrandDescent:
         oscillation = self._control.oscillation
         for _ in range(passes):
             gradient = self._with_other_hair()[1]
-            self._model_surroundings(gradient, self.damping[:, None], oscillation.weight_share)
+            self._model_surroundings(gradient, self.strand_damping[:, None], oscillation.weight_share)
             before = self._now.positions.copy()
             if self._start is None:
                 self._start = before
@@ -179,7 +179,7 @@ class StrandDescent:
             self._move(self._k_body_collision, self._control.most_turn, limit, self._control.backtracks)
             moved, moved_before = self._now.positions - before, self._displacement
             if moved_before is not None:
-                self.damping = oscillation.updated(self.damping, moved, moved_before)
+                self.strand_damping = oscillation.updated(self.strand_damping, moved, moved_before)
             self._displacement = moved
 
     def rejoin_strays(self, had_company: np.ndarray) -> int:

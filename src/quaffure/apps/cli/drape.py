@@ -3,7 +3,6 @@
 import hashlib
 import sys
 from dataclasses import dataclass, field, replace
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -25,7 +24,6 @@ from quaffure.apps.cli.inputs import acceleration_of, body_shape_of, character_s
 from quaffure.apps.cli.kept_frames import kept_frames
 from quaffure.apps.cli.outputs import (
     PICTURES,
-    VIDEO,
     check_frames,
     check_outputs,
     is_export,
@@ -33,7 +31,7 @@ from quaffure.apps.cli.outputs import (
     writing_text,
     written_text,
 )
-from quaffure.apps.cli.shown_strands import clip_of_pictures, strands_between
+from quaffure.apps.cli.shown_strands import clip_of_pictures, shown_in, strands_between
 from quaffure.benchmark.drape_checks import DrapeChecks
 from quaffure.benchmark.metrics import DrapeMetrics
 from quaffure.body.body_model import BodyModel, load_body
@@ -194,13 +192,13 @@ class DrapeCommand:
             sys.exit(FAULTS_FOUND)
 
     def _write(self, clip: ExportClip, groom: Groom, body: BodyModel, times: Stopwatch) -> None:
-        pictured = cache(lambda in_video: clip_of_pictures(clip, self.strands, groom, body, in_video))
-        for path in self.out:
-            is_picture = path.suffix.lower() in PICTURES
-            shown = pictured(path.suffix.lower() == VIDEO) if is_picture else clip
+        def pictured(in_video: bool) -> ExportClip:
+            return clip_of_pictures(clip, self.strands, groom, body, in_video)
+
+        for path, shown in shown_in(self.out, clip, pictured):
             console.print(writing_text(path, len(clip.sequence)), markup=False, highlight=False, soft_wrap=True)
             write_output(path, shown)
-            times.lap("pictures" if is_picture else "files")
+            times.lap("pictures" if path.suffix.lower() in PICTURES else "files")
 
     def _settings(self, groom: Groom, motion: Motion, body_shape: Float[Tensor, "10"]) -> dict[str, Any]:
         """All that the frames depend on."""

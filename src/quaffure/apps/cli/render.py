@@ -1,7 +1,6 @@
 """`quaffure render`: pictures, video and USD of a drape file."""
 
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -11,8 +10,6 @@ import tyro
 from quaffure.apps.cli.console import console
 from quaffure.apps.cli.inputs import character_space_of
 from quaffure.apps.cli.outputs import (
-    PICTURES,
-    VIDEO,
     check_frames,
     check_outputs,
     is_export,
@@ -21,7 +18,14 @@ from quaffure.apps.cli.outputs import (
     writing_text,
     written_text,
 )
-from quaffure.apps.cli.shown_strands import GUIDES, ORIGINAL, clip_of_pictures, source_of_drape, strands_between
+from quaffure.apps.cli.shown_strands import (
+    GUIDES,
+    ORIGINAL,
+    clip_of_pictures,
+    shown_in,
+    source_of_drape,
+    strands_between,
+)
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip, ExportSettings
@@ -78,10 +82,7 @@ class RenderCommand:
         space = character_space_of(self.motion, body, sequence.times, self.export)
         if space is not None:
             clip = placed_clip(clip, space)
-        pictured = cache(lambda in_video: self._pictured(clip, groom, body, in_video))
-        for path in self.out:
-            suffix = path.suffix.lower()
-            shown = pictured(suffix == VIDEO) if suffix in PICTURES else clip
+        for path, shown in shown_in(self.out, clip, lambda in_video: self._pictured(clip, groom, body, in_video)):
             console.print(writing_text(path, len(sequence)), markup=False, highlight=False, soft_wrap=True)
             write_output(path, shown)
         console.print(f"written: {written_text(self.out, clip.frames, self.export)}", soft_wrap=True)

@@ -1,9 +1,12 @@
 """Which strands are shown with a drape: more between the draped ones, or those of the groom's source."""
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from quaffure.apps.cli.console import console
+from quaffure.apps.cli.outputs import PICTURES, VIDEO
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import ExportClip
@@ -68,6 +71,21 @@ def clip_of_pictures(
     for line in lines:
         console.print(line, highlight=False, soft_wrap=True)
     return replace(clip, interpolation=between)
+
+
+def shown_in(
+    paths: Iterable[Path], clip: ExportClip, pictured: Callable[[bool], ExportClip]
+) -> Iterator[tuple[Path, ExportClip]]:
+    """Each path with the clip that it shows.
+
+    Args:
+        pictured: what pictures show, or videos where its argument is true; called once for each of the two, when a path
+            needs it.
+    """
+    pictured = cache(pictured)
+    for path in paths:
+        suffix = path.suffix.lower()
+        yield path, pictured(suffix == VIDEO) if suffix in PICTURES else clip
 
 
 def source_of_drape(draped: Groom, path: Path | None, body: BodyModel, head: Path | None) -> Groom:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -86,6 +87,12 @@ def posed_scene(groom: Groom, posed: torch.Tensor | None = None, surface: Surfac
     """A groom, at rest or posed [b s n 3], on a sphere of radius 0.1 m or on another surface."""
     posed = groom.rest_strands[None] if posed is None else posed
     return PosedScene(groom, posed, surface or sphere_surface(len(posed), dtype=posed.dtype))
+
+
+def surface_on(device: str, surface: Surface) -> Surface:
+    """The same surface for torch operations on a device."""
+    topology = replace(surface.topology, faces=surface.topology.faces.to(device))
+    return replace(surface, topology=topology, vertices=surface.vertices.to(device))
 
 
 def bent_inwards(groom: Groom, batch: int = 2, seed: int = 3) -> tuple[torch.Tensor, torch.Tensor]:

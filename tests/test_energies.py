@@ -21,7 +21,14 @@ from quaffure.energies.self_collision import (
 from quaffure.energies.stretch_shear import orientation_errors
 from quaffure.geometry import directors
 from quaffure.geometry.signed_distance import signed_distance
-from tests.scenes import bent_inwards, posed_scene, sphere_groom, sphere_surface, strands_round_sphere
+from tests.scenes import (
+    bent_inwards,
+    posed_scene,
+    sphere_groom,
+    sphere_surface,
+    strands_round_sphere,
+    surface_on,
+)
 
 MATERIAL = HairMaterial(k_self_collision=1e-5, smoothing_length=0.03)
 
@@ -160,7 +167,7 @@ def test_compiled_kernels_and_reference_agree_in_value_and_gradient(device: str)
     positions, _ = bent_inwards(groom)
     material = HairMaterial(k_self_collision=1e-4, smoothing_length=0.01)
     scene = posed_scene(groom, groom.rest_strands.expand(2, -1, -1, -1))
-    twin_scene = replace(scene, posed=scene.posed.to(device))
+    twin_scene = replace(scene, posed=scene.posed.to(device), surface=surface_on(device, scene.surface))
     energy, twin = HairEnergy(groom, material), HairEnergy(groom.to(device), material, backend=Backend.TORCH)
     reference = twin.by_term(positions.to(device), twin_scene)
     for name, value in energy.by_term(positions, scene).items():

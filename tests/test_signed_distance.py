@@ -25,7 +25,7 @@ from quaffure.geometry.surface import bvh_of, reference_surface_normals
 from quaffure.geometry.triangle import squared_distance
 from quaffure.scene import BodyBatch
 from quaffure.training import PoseSampler
-from tests.scenes import sphere_mesh, sphere_surface
+from tests.scenes import sphere_mesh, sphere_surface, surface_on
 
 
 def star() -> tuple[torch.Tensor, torch.Tensor]:
@@ -102,7 +102,7 @@ def test_open_and_flipped_meshes_are_refused() -> None:
 def test_distances_on_cuda_are_those_of_the_kernel() -> None:
     vertices, faces = star()
     surface = posed_surface(surface_topology(vertices, faces), vertices[None])
-    on_cuda = signed_distance(queries(500).cuda(), surface)
+    on_cuda = signed_distance(queries(500).cuda(), surface_on("cuda", surface))
     torch.testing.assert_close(on_cuda.cpu(), signed_distance(queries(500), surface), atol=2e-6, rtol=0)
 
 

@@ -40,7 +40,7 @@ from quaffure.model.inference_network import (
     texture_rows,
 )
 from quaffure.model.initial_shape import InitialShape, empty_shape, fill_initial_shape, initial_shape_reference
-from quaffure.model.loading_features import LOADING_FEATURES
+from quaffure.model.pose_code import LOADING_FEATURES
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from tests.scenes import random_bodies

@@ -15,10 +15,10 @@ from quaffure.body.kinematics import PosedJoints
 from quaffure.energies.loading import Loading
 from quaffure.model.initial_shape import InitialShape, bits, empty_shape, fill_initial_shape
 from quaffure.model.integration_kernel import ShapeRows, integrate_edges, rotate_edges
-from quaffure.model.loading_features import loading_features
+from quaffure.model.pose_code import pose_code
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project
-from quaffure.model.quaffure_network import DirectionNetwork, pose_code
+from quaffure.model.quaffure_network import DirectionNetwork
 from quaffure.model.strand_layers import OWN_FEATURES, feature_size
 from quaffure.model.surroundings import grid_units
 from quaffure.model.surroundings_kernels import GridUnits, write_surroundings
@@ -76,7 +76,7 @@ class CpuBackend:
                 codes.append(groom.code)
                 most = max(most, groom.blocks.rows.size)
             begun = time.perf_counter()
-            pose_codes = pose_code(config, batch.pose_code, loading_features(self._loading, batch.world_from_head))
+            pose_codes = pose_code(config, batch, self._loading)
             texture = self.layout.decode_texture(torch.stack(codes), pose_codes)
             self.network_seconds += time.perf_counter() - begun
             memory = empty_shape(1, most, self.layout.columns, self.layout.dtype)
@@ -96,7 +96,7 @@ class CpuBackend:
         return shape
 
     def network(self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape) -> Float[Tensor, "row outputs"]:
-        """Rotation of the joint before every edge, see `DirectionNetwork`."""
+        """Rotation of the joint before every edge, see `DirectionNetwork`. Refinements overwrite the features."""
         begun = time.perf_counter()
         rewrite = partial(rewrite_features, groom.blocks.surroundings, shape, self._grid)
         changes = self.layout.changes(posed.texture, groom.blocks.texels, shape.features[0], rewrite)

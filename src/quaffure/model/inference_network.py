@@ -43,7 +43,7 @@ class NetworkInputs:
     Attributes:
         groom_code: of the groom, from the frozen encoder.
         texels: flat index of every strand's texel.
-        pose_code: see `quaffure.model.quaffure_network.pose_code`.
+        pose_code: see `quaffure.model.pose_code`.
         features_after: gives the features of all strands after changes [b s e 3] (`DirectionNetwork.forward`).
     """
 

@@ -36,11 +36,11 @@ class InitialShapeConfig:
     """Length along a strand over which edges return to their own directions after a contact [m]."""
     bend_relaxation: float = 5.0
     """How far bends of contact spread along a strand (`quaffure.model.bend_relaxation`), 0 for not at all."""
-    tied_share: float = 0.1
+    tied_share: float = 0.4
     """How far the network moves tied strands, relative to free ones: those of a tail hold each other."""
-    margin_slope: float = 0.6
+    margin_slope: float = 10.0
     """Largest growth of the distance from the skin at which hair starts, for each length along a strand."""
-    depth_share: float = 0.25
+    depth_share: float = 0.2
     """Depth below its margin at which hair may start, as a share of the depth at which Eq. 10 pushes an edge of length
     l as hard as its joint resists, B / (3 k_bc l^2)."""
     max_depth: float = 0.004
@@ -86,7 +86,7 @@ class ProjectionConfig:
     """Largest depth below its collision margin at which hair is left alone [m]; at rest on skin it is 0.1 to 0.5 mm."""
     most: float = 0.025
     """Largest distance that hair is pushed out to [m]: farther faces take longer to search."""
-    clearance_slope: float = 0.5
+    clearance_slope: float = 0.12
     """Growth of that distance before a vertex that needs more, for each length along a strand."""
     spacing: float = 0.0025
     """Distance along a strand between two contact queries [m]; shorter edges are skipped."""

@@ -4,7 +4,7 @@
 
     groom_code [16]       code of the groom
     texels     [S]        int64, flat index of each strand's texel, row times 64 plus column
-    pose_code  [B, C]     beta, theta without heading, pose features, loading (see `quaffure_network.pose_code`)
+    pose_code  [B, C]     beta, theta without heading, pose features, loading (see `quaffure.model.pose_code`)
     features   [B, S, K]  each strand before the network (`quaffure.model.initial_shape.InitialShape`)
     rotations  [B, S, 23, 3]  of the joint before every edge, in units of its compliance
     channels   [B, S, T]  of each strand's texel
@@ -32,8 +32,7 @@ from quaffure.errors import InputError
 from quaffure.io.atomic import replacing
 from quaffure.model.groom_encoder import CODE_SIZE
 from quaffure.model.inference_network import NetworkInputs, no_features
-from quaffure.model.loading_features import LOADING_FEATURES
-from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE
+from quaffure.model.pose_code import code_size
 from quaffure.model.quaffure_network import DirectionNetwork, QuaffureNetwork
 from quaffure.model.strand_layers import feature_size
 from quaffure.types import Float, Int, Tensor
@@ -137,11 +136,10 @@ def difference_from_torch(path: Path, graph: Graph) -> float:
 def example_inputs(network: DirectionNetwork, batch: int, strands: int, seed: int = 0) -> Arrays:
     """Random inputs of the sizes that drapes have."""
     generator = torch.Generator().manual_seed(seed)
-    columns = SHAPE_SIZE + POSE_SIZE + network.config.pose_features + LOADING_FEATURES
     return (
         torch.randn(CODE_SIZE, generator=generator),
         torch.randint(0, TEXTURE_SIZE**2, (strands,), generator=generator),
-        torch.rand(batch, columns, generator=generator) - 0.5,
+        torch.rand(batch, code_size(network.config), generator=generator) - 0.5,
         0.6 * torch.rand(batch, strands, feature_size(network.config), generator=generator) - 0.3,
     )
 

@@ -14,8 +14,8 @@ from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.model.groom_encoder import CODE_SIZE, GroomEncoder
 from quaffure.model.groom_texture import TEXTURE_CHANNELS
 from quaffure.model.inference_network import ForwardNetwork, InferenceNetwork, NetworkInputs
-from quaffure.model.loading_features import LOADING_FEATURES
-from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE, NetworkConfig
+from quaffure.model.network_config import NetworkConfig
+from quaffure.model.pose_code import code_size
 from quaffure.model.strand_layers import Refinement, StrandLayers, feature_size, start_at_zero
 from quaffure.types import Float, Tensor
 
@@ -29,7 +29,7 @@ class DisplacementNetwork(nn.Module):
         super().__init__()
         self.config = config
         self.encoder = GroomEncoder(TEXTURE_CHANNELS).requires_grad_(False)
-        self.decoder = DeformationDecoder(_code_size(config), 3 * VERTICES_PER_STRAND)
+        self.decoder = DeformationDecoder(CODE_SIZE + code_size(config), 3 * VERTICES_PER_STRAND)
         start_at_zero(self.decoder.to_texels[0])
 
     def forward(self, inputs: NetworkInputs) -> Float[Tensor, "b s n 3"]:
@@ -48,7 +48,7 @@ class DirectionNetwork(StrandLayers):
         super().__init__(config)
         self.config = config
         self.encoder = GroomEncoder(TEXTURE_CHANNELS).requires_grad_(False)
-        self.decoder = DeformationDecoder(_code_size(config), config.texel_channels)
+        self.decoder = DeformationDecoder(CODE_SIZE + code_size(config), config.texel_channels)
         self.refinements = nn.ModuleList(Refinement(config) for _ in range(config.refinements))
 
     def forward(self, inputs: NetworkInputs, features: Float[Tensor, "b s columns"]) -> Float[Tensor, "b s e 3"]:
@@ -95,25 +95,6 @@ QuaffureNetwork = DirectionNetwork | DisplacementNetwork
 
 def build_network(config: NetworkConfig) -> QuaffureNetwork:
     return DirectionNetwork(config) if config.predicts_directions else DisplacementNetwork(config)
-
-
-def pose_code(
-    config: NetworkConfig, features: Float[Tensor, "b features"], loading: Float[Tensor, "b 5"]
-) -> Float[Tensor, "b code"]:
-    """What the decoder reads of a drape besides the groom.
-
-    Args:
-        features: beta, theta and the pose features (`quaffure.body.head_frame`).
-        loading: see `quaffure.model.loading_features`; the paper's configuration leaves it out.
-    """
-    used = features[:, : SHAPE_SIZE + POSE_SIZE + config.pose_features]
-    return torch.cat([used, loading], dim=1) if config.predicts_directions else used
-
-
-def _code_size(config: NetworkConfig) -> int:
-    """Length of the groom code and `pose_code`."""
-    loading = LOADING_FEATURES if config.predicts_directions else 0
-    return CODE_SIZE + SHAPE_SIZE + POSE_SIZE + config.pose_features + loading
 
 
 def _code(inputs: NetworkInputs) -> Float[Tensor, "b inputs"]:

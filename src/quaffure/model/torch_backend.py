@@ -17,11 +17,10 @@ from quaffure.geometry.polyline import integrate_directions
 from quaffure.geometry.rotation import rotate_by_gibbs
 from quaffure.model.inference_network import NetworkInputs, no_features
 from quaffure.model.initial_shape import InitialShape, initial_shape_reference, strand_frames
-from quaffure.model.loading_features import loading_features
 from quaffure.model.network_config import NetworkConfig
+from quaffure.model.pose_code import pose_code
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project_reference
-from quaffure.model.quaffure_network import pose_code
 from quaffure.model.strand_layers import OWN_FEATURES
 from quaffure.model.surroundings import surroundings_reference
 from quaffure.scene import BodyBatch
@@ -89,7 +88,7 @@ class TorchBackend:
         self, groom: PreparedGroom, body: HeadFrameBody, after: Callable[[Tensor], Tensor], *features: Tensor
     ) -> Tensor:
         begun = time.perf_counter()
-        code = pose_code(self.config, body.pose_code, loading_features(self._loading, body.world_from_head))
+        code = pose_code(self.config, body, self._loading)
         with torch.autocast(code.device.type, torch.bfloat16, enabled=self._bf16):
             changes: Tensor = self._network(NetworkInputs(groom.code, groom.texels, code, after), *features)
         self.network_seconds += time.perf_counter() - begun

@@ -124,7 +124,7 @@ def test_a_drape_is_the_networks_out_of_the_skin(scene: Scene, rest: RestState, 
     clearance = draper.prepared(scene.groom, scene.bodies.body).clearance
     expected = projected(deformed, rest.rest_length, clearance, scene.bodies)
     assert (expected - deformed).norm(dim=-1).max() > 1e-3
-    assert ((draper.drape(scene) - expected).norm(dim=-1) < 1e-5).float().mean() > 0.99
+    assert ((draper.drape(scene) - expected).norm(dim=-1) < 5e-5).float().mean() > 0.99
 
 
 @pytest.mark.parametrize("config", [NetworkConfig(contact=False), NetworkConfig(output="displacement")])

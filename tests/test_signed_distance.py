@@ -20,7 +20,12 @@ from quaffure.geometry import (
 from quaffure.geometry.bvh import nearest_face, search_all, search_workspace
 from quaffure.geometry.mesh import opposite_faces
 from quaffure.geometry.occupancy_grid import UNKNOWN
-from quaffure.geometry.signed_distance import closest_points, closest_points_reference, signed_distance
+from quaffure.geometry.signed_distance import (
+    closest_points,
+    closest_points_by_leaves,
+    closest_points_reference,
+    signed_distance,
+)
 from quaffure.geometry.surface import bvh_of, reference_surface_normals
 from quaffure.geometry.triangle import squared_distance
 from quaffure.scene import BodyBatch
@@ -69,6 +74,16 @@ def test_kernel_and_twin_agree() -> None:
     # Faces that share the nearest edge may both be named; the normal of the feature must be the same.
     alike = torch.nn.functional.cosine_similarity(kernel.normals, twin.normals, dim=-1) > 0.999
     assert alike.float().mean() > 0.995
+
+
+def test_leaves_leave_out_no_face() -> None:
+    """Near the surface and far from it, and where several faces are as near as each other."""
+    vertices, faces = star()
+    surface = posed_surface(surface_topology(vertices, faces), vertices[None])
+    points = torch.cat([queries(300), 5 * queries(50), vertices[None, :30]], dim=1)
+    found, twin = closest_points_by_leaves(points, surface), closest_points_reference(points, surface)
+    for one, other in zip(vars(found).values(), vars(twin).values()):
+        torch.testing.assert_close(one, other, atol=1e-6, rtol=0)
 
 
 def test_pseudonormals_and_their_twin_agree() -> None:

@@ -18,6 +18,7 @@ from quaffure.geometry.triangle_grid import (
     triangle_grid,
 )
 from quaffure.geometry.triangle_grid_reference import nearest_triangle_in_band_reference
+from quaffure.geometry.triangle_leaves import nearest_in_band, triangle_leaves
 from quaffure.scene import BodyBatch
 
 
@@ -78,6 +79,17 @@ def test_kernel_and_twin_agree(bodies: BodyBatch, skin_vertices: torch.Tensor, p
     assert alike.float().mean() > 0.99  # where two are as near as each other, rounding decides on one
     np.testing.assert_allclose(heights[alike], expected[alike], atol=2e-6)
     np.testing.assert_allclose(heights, expected, atol=1e-4)
+
+
+def test_leaves_leave_out_no_face(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> None:
+    skin = collision_skin(bodies.body)
+    band, corners = torch.from_numpy(skin.band), skin_vertices[skin.faces]
+    leaves = triangle_leaves(corners, torch.arange(len(corners)))
+    height, face = nearest_in_band(points, corners, leaves, band)
+    expected, nearest = nearest_triangle_in_band_reference(points, skin_vertices, skin.faces, band)
+    assert 0.2 < (face >= 0).float().mean() < 0.8
+    assert torch.equal(face, nearest)
+    torch.testing.assert_close(height, expected, atol=1e-6, rtol=0)
 
 
 def test_points_close_to_the_skin_learn_their_distance(

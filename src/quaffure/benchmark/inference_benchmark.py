@@ -18,9 +18,8 @@ from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.model.cpu_backend import BATCH, CpuBackend
 from quaffure.model.inference_network import InferenceNetwork
-from quaffure.model.loading_features import loading_features
+from quaffure.model.pose_code import pose_code
 from quaffure.model.quaffure_model import Quaffure
-from quaffure.model.quaffure_network import pose_code
 from quaffure.scene import BodyBatch
 from quaffure.types import BodyPose
 
@@ -127,8 +126,7 @@ def time_parts(model: Quaffure, groom: Groom) -> dict[str, float]:
         return head_frame_body(bodies.body, bodies.body_pose, bodies.body_shape, joints, config, collides)
 
     batch, (_, posed) = pose(False), next(backend.posed([prepared], bodies.rows(slice(0, 1))))
-    loading = loading_features(model.draper.loading, batch.world_from_head)
-    codes = pose_code(backend.config, batch.pose_code, loading)
+    codes = pose_code(backend.config, batch, model.draper.loading)
     shape = backend.initial_shape(prepared, posed)
     changes = backend.network(prepared, posed, shape)
     hair = backend.integrate(prepared, posed, shape, changes)

@@ -1,7 +1,7 @@
 """Signed distance to a closed surface: the search finds integers and weights, the formula is plain torch.
 
-Distance is positive outside. `closest_points` is compiled and exact; `closest_points_reference` is its torch twin, for
-any device.
+Distance is positive outside. `closest_points` is compiled and exact on the CPU; `closest_points_reference` is its torch
+twin.
 """
 
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ import torch
 
 from quaffure.geometry.bvh import search_all
 from quaffure.geometry.surface import Surface, bvh_of, reference_surface_normals
+from quaffure.geometry.triangle_leaves import nearest_triangles, triangle_leaves
 from quaffure.types import Float, Int, Tensor
 
 _REFERENCE_PAIRS = 4_000_000  # point-face pairs that the twin holds in memory at once
@@ -32,9 +33,9 @@ class ClosestPoints:
 
 
 def closest_points(points: Float[Tensor, "b p 3"], surface: Surface) -> ClosestPoints:
-    """Closest points to `points` [m] on the same sample's surface. Compiled search on the CPU, the twin elsewhere."""
+    """Closest points to `points` [m] on the same sample's surface. Compiled search on the CPU, torch elsewhere."""
     if points.device.type != "cpu":
-        return closest_points_reference(points, surface)
+        return closest_points_by_leaves(points, surface)
     samples = []
     for sample, of_sample in enumerate(points.detach()):
         array = np.ascontiguousarray(of_sample.numpy(), dtype=np.float32)
@@ -46,6 +47,24 @@ def closest_points(points: Float[Tensor, "b p 3"], surface: Surface) -> ClosestP
         normals = torch.from_numpy(arrays.normals[leaves, feature.numpy()]).to(points)
         samples.append((faces, barycentric, normals))
     return ClosestPoints(*(torch.stack(field) for field in zip(*samples)))
+
+
+def closest_points_by_leaves(points: Float[Tensor, "b p 3"], surface: Surface) -> ClosestPoints:
+    """As `closest_points_reference`, without the faces of leaves that are too far away."""
+    triangles = surface.vertices.detach()[:, surface.topology.faces].to(points)
+    normals = reference_surface_normals(surface.topology, surface.vertices.detach()).to(points)
+    order = torch.from_numpy(surface.topology.face_order).to(triangles.device).long()
+    samples = []
+    for own, corners, at_feet in zip(points.detach(), triangles, normals):
+        nearest = nearest_triangles(own, triangle_leaves(corners, order), _squared_distances)
+        barycentric, feature = closest_barycentric(own, corners[nearest])
+        samples.append((nearest, barycentric, at_feet[nearest, feature]))
+    return ClosestPoints(*(torch.stack(field) for field in zip(*samples)))
+
+
+def _squared_distances(points: Float[Tensor, "*#n 3"], triangles: Float[Tensor, "*#n 3 3"]) -> Float[Tensor, "*n"]:
+    barycentric, _ = closest_barycentric(points, triangles)
+    return (points - (barycentric[..., None] * triangles).sum(-2)).square().sum(-1)
 
 
 def closest_points_reference(points: Float[Tensor, "b p 3"], surface: Surface) -> ClosestPoints:
@@ -67,8 +86,7 @@ def _nearest_of_all(
     points: Float[Tensor, "p 3"], triangles: Float[Tensor, "k 3 3"], normals: Float[Tensor, "k 7 3"]
 ) -> tuple[Int[Tensor, " p"], Float[Tensor, "p 3"], Float[Tensor, "p 3"]]:
     barycentric, feature = closest_barycentric(points[:, None], triangles[None])
-    feet = (barycentric[..., None] * triangles).sum(-2)
-    nearest = (points[:, None] - feet).square().sum(-1).argmin(dim=1)
+    nearest = _squared_distances(points[:, None], triangles[None]).argmin(dim=1)
     rows = torch.arange(len(points), device=points.device)
     return nearest, barycentric[rows, nearest], normals[nearest, feature[rows, nearest]]
 

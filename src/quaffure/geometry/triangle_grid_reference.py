@@ -25,12 +25,22 @@ def nearest_triangle_in_band_reference(
 def _nearest_of_all(
     points: Float[Tensor, "p 3"], corners: Float[Tensor, "k 3 3"], band: Float[Tensor, "k 2"]
 ) -> tuple[Float[Tensor, " p"], Int[Tensor, " p"]]:
-    a, b, c = corners.unbind(dim=1)
+    keys, height = band_key(points[:, None], corners, band)
+    key, nearest = keys.min(dim=1)
+    chosen = height.gather(1, nearest[:, None])[:, 0]
+    return torch.where(key < 1, chosen, 1), torch.where(key < 1, nearest, NONE)
+
+
+def band_key(
+    points: Float[Tensor, "*#n 3"], corners: Float[Tensor, "*#n 3 3"], band: Float[Tensor, "*#n 2"]
+) -> tuple[Float[Tensor, "*n"], Float[Tensor, "*n"]]:
+    """What faces are compared by, 1 where a point is out of a face's band, and the height above the face [m]."""
+    a, b, c = corners.unbind(dim=-2)
     length, normal = (b - a).norm(dim=-1), face_normals(corners)
-    along = (b - a) / (length[:, None] + 1e-12)
+    along = (b - a) / (length[..., None] + 1e-12)
     across = torch.linalg.cross(normal, along)
     flat = torch.linalg.cross(b - a, c - a).norm(dim=-1) < 2 * FLAT
-    offset = points[:, None] - a
+    offset = points - a
     u, v, height = ((offset * direction).sum(-1) for direction in (along, across, normal))
     x, y = ((c - a) * along).sum(-1), ((c - a) * across).sum(-1)
     in_plane = (u - u.clamp(min=0).minimum(length)).square() + v.square()
@@ -40,7 +50,5 @@ def _nearest_of_all(
         in_plane = in_plane.minimum((u - start - share * end_x).square() + (v - share * y).square())
     within = torch.minimum(v, torch.minimum(u * y - v * x, (x - length) * v - y * (u - length)))
     in_plane = torch.where(within < 0, in_plane, 0)
-    in_band = (height >= -band[:, 0]) & (height <= band[:, 1]) & (in_plane <= EDGE_TOLERANCE**2) & ~flat
-    key, nearest = torch.where(in_band, in_plane + TIE * height.square(), 1).min(dim=1)
-    chosen = height.gather(1, nearest[:, None])[:, 0]
-    return torch.where(key < 1, chosen, 1), torch.where(key < 1, nearest, NONE)
+    in_band = (height >= -band[..., 0]) & (height <= band[..., 1]) & (in_plane <= EDGE_TOLERANCE**2) & ~flat
+    return torch.where(in_band, in_plane + TIE * height.square(), 1), height

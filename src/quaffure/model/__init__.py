@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from quaffure.model.prepared_groom import PreparedGroom, initial_clearance, prepare_groom
     from quaffure.model.projection import project
     from quaffure.model.quaffure_model import Quaffure, load_model
-    from quaffure.model.quaffure_network import DirectionNetwork, build_network, feature_size
+    from quaffure.model.quaffure_network import DirectionNetwork, build_network
+    from quaffure.model.strand_layers import feature_size
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__)

@@ -2,8 +2,10 @@
 
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from numba import get_num_threads
 
@@ -12,13 +14,14 @@ from quaffure.body.head_frame import HeadFrameBody, head_frame_body
 from quaffure.body.kinematics import PosedJoints
 from quaffure.energies.loading import Loading
 from quaffure.model.initial_shape import InitialShape, bits, empty_shape, fill_initial_shape
-from quaffure.model.integration_kernel import ShapeRows, integrate_edges
-from quaffure.model.loading_features import loading_features
+from quaffure.model.integration_kernel import ShapeRows, integrate_edges, rotate_edges
+from quaffure.model.pose_code import pose_code
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project
-from quaffure.model.quaffure_network import OWN_FEATURES, DirectionNetwork, feature_size, pose_code
+from quaffure.model.quaffure_network import DirectionNetwork
+from quaffure.model.strand_layers import OWN_FEATURES, feature_size
 from quaffure.model.surroundings import grid_units
-from quaffure.model.surroundings_kernels import write_surroundings
+from quaffure.model.surroundings_kernels import GridUnits, write_surroundings
 from quaffure.model.torch_backend import TorchBackend, TorchPosed
 from quaffure.scene import BodyBatch
 from quaffure.types import Float, Positions, Tensor
@@ -73,7 +76,7 @@ class CpuBackend:
                 codes.append(groom.code)
                 most = max(most, groom.blocks.rows.size)
             begun = time.perf_counter()
-            pose_codes = pose_code(config, batch.pose_code, loading_features(self._loading, batch.world_from_head))
+            pose_codes = pose_code(config, batch, self._loading)
             texture = self.layout.decode_texture(torch.stack(codes), pose_codes)
             self.network_seconds += time.perf_counter() - begun
             memory = empty_shape(1, most, self.layout.columns, self.layout.dtype)
@@ -93,9 +96,10 @@ class CpuBackend:
         return shape
 
     def network(self, groom: PreparedGroom, posed: CpuPosed, shape: InitialShape) -> Float[Tensor, "row outputs"]:
-        """Rotation of the joint before every edge, see `DirectionNetwork`."""
+        """Rotation of the joint before every edge, see `DirectionNetwork`. Refinements overwrite the features."""
         begun = time.perf_counter()
-        changes = self.layout.changes(posed.texture, groom.blocks.texels, shape.features[0])
+        rewrite = partial(rewrite_features, groom.blocks.surroundings, shape, self._grid)
+        changes = self.layout.changes(posed.texture, groom.blocks.texels, shape.features[0], rewrite)
         self.network_seconds += time.perf_counter() - begun
         return changes
 
@@ -104,10 +108,10 @@ class CpuBackend:
     ) -> Positions:
         """Vertices [m, world] of edges rotated by the sum of all joints before them."""
         strand, body = groom.blocks.strands.strand.reshape(-1), posed.body
-        rows = ShapeRows(shape.roots[0].numpy(), shape.edges[0].numpy(), shape.compliance[0].numpy(), strand)
+        rows = ShapeRows(shape.roots[0].numpy(), shape.edges[0].numpy(), shape.compliance[0].numpy())
         frame = body.world_from_head[0].numpy(), body.head_position[0].numpy()
         lengths, threads = groom.rest_length.numpy(), get_num_threads()
-        return torch.from_numpy(integrate_edges(rows, bits(changes), lengths, *frame, threads))[None]
+        return torch.from_numpy(integrate_edges(rows, bits(changes), strand, lengths, *frame, threads))[None]
 
     def project(self, groom: PreparedGroom, posed: CpuPosed, hair: Positions) -> Positions:
         """Hair projected out of the skin [m, world]."""
@@ -115,6 +119,26 @@ class CpuBackend:
             return hair
         body, strands = posed.body, (hair[0], posed.body.world_skin[0], groom.rest_length, groom.clearance)
         return project(*strands, posed.skin, body.head_position[0], self.config.projection)[None]
+
+
+def rewrite_features(
+    strands: tuple[np.ndarray, ...], shape: InitialShape, grid: GridUnits, changes: Float[Tensor, "*b row outputs"]
+) -> None:
+    """Positions and surroundings in the features of a shape as `changes` leave it, see `TorchBackend.features_after`.
+
+    Args:
+        strands: `quaffure.model.surroundings.Surroundings` of the rows.
+    """
+    roots, edges, compliance, features = shape
+    rotated, columns, of_rows = (
+        np.empty(edges.shape, np.float32),
+        bits(features),
+        bits(changes.view(len(roots), *changes.shape[-2:])),
+    )
+    for sample, turned in enumerate(rotated):
+        rows = ShapeRows(roots[sample].numpy(), edges[sample].numpy(), compliance[sample].numpy())
+        rotate_edges(rows, of_rows[sample], strands[0], get_num_threads(), turned, columns[sample])
+    write_surroundings(strands, roots.numpy(), rotated, grid, get_num_threads(), columns[..., OWN_FEATURES:])
 
 
 class CpuTrainingBackend(TorchBackend):
@@ -135,6 +159,14 @@ class CpuTrainingBackend(TorchBackend):
             strands, grid = tuple(map(Tensor.numpy, groom.surroundings)), grid_units(self.config.density_grid)
             write_surroundings(strands, shape.roots.numpy(), shape.edges.numpy(), grid, get_num_threads(), around)
         return shape
+
+    def features_after(
+        self, groom: PreparedGroom, shape: InitialShape, changes: Float[Tensor, "b s e 3"]
+    ) -> Float[Tensor, "b s columns"]:
+        """See `TorchBackend.features_after`; without gradient."""
+        after, strands = shape._replace(features=shape.features.clone()), tuple(map(Tensor.numpy, groom.surroundings))
+        rewrite_features(strands, after, grid_units(self.config.density_grid), changes.detach().flatten(2))
+        return after.features
 
     def project(self, groom: PreparedGroom, posed: TorchPosed, hair: Positions) -> Positions:
         """Hair projected out of the skin [m, world], to which the gradient passes as if it had not been moved."""

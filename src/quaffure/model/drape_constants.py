@@ -16,7 +16,7 @@ Names with a dot are fields of the classes of that name, which the compiled kern
     rest_length       [strand, edge]
     clearance         [strand, vertex], distance from the skin
     faces, band       of the collision skin, and how far below and above it they count
-    passes, least_disturbance, decay_length, tied_share       of the initial shape
+    passes, least_disturbance, decay_length, tied_share, bend_relaxation       of the initial shape
     spacing, max_push                                         of the projection
     feature_columns, own_feature_columns    numbers that the network reads of a strand, and how many come before those
                       of its surroundings
@@ -37,7 +37,7 @@ from quaffure.io.atomic import replacing
 from quaffure.model.network_config import NetworkConfig
 from quaffure.model.neural import NeuralDraper
 from quaffure.model.prepared_groom import PreparedGroom
-from quaffure.model.quaffure_network import OWN_FEATURES, feature_size
+from quaffure.model.strand_layers import OWN_FEATURES, feature_size
 from quaffure.model.surroundings import Surroundings, grid_units
 
 
@@ -99,6 +99,7 @@ def _of_network(config: NetworkConfig) -> dict[str, np.ndarray]:
         "least_disturbance": np.array(shape.least_disturbance**2 + 1e-12, np.float32),
         "decay_length": np.array(shape.decay_length, np.float32),
         "tied_share": np.array(shape.tied_share, np.float32),
+        "bend_relaxation": np.array(shape.bend_relaxation, np.float32),
         "spacing": np.array(projection.spacing, np.float32),
         "max_push": np.array(projection.max_push, np.float32),
         "feature_columns": np.array(feature_size(config)),

@@ -48,13 +48,13 @@ class FreeRods(NamedTuple):
 
 def free_rod_directions(rods: FreeRods, passes: int) -> EdgeVectors:
     """Unit directions of the edges after some passes from the posed design."""
-    rotation = _no_rotation(rods.direction)
+    rotation = no_rotation(rods.direction)
     for _ in range(passes):
         rotation = _rotated(rotation, _newton_rotations(rods, rotation))
     return rotate(rotation, rods.direction)
 
 
-def _no_rotation(vector: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 4"]:
+def no_rotation(vector: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 4"]:
     """The quaternion 1 for each vector."""
     return torch.nn.functional.pad(vector.new_ones(*vector.shape[:-1], 1), (0, 3))
 
@@ -68,7 +68,7 @@ def rotate(quaternion: Float[Tensor, "*n 4"], vector: Float[Tensor, "*n 3"]) -> 
 
 def _newton_rotations(rods: FreeRods, rotation: Float[Tensor, "*s e 4"]) -> EdgeVectors:
     """theta of every edge [rad]."""
-    before = torch.cat([_no_rotation(rods.direction[..., :1, :]), rotation[..., :-1, :]], dim=-2)
+    before = torch.cat([no_rotation(rods.direction[..., :1, :]), rotation[..., :-1, :]], dim=-2)
     tangent, bending, identity = rotate(rotation, rods.direction), rods.bending[..., None, None], torch.eye(3)
     along = tangent[..., :, None] * tangent[..., None, :]
     identity = identity.to(along)

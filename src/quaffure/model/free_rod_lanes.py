@@ -16,8 +16,8 @@ LEAST_STIFFNESS = 1e-4
 LARGEST_HALF_TURN = 1.0
 """Half the rotation of an edge in a pass up to which the series of the tangent is used [rad]."""
 # Rows of an edge's input, each of `LANES` numbers (`FreeRods`): direction, moment, force, bending, goal, length; and
-# the posed direction, which `relax` does not read.
-DIRECTION, MOMENT, FORCE, BENDING, GOAL, LENGTH, POSED, INPUTS = 0, 3, 6, 9, 10, 11, 12, 15
+# two directions that `relax` does not read, the posed one and, after contact, that without it.
+DIRECTION, MOMENT, FORCE, BENDING, GOAL, LENGTH, POSED, FREE, INPUTS = 0, 3, 6, 9, 10, 11, 12, 15, 18
 # Rows of what a pass keeps of an edge: quaternion, and theta_i = theta_(i-1) - follows theta_(i-1) - shift.
 _REAL, _IMAGINARY, _FOLLOWS, _SHIFT, STATE = 0, 1, 4, 13, 16
 # Rows of what is passed on from edge to edge: force and moment beyond, blocks of the quadratic function, or theta.
@@ -51,12 +51,12 @@ def relax(inputs: np.ndarray, passes: int, state: np.ndarray, passed: np.ndarray
         row, own = inputs[edge], state[edge]
         for i in range(LANES):
             quaternion = own[_REAL, i], own[_IMAGINARY, i], own[_IMAGINARY + 1, i], own[_IMAGINARY + 2, i]
-            x, y, z = _rotate(quaternion, row[DIRECTION, i], row[DIRECTION + 1, i], row[DIRECTION + 2, i])
+            x, y, z = rotate(quaternion, row[DIRECTION, i], row[DIRECTION + 1, i], row[DIRECTION + 2, i])
             row[DIRECTION, i], row[DIRECTION + 1, i], row[DIRECTION + 2, i] = x, y, z
 
 
 @njit(fastmath=FAST, error_model="numpy", inline="always")
-def _rotate(q: Any, x: Any, y: Any, z: Any) -> Any:
+def rotate(q: Any, x: Any, y: Any, z: Any) -> Any:
     a, b, c = _TWO * (q[2] * z - q[3] * y), _TWO * (q[3] * x - q[1] * z), _TWO * (q[1] * y - q[2] * x)
     return (
         x + q[0] * a + q[2] * c - q[3] * b,
@@ -75,7 +75,7 @@ def _moment(row: Any, q: Any, p: Any, t: Any, i: int) -> Any:
     z = sign * (q[3] * p[0] - q[0] * p[3] - q[1] * p[2] + q[2] * p[1])
     bend = row[BENDING, i]
     along = _AXIAL * bend * (x * t[0] + y * t[1] + z * t[2])
-    mx, my, mz = _rotate(p, row[MOMENT, i], row[MOMENT + 1, i], row[MOMENT + 2, i])
+    mx, my, mz = rotate(p, row[MOMENT, i], row[MOMENT + 1, i], row[MOMENT + 2, i])
     return mx + bend * x + along * t[0], my + bend * y + along * t[1], mz + bend * z + along * t[2]
 
 
@@ -94,7 +94,7 @@ def _eliminate(row: np.ndarray, own: np.ndarray, other: np.ndarray, moves: Any, 
             moves * other[_IMAGINARY + 1, i],
             moves * other[_IMAGINARY + 2, i],
         )
-        tx, ty, tz = _rotate(q, row[DIRECTION, i], row[DIRECTION + 1, i], row[DIRECTION + 2, i])
+        tx, ty, tz = rotate(q, row[DIRECTION, i], row[DIRECTION + 1, i], row[DIRECTION + 2, i])
         mx, my, mz = _moment(row, q, p, (tx, ty, tz), i)
         bend, goal, length = row[BENDING, i], row[GOAL, i], row[LENGTH, i]
         fx, fy = passed[_FORCE, i] + row[FORCE, i], passed[_FORCE + 1, i] + row[FORCE + 1, i]

@@ -4,7 +4,7 @@ In the layout, doublings are folded into the convolutions that follow them, the 
 and texels stay next to their channels, so that a strand's is one row of memory.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,6 +20,7 @@ from quaffure.model.activated_layers import (
     plain_linear,
 )
 from quaffure.model.deformation_decoder import DeformationDecoder
+from quaffure.model.strand_layers import StrandLayers
 from quaffure.types import Float, Int, Tensor
 
 Layer = tuple[Tensor, Tensor]
@@ -42,12 +43,23 @@ class NetworkInputs:
     Attributes:
         groom_code: of the groom, from the frozen encoder.
         texels: flat index of every strand's texel.
-        pose_code: see `quaffure.model.quaffure_network.pose_code`.
+        pose_code: see `quaffure.model.pose_code`.
+        features_after: gives the features of all strands after changes [b s e 3] (`DirectionNetwork.forward`).
     """
 
     groom_code: Float[Tensor, "16"]
     texels: Int[Tensor, " s"]
     pose_code: Float[Tensor, "b code"]
+    features_after: Callable[[Tensor], Tensor]
+
+
+def no_features(changes: Tensor) -> Tensor:
+    """`NetworkInputs.features_after` of a network that reads its strands once.
+
+    Raises:
+        ValueError: always.
+    """
+    raise ValueError("expected a network without refinements, found one that reads the strands again")
 
 
 class StrandTexels(NamedTuple):
@@ -77,11 +89,21 @@ class ForwardNetwork:
 
     @torch.no_grad()
     def changes(
-        self, texture: tuple[Tensor, Tensor], texels: StrandTexels, features: Float[Tensor, "s columns"]
+        self,
+        texture: tuple[Tensor, Tensor],
+        texels: StrandTexels,
+        features: Float[Tensor, "s columns"],
+        rewrite: Callable[[Tensor], None],
     ) -> Float[Tensor, "s outputs"]:
         code, pose_code = texture
+
+        def features_after(changes: Float[Tensor, "1 s e 3"]) -> Float[Tensor, "1 s columns"]:
+            rewrite(changes[0].flatten(1).float().contiguous())
+            return features[None]
+
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bf16):
-            return self._network(NetworkInputs(code, texels.flat, pose_code), features[None])[0].flatten(1).float()
+            inputs = NetworkInputs(code, texels.flat, pose_code, features_after)
+            return self._network(inputs, features[None])[0].flatten(1).float()
 
 
 class InferenceNetwork:
@@ -90,20 +112,16 @@ class InferenceNetwork:
     Attributes:
         dtype: of weights and activations; sums are in float32.
         feature_size: how many numbers a strand's own shape and local features are.
-        columns: these and its texel.
+        columns: these, its texel, and its changes where there are refinements.
     """
 
     @torch.no_grad()
-    def __init__(
-        self, decoder: DeformationDecoder, from_texel: nn.Linear, from_strand: Tensor, strand: nn.Sequential,
-        dtype: torch.dtype,
-    ) -> None:  # fmt: skip
+    def __init__(self, decoder: DeformationDecoder, strands: Sequence[StrandLayers], dtype: torch.dtype) -> None:
         """
         Args:
-            from_texel, from_strand: the first strand layer, and weights [width, features] of its second input.
-            strand: activations and layers after it.
+            strands: the layers of all strands, then those of each refinement.
         """
-        self.dtype, self.feature_size = dtype, from_strand.shape[1]
+        self.dtype, self.feature_size = dtype, strands[0].strand_weight().shape[1]
         dense = (layer for layer in decoder.dense if isinstance(layer, nn.Linear))
         self._dense = [activated_linear(*self._affine(layer)) for layer in dense]
         self._first_size = decoder.widths[0]
@@ -124,12 +142,8 @@ class InferenceNetwork:
             self._stored(to_texels.weight[:, :, 0, 0].unflatten(0, (outputs, 4)).transpose(0, 1).flatten(0, 1)),
             self._stored(to_texels.bias.unflatten(0, (outputs, 4)).T.flatten()),
         )
-        before = torch.cat([from_strand, from_texel.weight], dim=1)
-        self.columns = before.shape[1]
-        self._strand = [(self._stored(before), self._stored(from_texel.bias))]
-        self._strand += [self._affine(layer) for layer in strand if isinstance(layer, nn.Linear)]
-        self._strand_layers = [activated_linear(*layer) for layer in self._strand[:-1]]
-        self._outputs = plain_linear(*self._strand[-1])
+        self._strands = [self._strand_layers(layers) for layers in strands]
+        self.columns = self._strands[-1][0].weight.shape[1]
 
     @torch.inference_mode()
     def decode_texture(
@@ -147,26 +161,38 @@ class InferenceNetwork:
 
     @torch.inference_mode()
     def changes(
-        self, texture: Float[Tensor, "texels channels"], texels: StrandTexels, features: Float[Tensor, "s columns"]
+        self,
+        texture: Float[Tensor, "texels channels"],
+        texels: StrandTexels,
+        features: Float[Tensor, "s columns"],
+        rewrite: Callable[[Tensor], None],
     ) -> Float[Tensor, "s outputs"]:
         """Rotation of the joint before every edge, see `DirectionNetwork`.
 
         Args:
             texture: a row of `decode_texture`.
-            features: a strand's positions [m] and local features in the first `feature_size` columns; the others are
-                filled with its texel.
+            features: of each strand in the first `feature_size` columns; the others are memory.
+            rewrite: writes the features after the changes so far in place of these; called before each refinement.
         """
-        torch.index_select(texture, 0, texels.rows, out=features[:, self.feature_size :])
-        values = features
-        for layer in self._strand_layers:
+        read = self.feature_size + texture.shape[1]
+        torch.index_select(texture, 0, texels.rows, out=features[:, self.feature_size : read])
+        values = features[:, :read]
+        for layer in self._strands[0]:
             values = layer.run(values)
-        return self._outputs.run(values)
+        changes = values
+        for layers in self._strands[1:]:
+            rewrite(changes)
+            features[:, read:] = changes
+            values = features
+            for layer in layers:
+                values = layer.run(values)
+            changes = changes + values
+        return changes
 
     def operations(self, strands: int) -> float:
         """Floating-point operations of one sample, activation functions left out."""
-        products = sum(layer.weight.numel() for layer in self._dense) + strands * sum(
-            w.numel() for w, _ in self._strand
-        )
+        of_strand = sum(layer.weight.numel() for layers in self._strands for layer in layers)
+        products = sum(layer.weight.numel() for layer in self._dense) + strands * of_strand
         for side, (folded, first, second) in zip(self._sides(), self._stages):
             # Of the 16 taps of a transposed convolution of stride 2 each texel meets 4.
             products += side**2 * (first.weight.numel() // (4 if folded else 1) + second.weight.numel())
@@ -174,19 +200,33 @@ class InferenceNetwork:
 
     def activations(self, strands: int) -> int:
         """Numbers that the layers write for one sample."""
-        written = sum(len(layer.bias) for layer in self._dense) + strands * sum(len(bias) for _, bias in self._strand)
+        of_strand = sum(len(layer.bias) for layers in self._strands for layer in layers)
+        written = sum(len(layer.bias) for layer in self._dense) + strands * of_strand
         for side, (_, first, second) in zip(self._sides(), self._stages):
             written += side**2 * (len(first.bias) + len(second.bias))
-        return written + self._sides()[-1] ** 2 * len(self._to_texels.bias) + strands * self._strand[0][0].shape[1]
+        return (
+            written
+            + self._sides()[-1] ** 2 * len(self._to_texels.bias)
+            + strands * sum(layers[0].weight.shape[1] for layers in self._strands)
+        )
 
     def weights(self) -> list[Tensor]:
         activated = [*self._dense, *(layer for _, first, second in self._stages for layer in (first, second))]
-        layers = [(layer.weight, layer.bias) for layer in (*activated, self._to_texels)]
-        return [values for layer in (*layers, *self._strand) for values in layer]
+        of_strand = (layer for layers in self._strands for layer in layers)
+        return [values for layer in (*activated, self._to_texels, *of_strand) for values in (layer.weight, layer.bias)]
 
     def _sides(self) -> list[int]:
         """Texels a side after each stage."""
         return [8 << stage for stage in range(len(self._stages))]
+
+    def _strand_layers(self, layers: StrandLayers) -> list[ActivatedLayer]:
+        """The first reads features and texel at once; the last has no activation."""
+        weight = layers.strand_weight()
+        own, changes = weight[:, : self.feature_size], weight[:, self.feature_size :]
+        before = torch.cat([own, layers.from_texel.weight, changes], dim=1)
+        *hidden, last = (self._affine(layer) for layer in layers.strand if isinstance(layer, nn.Linear))
+        first = self._stored(before), self._stored(layers.from_texel.bias)
+        return [*(activated_linear(*layer) for layer in (first, *hidden)), plain_linear(*last)]
 
     def _affine(self, layer: nn.Linear) -> Layer:
         return self._stored(layer.weight), self._stored(layer.bias)

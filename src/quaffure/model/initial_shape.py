@@ -17,6 +17,7 @@ from quaffure.energies.loading import Loading
 from quaffure.geometry.mls_surface import resolve_contact_reference
 from quaffure.hair.posing import posed_frames
 from quaffure.hair.strand_blocks import RestStrands
+from quaffure.model.bend_relaxation import relaxed_edges
 from quaffure.model.free_rod import FreeRods, free_rod_directions
 from quaffure.model.initial_shape_kernels import BodyArrays, ShapeArrays, initial_shape_kernel
 from quaffure.model.network_config import InitialShapeConfig
@@ -73,14 +74,15 @@ def initial_shape_reference(
     )
     clearance = groom.initial_clearance
     edges, local = resolve_contact_reference(roots, free, rest_length, clearance, body.surface, config.decay_length)
+    shape = relaxed_edges(edges, free, rods.bending, rods.goal, config.bend_relaxation)
     deflection = torch.nn.functional.pad(edges - free, (0, 0, 1, 0)).diff(dim=2).norm(dim=-1)
     disturbance = (edges - posed).square().sum(-1).amax(dim=2, keepdim=True)
     fading = disturbance / (disturbance + config.least_disturbance**2 + 1e-12)
     tied = groom.strands.ties.strands
     fading = fading.index_copy(1, tied, config.tied_share * fading[:, tied])
     compliance = fading * (rods.compliance * size + deflection).clamp(max=1)
-    positions = roots[:, :, None] + (rest_length[..., None] * edges).cumsum(dim=2)
-    return InitialShape(roots, edges, compliance, torch.cat([positions.flatten(2), local.flatten(2)], dim=2))
+    positions = roots[:, :, None] + (rest_length[..., None] * shape).cumsum(dim=2)
+    return InitialShape(roots, shape, compliance, torch.cat([positions.flatten(2), local.flatten(2)], dim=2))
 
 
 def strand_frames(strands: RestStrands, body: HeadFrameBody) -> tuple[Float[Tensor, "b s 3"], Float[Tensor, "b s 3 3"]]:
@@ -128,6 +130,7 @@ def fill_initial_shape(
         np.float32(config.least_disturbance**2 + 1e-12),
         np.float32(config.decay_length),
         np.float32(config.tied_share),
+        np.float32(config.bend_relaxation),
     )
     roots, edges, compliance, features = shape
     initial_shape_kernel(

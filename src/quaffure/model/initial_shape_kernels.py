@@ -13,6 +13,7 @@ from quaffure.geometry.mls_kernels import FAST, LANES, UNROLL, record_points
 from quaffure.hair.block_arrays import StrandBlocks
 from quaffure.model import free_rod_lanes as rod
 from quaffure.model import initial_shape_lanes as lane
+from quaffure.model.bend_relaxation_lanes import relax_bends
 
 
 class RodBlocks(NamedTuple):
@@ -39,6 +40,7 @@ class BodyArrays(NamedTuple):
         least_disturbance: squared rotation at which strands comply by half.
         decay_length: see `resolve_contact_reference` [m].
         tied_share: of the compliance of tied strands.
+        bend_relaxation: see `quaffure.model.bend_relaxation`.
     """
 
     scalp: np.ndarray
@@ -51,6 +53,7 @@ class BodyArrays(NamedTuple):
     least_disturbance: np.float32
     decay_length: np.float32
     tied_share: np.float32
+    bend_relaxation: np.float32
 
 
 class ShapeArrays(NamedTuple):
@@ -113,7 +116,8 @@ def initial_shape_kernel(
                 lane.comply(rods.compliance[block, edge], own[edge], body.pull[sample], body.stiffness, rows)
                 for i in range(LANES):
                     compliance[own_rows[i], edge] = rows[lane.COMPLIANCE + i]
-                    for axis in range(3):
-                        edges[own_rows[i], edge, axis] = rows[lane.DIRECTION + axis * LANES + i]
-                lane.write_features(rows, own_rows, edge, count, features)
+                lane.write_local_features(rows, own_rows, edge, count, features)
             lane.fade(own_rows, anchor, body.least_disturbance, body.tied_share, rows, compliance)
+            if body.bend_relaxation > 0:
+                relax_bends(own, body.bend_relaxation, states[thread], passed[thread])
+            lane.write_edges(own, own_rows, roots, edges, features)

@@ -34,8 +34,8 @@ _FRAME = COMPLIANCE + LANES
 _DEFLECTION = _FRAME + 9 * LANES  # of the last edge by the skin
 _DISTURBANCE = _DEFLECTION + 3 * LANES  # largest rotation of an edge from the posed design, squared
 _GIBBS = _DISTURBANCE + LANES  # rotation by the skin that the next edge takes over, tan(angle / 2) along the axis
-_ROUNDED = _GIBBS + 3 * LANES  # as many as before `DIRECTION`, rounded to bfloat16
-ALL_ROWS = _ROUNDED + DIRECTION
+_ROUNDED = _GIBBS + 3 * LANES  # as many as before `VERTEX`, rounded to bfloat16
+ALL_ROWS = _ROUNDED + VERTEX
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -230,7 +230,8 @@ def deflect(margin: np.ndarray, radius: float, decay_length: float, rows: np.nda
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def comply(compliance: np.ndarray, inputs: np.ndarray, pull: np.ndarray, stiffness: float, rows: np.ndarray) -> None:
-    """Compliance of joints under the loads of now, and how far the skin has bent them; one at most.
+    """Compliance of joints under the loads of now, and how far the skin has bent them; one at most. Directions in
+    `inputs` become those after contact, and what they were the free ones.
 
     Reads and writes the deflection of the last edge in the rows of `_DEFLECTION`, and the largest rotation of an edge
     from the posed design so far, squared, in those of `_DISTURBANCE`.
@@ -246,6 +247,9 @@ def comply(compliance: np.ndarray, inputs: np.ndarray, pull: np.ndarray, stiffne
         z = c - rows[_DEFLECTION + 2 * LANES + i]
         rows[_DEFLECTION + i], rows[_DEFLECTION + LANES + i], rows[_DEFLECTION + 2 * LANES + i] = a, b, c
         rows[COMPLIANCE + i] = min(size * compliance[i] + np.sqrt(x * x + y * y + z * z), np.float32(1.0))
+        for axis in range(3):
+            inputs[rod.FREE + axis, i] = inputs[rod.DIRECTION + axis, i]
+        inputs[rod.DIRECTION, i], inputs[rod.DIRECTION + 1, i], inputs[rod.DIRECTION + 2, i] = tx, ty, tz
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -277,23 +281,34 @@ def advance(rows: np.ndarray) -> None:
 
 
 @njit(cache=True)
-def write_features(rows: np.ndarray, row_of: np.ndarray, edge: int, count: int, features: np.ndarray) -> None:
-    """Write the positions of the vertices beyond the edges, and their local features before contact."""
-    bits, at, local, source = rows.view(np.uint32), 3 * edge, 3 * count + 5 * edge, 0
+def write_local_features(rows: np.ndarray, row_of: np.ndarray, edge: int, count: int, features: np.ndarray) -> None:
+    """Write the local features of the ends of edges before contact."""
+    bits, local, source = rows.view(np.uint32), 3 * count + 5 * edge, 0
     if features.itemsize == 2:
         source = _ROUNDED
-        _round(bits)
+        for i in range(VERTEX):
+            bits[_ROUNDED + i] = rounded(bits[i])
     for i in range(LANES):
         row = row_of[i]
         for axis in range(3):
-            features[row, at + axis] = bits[source + VERTEX + axis * LANES + i]
             features[row, local + 1 + axis] = bits[source + NORMAL + axis * LANES + i]
         features[row, local] = bits[source + HEIGHT + i]
         features[row, local + 4] = bits[source + WEIGHT + i]
 
 
-@njit(cache=True)
-def _round(bits: np.ndarray) -> None:
-    """float32 to bfloat16, to nearest even, in the lower half of each number of `_ROUNDED`."""
-    for i in range(DIRECTION):
-        bits[_ROUNDED + i] = rounded(bits[i])
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def write_edges(
+    inputs: np.ndarray, row_of: np.ndarray, roots: np.ndarray, edges: np.ndarray, features: np.ndarray
+) -> None:
+    """Write the edges in `inputs`, and where they end as the first features."""
+    ends = np.empty(1, np.float32)
+    bits = ends.view(np.uint32)
+    for i in range(LANES):
+        row = row_of[i]
+        for axis in range(3):
+            ends[0] = roots[row, axis]
+            for edge in range(len(inputs)):
+                direction = inputs[edge, rod.DIRECTION + axis, i]
+                ends[0] += inputs[edge, rod.LENGTH, i] * direction
+                edges[row, edge, axis] = direction
+                features[row, 3 * edge + axis] = bits[0] if features.itemsize == 4 else rounded(bits[0])

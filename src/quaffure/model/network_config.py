@@ -34,11 +34,13 @@ class InitialShapeConfig:
     """Rotation of an edge from the posed design at which the network moves its strand half as far as others [rad]."""
     decay_length: float = 0.05
     """Length along a strand over which edges return to their own directions after a contact [m]."""
-    tied_share: float = 0.1
+    bend_relaxation: float = 5.0
+    """How far bends of contact spread along a strand (`quaffure.model.bend_relaxation`), 0 for not at all."""
+    tied_share: float = 0.4
     """How far the network moves tied strands, relative to free ones: those of a tail hold each other."""
-    margin_slope: float = 0.6
+    margin_slope: float = 10.0
     """Largest growth of the distance from the skin at which hair starts, for each length along a strand."""
-    depth_share: float = 0.25
+    depth_share: float = 0.2
     """Depth below its margin at which hair may start, as a share of the depth at which Eq. 10 pushes an edge of length
     l as hard as its joint resists, B / (3 k_bc l^2)."""
     max_depth: float = 0.004
@@ -52,7 +54,7 @@ class InitialShapeConfig:
         if not (isinstance(self.passes, int) and 0 <= self.passes <= 16) or self.min_weight_share <= 0:
             raise ValueError(f"expected 0 to 16 passes and a weight share above 0, found {self}")
         rest = (self.least_disturbance, self.decay_length, self.tied_share, self.margin_slope, self.depth_share)
-        if min(*rest, self.load_share, self.max_depth) < 0:
+        if min(*rest, self.load_share, self.max_depth, self.bend_relaxation) < 0:
             raise ValueError(f"expected no length, share or slope below 0, found {self}")
 
 
@@ -84,7 +86,7 @@ class ProjectionConfig:
     """Largest depth below its collision margin at which hair is left alone [m]; at rest on skin it is 0.1 to 0.5 mm."""
     most: float = 0.025
     """Largest distance that hair is pushed out to [m]: farther faces take longer to search."""
-    clearance_slope: float = 0.5
+    clearance_slope: float = 0.12
     """Growth of that distance before a vertex that needs more, for each length along a strand."""
     spacing: float = 0.0025
     """Distance along a strand between two contact queries [m]; shorter edges are skipped."""
@@ -127,6 +129,9 @@ class NetworkConfig:
     surroundings: bool = False
     """The strand layers read the density of other hair around the initial strand, and the distance that it is to keep
     from the body (`quaffure.model.surroundings`; `directions` only, with the skin's features)."""
+    refinements: int = 0
+    """How often further strand layers, each with weights of its own, read where hair is after the changes so far and
+    change it again (`directions` only, with surroundings)."""
     contact: Annotated[bool, tyro.conf.arg(name="slides")] = True
     """The initial strand is kept out of the point-sampled body, and the hair projected out of the skin after the
     network, or, with `--no-slides`, neither (`directions` only)."""
@@ -146,7 +151,10 @@ class NetworkConfig:
         widths = {"pose_features": (0, MAX_WIDTH), "texel_channels": (1, MAX_WIDTH), "strand_width": (1, MAX_WIDTH)}
         if self.surroundings and not (self.skin_features and self.predicts_directions):
             raise ValueError("expected surroundings with directions and the skin's features, found them without")
-        for name, (least, most) in (widths | {"strand_layers": (1, MAX_LAYERS)}).items():
+        if self.refinements and not self.surroundings:
+            raise ValueError("expected refinements with surroundings, found them without")
+        counts = {"strand_layers": (1, MAX_LAYERS), "refinements": (0, MAX_LAYERS)}
+        for name, (least, most) in (widths | counts).items():
             value = getattr(self, name)
             if not (isinstance(value, int) and least <= value <= most):
                 raise ValueError(f"expected {name} from {least} to {most}, found {value!r}")
@@ -155,6 +163,7 @@ class NetworkConfig:
         """By the keys of files, without what is as by default: checkpoints of runs are found by this text."""
         default = {
             "surroundings": False,
+            "refinements": 0,
             "initial_shape": InitialShapeConfig(),
             "density_grid": DensityGridConfig(),
             "projection": ProjectionConfig(),
@@ -181,7 +190,8 @@ def from_file_values(values: Mapping[str, Any]) -> NetworkConfig:
     """
     named = {FILE_KEYS.get(key, key): value for key, value in values.items()}
     if "initial_shape" in named:
-        shape = known_fields(dict(named["initial_shape"]), InitialShapeConfig)
+        # Networks that were trained before bends were relaxed drape as they did.
+        shape = known_fields({"bend_relaxation": 0.0} | named["initial_shape"], InitialShapeConfig)
         body = MlsBodyConfig(**known_fields(shape.pop("body", {}), MlsBodyConfig))
         named["initial_shape"] = InitialShapeConfig(**shape, body=body)
     for name, kind in (("density_grid", DensityGridConfig), ("projection", ProjectionConfig)):

@@ -12,7 +12,7 @@ import torch
 from quaffure.body.collision_skin import CollisionSkin
 from quaffure.geometry.mesh import face_normals
 from quaffure.geometry.triangle_grid import NONE
-from quaffure.geometry.triangle_grid_reference import nearest_triangle_in_band_reference
+from quaffure.geometry.triangle_leaves import nearest_in_band, triangle_leaves
 from quaffure.model.network_config import ProjectionConfig
 from quaffure.model.projection_kernel import ProjectedStrands, push_out
 from quaffure.types import Float, RestLengths, Tensor
@@ -29,7 +29,8 @@ def project_reference(
     config: ProjectionConfig,
 ) -> Float[Tensor, "s n 3"]:
     """Torch twin of `project`, for any device; its grid has no end."""
-    band, normals = torch.from_numpy(skin.band).to(deformed), face_normals(vertices[skin.faces])
+    band, corners = torch.from_numpy(skin.band).to(deformed), vertices[skin.faces]
+    leaves, normals = triangle_leaves(corners, torch.arange(len(corners), device=corners.device)), face_normals(corners)
     free, out = torch.zeros_like(rest_length[:, 0]), [deformed[:, 0]]
     shift, edges = torch.zeros_like(deformed[:, 0]), rest_length.shape[1]
     for edge in range(edges):
@@ -37,9 +38,7 @@ def project_reference(
         free = free - length
         queried = (free < 0) | (edge == edges - 1)
         height, face = position.new_ones(len(position)), torch.full((len(position),), NONE, device=position.device)
-        height[queried], face[queried] = nearest_triangle_in_band_reference(
-            position[queried], vertices, skin.faces, band
-        )
+        height[queried], face[queried] = nearest_in_band(position[queried], corners, leaves, band)
         free = torch.where(queried, config.spacing - 0.5 * length, free)
         push = (clearance[:, edge + 1] - height).clamp(max=config.max_push * length)
         vector = position + push[:, None] * normals[face] - out[-1]

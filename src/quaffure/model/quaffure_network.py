@@ -2,25 +2,22 @@
 
 Two configurations share one interface. `DisplacementNetwork` is the paper's: the decoder's 72 channels are the
 displacements of 24 vertices. `DirectionNetwork` is ours: a small network common to all strands reads the decoder's
-texel and the strand's own initial shape, and predicts a rotation for each joint between edges.
+texel and the strand's own initial shape, and predicts a rotation for each joint between edges; refinements read the
+strand as these rotations leave it, and change them.
 """
 
 import torch
 from torch import nn
 
-from quaffure.config import EDGES_PER_STRAND, VERTICES_PER_STRAND
-from quaffure.geometry.mls_surface import LOCAL_FEATURES
+from quaffure.config import VERTICES_PER_STRAND
 from quaffure.model.deformation_decoder import DeformationDecoder
 from quaffure.model.groom_encoder import CODE_SIZE, GroomEncoder
 from quaffure.model.groom_texture import TEXTURE_CHANNELS
 from quaffure.model.inference_network import ForwardNetwork, InferenceNetwork, NetworkInputs
-from quaffure.model.loading_features import LOADING_FEATURES
-from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE, NetworkConfig
-from quaffure.model.surroundings_kernels import SURROUNDING_FEATURES
+from quaffure.model.network_config import NetworkConfig
+from quaffure.model.pose_code import code_size
+from quaffure.model.strand_layers import Refinement, StrandLayers, feature_size, start_at_zero
 from quaffure.types import Float, Tensor
-
-OWN_FEATURES = (3 + LOCAL_FEATURES) * EDGES_PER_STRAND
-"""Numbers of a strand before the network: positions of all vertices but the root, and their local features."""
 
 
 class DisplacementNetwork(nn.Module):
@@ -32,8 +29,8 @@ class DisplacementNetwork(nn.Module):
         super().__init__()
         self.config = config
         self.encoder = GroomEncoder(TEXTURE_CHANNELS).requires_grad_(False)
-        self.decoder = DeformationDecoder(_code_size(config), 3 * VERTICES_PER_STRAND)
-        _start_at_zero(self.decoder.to_texels[0])
+        self.decoder = DeformationDecoder(CODE_SIZE + code_size(config), 3 * VERTICES_PER_STRAND)
+        start_at_zero(self.decoder.to_texels[0])
 
     def forward(self, inputs: NetworkInputs) -> Float[Tensor, "b s n 3"]:
         texture = self.decoder(_code(inputs))
@@ -41,26 +38,18 @@ class DisplacementNetwork(nn.Module):
         return self._METRES * strands.unflatten(-1, (VERTICES_PER_STRAND, 3))
 
 
-class DirectionNetwork(nn.Module):
-    """Ours: the rotation of every joint, in the head's frame and in units of its compliance (`InitialShape`).
+class DirectionNetwork(StrandLayers):
+    """Ours: a texture from the decoder, and strand layers that read it, once and again for each refinement.
 
     Another `forward` of a subclass, and other layers in place of these, are run as they are by every backend.
     """
 
-    _METRES = 0.1  # unit of the positions
-
     def __init__(self, config: NetworkConfig) -> None:
-        super().__init__()
+        super().__init__(config)
         self.config = config
         self.encoder = GroomEncoder(TEXTURE_CHANNELS).requires_grad_(False)
-        self.decoder = DeformationDecoder(_code_size(config), config.texel_channels)
-        width = config.strand_width
-        self.from_texel = nn.Linear(config.texel_channels, width)
-        read = feature_size(config) if config.skin_features else 3 * EDGES_PER_STRAND
-        self.from_strand = nn.Linear(read, width, bias=False)
-        between = [layer for _ in range(config.strand_layers - 1) for layer in (nn.Linear(width, width), nn.SiLU())]
-        self.strand = nn.Sequential(nn.SiLU(), *between, nn.Linear(width, 3 * EDGES_PER_STRAND))
-        _start_at_zero(self.strand[-1])
+        self.decoder = DeformationDecoder(CODE_SIZE + code_size(config), config.texel_channels)
+        self.refinements = nn.ModuleList(Refinement(config) for _ in range(config.refinements))
 
     def forward(self, inputs: NetworkInputs, features: Float[Tensor, "b s columns"]) -> Float[Tensor, "b s e 3"]:
         """Rotation of the joint before every edge; the edge and all beyond it turn with it.
@@ -70,16 +59,15 @@ class DirectionNetwork(nn.Module):
                 and in its frame [m], then their local features (`quaffure.geometry.mls_surface`), then, where the
                 configuration says so, what surrounds them (`quaffure.model.surroundings`).
         """
-        texture = self.decoder(_code(inputs))
-        texels = texture.index_select(2, inputs.texels).mT
-        weight = self.strand_weight()
-        own = torch.nn.functional.linear(features[..., : weight.shape[1]], weight)
-        return self.strand(self.from_texel(texels) + own).to(features).unflatten(-1, (EDGES_PER_STRAND, 3))
+        texels = self.texels(inputs)
+        changes = self.rotations(texels, features)
+        for refinement in self.refinements:
+            changes = changes + refinement(texels, inputs.features_after(changes), changes)
+        return changes
 
-    def strand_weight(self) -> Float[Tensor, "width columns"]:
-        """`from_strand` for positions in metres."""
-        weight = self.from_strand.weight
-        return torch.cat([weight[:, : 3 * EDGES_PER_STRAND] / self._METRES, weight[:, 3 * EDGES_PER_STRAND :]], dim=1)
+    def texels(self, inputs: NetworkInputs) -> Float[Tensor, "b s channels"]:
+        """What the strand layers read of the texture, the texel of every strand."""
+        return self.decoder(_code(inputs)).index_select(2, inputs.texels).mT
 
     def for_inference(self, bf16: bool) -> InferenceNetwork | ForwardNetwork:
         """This network for drapes without gradient on the CPU, with the weights of now.
@@ -90,7 +78,7 @@ class DirectionNetwork(nn.Module):
         """
         if type(self) is DirectionNetwork and self.config.skin_features and self._has_own_layers():
             dtype = torch.bfloat16 if bf16 else torch.float32
-            return InferenceNetwork(self.decoder, self.from_texel, self.strand_weight(), self.strand, dtype)
+            return InferenceNetwork(self.decoder, [self, *self.refinements], dtype)
         return ForwardNetwork(self, feature_size(self.config), bf16)
 
     def _has_own_layers(self) -> bool:
@@ -98,39 +86,15 @@ class DirectionNetwork(nn.Module):
             expected = DirectionNetwork(self.config)
         return "forward" not in vars(self) and all(
             _layers(getattr(self, name)) == _layers(getattr(expected, name))
-            for name in ("decoder", "from_texel", "from_strand", "strand")
+            for name in ("decoder", "from_texel", "from_strand", "strand", "refinements")
         )
 
 
 QuaffureNetwork = DirectionNetwork | DisplacementNetwork
 
 
-def feature_size(config: NetworkConfig) -> int:
-    """Numbers that the strand layers may read of a strand: its own, and what surrounds it."""
-    return OWN_FEATURES + (SURROUNDING_FEATURES * EDGES_PER_STRAND if config.surroundings else 0)
-
-
 def build_network(config: NetworkConfig) -> QuaffureNetwork:
     return DirectionNetwork(config) if config.predicts_directions else DisplacementNetwork(config)
-
-
-def pose_code(
-    config: NetworkConfig, features: Float[Tensor, "b features"], loading: Float[Tensor, "b 5"]
-) -> Float[Tensor, "b code"]:
-    """What the decoder reads of a drape besides the groom.
-
-    Args:
-        features: beta, theta and the pose features (`quaffure.body.head_frame`).
-        loading: see `quaffure.model.loading_features`; the paper's configuration leaves it out.
-    """
-    used = features[:, : SHAPE_SIZE + POSE_SIZE + config.pose_features]
-    return torch.cat([used, loading], dim=1) if config.predicts_directions else used
-
-
-def _code_size(config: NetworkConfig) -> int:
-    """Length of the groom code and `pose_code`."""
-    loading = LOADING_FEATURES if config.predicts_directions else 0
-    return CODE_SIZE + SHAPE_SIZE + POSE_SIZE + config.pose_features + loading
 
 
 def _code(inputs: NetworkInputs) -> Float[Tensor, "b inputs"]:
@@ -143,9 +107,3 @@ def _layers(module: nn.Module) -> list[tuple[str, type, str, bool]]:
         (name, type(layer), layer.extra_repr(), bool(layer._forward_hooks or layer._forward_pre_hooks))
         for name, layer in module.named_modules()
     ]
-
-
-def _start_at_zero(layer: nn.Module) -> None:
-    """An untrained network deforms nothing."""
-    for parameter in layer.parameters():
-        nn.init.zeros_(parameter)

@@ -3,7 +3,8 @@ as if it had moved nothing.
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -14,16 +15,16 @@ from quaffure.body.head_frame import HeadFrameBody, head_frame_body_reference
 from quaffure.energies.loading import Loading
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.geometry.rotation import rotate_by_gibbs
-from quaffure.model.inference_network import NetworkInputs
+from quaffure.model.inference_network import NetworkInputs, no_features
 from quaffure.model.initial_shape import InitialShape, initial_shape_reference, strand_frames
-from quaffure.model.loading_features import loading_features
 from quaffure.model.network_config import NetworkConfig
+from quaffure.model.pose_code import pose_code
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection import project_reference
-from quaffure.model.quaffure_network import pose_code
+from quaffure.model.strand_layers import OWN_FEATURES
 from quaffure.model.surroundings import surroundings_reference
 from quaffure.scene import BodyBatch
-from quaffure.types import Float, Positions, Tensor
+from quaffure.types import EdgeVectors, Float, Positions, Tensor
 
 
 class TorchPosed(NamedTuple):
@@ -71,13 +72,25 @@ class TorchBackend:
 
     def network(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape) -> Tensor:
         """Rotation of the joint before every edge, see `DirectionNetwork`."""
-        return self.forward(groom, posed.body, shape.features)
+        return self.forward(groom, posed.body, partial(self.features_after, groom, shape), shape.features)
 
-    def forward(self, groom: PreparedGroom, body: HeadFrameBody, *features: Tensor) -> Tensor:
+    def features_after(
+        self, groom: PreparedGroom, shape: InitialShape, changes: Float[Tensor, "b s e 3"]
+    ) -> Float[Tensor, "b s columns"]:
+        """Features of strands whose joints are rotated by `changes`: local features are those of the initial shape."""
+        edges = rotated_edges(shape, changes)
+        positions = integrate_directions(shape.roots, edges, groom.rest_length)
+        around = surroundings_reference(positions, groom.surroundings, self.config.density_grid).flatten(2)
+        local = shape.features[..., 3 * edges.shape[2] : OWN_FEATURES]
+        return torch.cat([positions[:, :, 1:].flatten(2), local, around], dim=2)
+
+    def forward(
+        self, groom: PreparedGroom, body: HeadFrameBody, after: Callable[[Tensor], Tensor], *features: Tensor
+    ) -> Tensor:
         begun = time.perf_counter()
-        code = pose_code(self.config, body.pose_code, loading_features(self._loading, body.world_from_head))
+        code = pose_code(self.config, body, self._loading)
         with torch.autocast(code.device.type, torch.bfloat16, enabled=self._bf16):
-            changes: Tensor = self._network(NetworkInputs(groom.code, groom.texels, code), *features)
+            changes: Tensor = self._network(NetworkInputs(groom.code, groom.texels, code, after), *features)
         self.network_seconds += time.perf_counter() - begun
         return changes
 
@@ -86,9 +99,7 @@ class TorchBackend:
     ) -> Positions:
         """Vertices [m, world] of edges rotated by the sum of all joints before them."""
         rotation = posed.body.world_from_head[:, None].mT  # vectors are rows
-        turn = (0.5 * shape.compliance[..., None] * changes).cumsum(dim=2)
-        # As a Gibbs vector: the rotation of the quaternion 1 + turn, but for its length.
-        edges = rotate_by_gibbs(turn, shape.edges) @ rotation
+        edges = rotated_edges(shape, changes) @ rotation
         roots = (shape.roots[:, :, None] @ rotation)[:, :, 0] + posed.body.head_position[:, None]
         return integrate_directions(roots, edges, groom.rest_length)
 
@@ -103,6 +114,13 @@ class TorchBackend:
                 for own, vertices in zip(hair, posed.body.world_skin)
             ]
         return hair + (torch.stack(projected) - hair.detach())
+
+
+def rotated_edges(shape: InitialShape, changes: Float[Tensor, "b s e 3"]) -> EdgeVectors:
+    """Edges, each rotated by the changes of all joints before it."""
+    turn = (0.5 * shape.compliance[..., None] * changes).cumsum(dim=2)
+    # As a Gibbs vector: the rotation of the quaternion 1 + turn, but for its length.
+    return rotate_by_gibbs(turn, shape.edges)
 
 
 class DisplacementBackend(TorchBackend):
@@ -120,7 +138,7 @@ class DisplacementBackend(TorchBackend):
 
     def network(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape) -> Tensor:
         """Displacement of every vertex [m]; roots do not move."""
-        moved = self.forward(groom, posed.body)
+        moved = self.forward(groom, posed.body, no_features)
         return torch.cat([torch.zeros_like(moved[:, :, :1]), moved[:, :, 1:]], dim=2)
 
     def integrate(self, groom: PreparedGroom, posed: TorchPosed, shape: InitialShape, changes: Positions) -> Positions:

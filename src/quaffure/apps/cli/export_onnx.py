@@ -16,7 +16,7 @@ class ExportOnnxCommand:
     """Write the network as ONNX, compared with torch."""
 
     out: Path
-    """Where to write (.onnx)."""
+    """Where to write (.onnx); a refinement of the network is a file of its own beside it (.refinement_1.onnx)."""
     weights: Path | None = None
     """Weights of a training run instead of the shipped ones."""
     groom: str = ""
@@ -33,8 +33,8 @@ class ExportOnnxCommand:
 
         model = load_model(self.weights)
         groom = load_groom(self.groom, model.body) if self.groom else None
-        difference = write_onnx(self.out, model.draper.network)
-        console.print(f"written: {self.out}; results are within {difference:.1e} of torch's")
+        written, difference = write_onnx(self.out, model.draper.network)
+        console.print(f"written: {', '.join(map(str, written))}; results are within {difference:.1e} of torch's")
         if groom is not None:
             write_drape_constants(constants, model.draper, groom, model.body)
             console.print(f"written: {constants}, the constants of a drape of {self.groom}")

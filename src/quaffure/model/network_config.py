@@ -36,7 +36,7 @@ class InitialShapeConfig:
     """Length along a strand over which edges return to their own directions after a contact [m]."""
     bend_relaxation: float = 5.0
     """How far bends of contact spread along a strand (`quaffure.model.bend_relaxation`), 0 for not at all."""
-    tied_share: float = 0.4
+    tied_share: float = 0.1
     """How far the network moves tied strands, relative to free ones: those of a tail hold each other."""
     margin_slope: float = 10.0
     """Largest growth of the distance from the skin at which hair starts, for each length along a strand."""

@@ -1,13 +1,10 @@
 """From a pose to strands with numpy, numba and onnxruntime, and without torch: what another runtime has to do.
-
 quaffure export-onnx --groom bob --out out/network.onnx      # and out/network.npz, the constants of the drape
 python examples/drape_without_torch.py out/network.onnx
 """
 
 import sys
-from itertools import count, takewhile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -21,49 +18,40 @@ from quaffure.model.integration_kernel import ShapeRows, integrate_edges, rotate
 from quaffure.model.projection_kernel import ProjectedStrands, push_out
 from quaffure.model.surroundings_kernels import GridUnits, write_surroundings
 
-PULL, STIFFNESS = np.float32([0, 0, -1]), np.float32(1)  # gravity [g], and a multiple of the hair's stiffness
-
 
 def main(network: Path, pose: np.ndarray, shape: np.ndarray) -> np.ndarray:
     """Strands [strand, vertex, 3] in the world [m] on a body in pose theta [1, 81], of shape beta [1, 10]."""
+    gravity, stiffness = np.float32([0, 0, -1]), np.float32(1)  # [g], and a multiple of the hair's stiffness
     session, c, threads = onnxruntime.InferenceSession(network), np.load(network.with_suffix(".npz")), get_num_threads()
-    files = (network.with_suffix(f".refinement_{number}.onnx") for number in count(1))
-    refinements = [onnxruntime.InferenceSession(file) for file in takewhile(Path.exists, files)]
-    # The body, relative to the head and in its frame.
+    refinement, rows = onnxruntime.InferenceSession(network.with_suffix(".refinement_1.onnx")), c["rows"].size
     joints = WorldJoints(pose, shape, *forward_kinematics(pose, shape, _part(Skeleton, c)), c["near"])
     frame, vertices, normals = pose_bodies(joints, _part(Skin, c), NO_OFFSETS)
     points, scalp, far = (part.copy() for part in np.split(vertices, c["parts"], axis=1))
-    rotation, head, code, pull = *(values[0] for values in frame), PULL @ frame.world_from_head[0]
-    # Strands before the network, in SIMD blocks, and what the network reads of them.
+    rotation, head, code, pull = *(values[0] for values in frame), gravity @ frame.world_from_head[0]
     radii, scalars = (c["radius"][()], c["per_radius"][()]), [c[name][()] for name in BodyArrays._fields[-4:]]
-    body = BodyArrays(scalp, pull[None], points, normals, *radii, STIFFNESS, *scalars)
-    rows, features = c["rows"].size, np.empty((1, c["rows"].size, c["feature_columns"]), np.float32)
-    space = [np.empty((1, rows, *of), np.float32) for of in ((3,), (23, 3), (23,))]
+    body = BodyArrays(scalp, pull[None], points, normals, *radii, stiffness, *scalars)
+    *space, features = (np.empty((1, rows, *of), np.float32) for of in ((3,), (23, 3), (23,), (c["feature_columns"],)))
     strands, bent = _part(StrandBlocks, c), ShapeArrays(*space, features.view(np.uint32))
     initial_shape_kernel(strands, _part(RodBlocks, c), c["rows"], body, int(c["passes"]), threads, bent)
     around = tuple(c[f"Surroundings.{name}"] for name in ("rest_length", "mass", "rest_density", "margin"))
     grid, seen = _part(GridUnits, c), bent.features[..., c["own_feature_columns"] :]
     write_surroundings(around, *bent[:2], grid, threads, seen)
-    # The network rotates joints, and again where hair is then; edges one after another; out of the skin.
-    size = np.log(np.linalg.norm(PULL))
-    code = np.concatenate([code, pull, [size, np.log(STIFFNESS) - size]]).astype(np.float32)[None]
+    code = np.float32([*code, *pull, np.log(np.linalg.norm(gravity)), np.log(stiffness / np.linalg.norm(gravity))])[
+        None
+    ]
     inputs = {"groom_code": c["groom_code"], "texels": c["texels"], "pose_code": code, "features": features}
     changes, channels = session.run(None, inputs)
-    edges, rotated = ShapeRows(bent.roots[0], bent.edges[0], bent.compliance[0]), np.empty_like(bent.edges)
-    for refinement in refinements:
-        rotate_edges(edges, _bits(changes), around[0], threads, rotated[0], bent.features[0])
-        write_surroundings(around, bent.roots, rotated, grid, threads, seen)
-        changes = changes + refinement.run(None, {"channels": channels, "features": features, "rotations": changes})[0]
-    hair = integrate_edges(edges, _bits(changes), strands.strand.reshape(-1), c["rest_length"], rotation, head, threads)
+    edges, rotated, bits = ShapeRows(*(part[0] for part in bent[:3])), np.empty_like(bent.edges), (rows, 69)
+    rotate_edges(edges, changes.view(np.uint32).reshape(bits), around[0], threads, rotated[0], bent.features[0])
+    write_surroundings(around, bent.roots, rotated, grid, threads, seen)
+    changes = changes + refinement.run(None, {"channels": channels, "features": features, "rotations": changes})[0]
+    turns, order = changes.view(np.uint32).reshape(bits), strands.strand.reshape(-1)
+    hair = integrate_edges(edges, turns, order, c["rest_length"], rotation, head, threads)
     hair = ProjectedStrands(hair, c["rest_length"], c["clearance"], c["spacing"][()], c["max_push"][()])
     return push_out(hair, far[0] @ rotation.T + head, c["faces"], c["band"], head)
 
 
-def _bits(changes: np.ndarray) -> np.ndarray:
-    return changes[0].reshape(len(changes[0]), -1).view(np.uint32)
-
-
-def _part(kind: Any, constants: Any) -> Any:
+def _part(kind, constants):
     return kind(*(constants[f"{kind.__name__}.{name}"][()] for name in kind._fields))
 
 

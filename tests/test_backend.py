@@ -18,7 +18,7 @@ ALLOWED = (
     "return groom if found.device == expected.device else groom.to(expected.device)",
     "if values.itemsize == 2:",  # the size of a network's numbers in memory, which numpy has no type for
     "if features.itemsize == 2:",
-    "features[row, at + n] = words[n] if features.itemsize == 4 else rounded(words[n])",
+    "return word if itemsize == 4 else rounded(word)",
 )
 """Lines that decide nothing about how a drape is computed."""
 

@@ -200,7 +200,7 @@ def test_the_loss_holds_strands_together_with_the_elastic_model_that_is_asked_fo
     run = training(body, groom, tmp_path, config)
     train(run, silent)
     terms = {name: float(value) for name, value in rows_of(tmp_path / "training.csv")[0].items()}
-    assert terms["elastic"] > 1e-4
+    assert terms["elastic"] > 1e-5
     parts = ("elastic", "gravity", "body_collision", "self_collision", "pose_regularization")
     assert terms["loss"] == pytest.approx(sum(terms[name] for name in parts), abs=2e-5)
     assert load_network(tmp_path / "best.safetensors")[2]["elastic"] == elastic

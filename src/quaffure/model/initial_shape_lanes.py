@@ -20,7 +20,7 @@ from quaffure.geometry.mls_kernels import (
 )
 from quaffure.geometry.rotation_kernel import LEAST_ALIGNMENT, pushed_edge, rotated_by_gibbs
 from quaffure.model import free_rod_lanes as rod
-from quaffure.model.bfloat16 import rounded
+from quaffure.model.bfloat16 import rounded, stored
 
 # How much farther than needed a block's list of skin points reaches, and how far ahead its centre is [radii].
 _SLACK, _AHEAD = 0.1, 0.15
@@ -311,4 +311,4 @@ def write_edges(
                 direction = inputs[edge, rod.DIRECTION + axis, i]
                 ends[0] += inputs[edge, rod.LENGTH, i] * direction
                 edges[row, edge, axis] = direction
-                features[row, 3 * edge + axis] = bits[0] if features.itemsize == 4 else rounded(bits[0])
+                features[row, 3 * edge + axis] = stored(bits[0], features.itemsize)

@@ -7,7 +7,7 @@ from numba import njit, prange
 
 from quaffure.geometry.mls_kernels import FAST
 from quaffure.geometry.rotation_kernel import rotated_by_gibbs
-from quaffure.model.bfloat16 import rounded
+from quaffure.model.bfloat16 import stored
 
 
 class ShapeRows(NamedTuple):
@@ -65,7 +65,7 @@ def rotate_edges(
                     value += rest_length[row, edge] * rotated[row, edge, axis]
                     position[3 * edge + axis] = value
             for k in range(len(bits)):
-                features[row, k] = bits[k] if features.itemsize == 4 else rounded(bits[k])
+                features[row, k] = stored(bits[k], features.itemsize)
 
 
 @njit(cache=True, parallel=True, fastmath=FAST, error_model="numpy")

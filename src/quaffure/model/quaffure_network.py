@@ -45,10 +45,12 @@ class DirectionNetwork(StrandLayers):
     """
 
     def __init__(self, config: NetworkConfig) -> None:
-        super().__init__(config)
+        # The decoder before the layers: an optimizer's state in a checkpoint is in the order of the parameters.
+        nn.Module.__init__(self)
         self.config = config
         self.encoder = GroomEncoder(TEXTURE_CHANNELS).requires_grad_(False)
         self.decoder = DeformationDecoder(CODE_SIZE + code_size(config), config.texel_channels)
+        self._add_layers(config, changes=0)
         self.refinements = nn.ModuleList(Refinement(config) for _ in range(config.refinements))
 
     def forward(self, inputs: NetworkInputs, features: Float[Tensor, "b s columns"]) -> Float[Tensor, "b s e 3"]:

@@ -27,6 +27,9 @@ class StrandLayers(nn.Module):
             changes: how many numbers they read of a strand besides its features.
         """
         super().__init__()
+        self._add_layers(config, changes)
+
+    def _add_layers(self, config: NetworkConfig, changes: int) -> None:
         width = config.strand_width
         self.from_texel = nn.Linear(config.texel_channels, width)
         read = (feature_size(config) if config.skin_features else 3 * EDGES_PER_STRAND) + changes

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange
 
 from quaffure.geometry.mls_kernels import FAST
-from quaffure.model.bfloat16 import rounded
+from quaffure.model.bfloat16 import stored
 
 SURROUNDING_FEATURES = 5
 """Numbers of a vertex: excess of the density over that in the design, its gradient, and the collision margin."""
@@ -127,4 +127,4 @@ def _read(
                 values[4] = per.margin * margin[row, vertex]
                 at = SURROUNDING_FEATURES * (vertex - 1)
                 for n in range(SURROUNDING_FEATURES):
-                    features[row, at + n] = words[n] if features.itemsize == 4 else rounded(words[n])
+                    features[row, at + n] = stored(words[n], features.itemsize)

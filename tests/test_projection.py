@@ -11,7 +11,15 @@ from quaffure.energies import HairEnergy, RestState
 from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.rest_state import rest_state
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.model import NetworkConfig, NeuralDraper, ProjectionConfig, build_network, load_model, project
+from quaffure.model import (
+    InitialShapeConfig,
+    NetworkConfig,
+    NeuralDraper,
+    ProjectionConfig,
+    build_network,
+    load_model,
+    project,
+)
 from quaffure.model.neural import drape
 from quaffure.model.prepared_groom import prepare_groom, raised_before_supports
 from quaffure.model.projection import project_reference
@@ -117,14 +125,17 @@ def test_what_is_out_of_the_skin_stays(scene: Scene, rest: RestState) -> None:
 @pytest.mark.parametrize("views", [True, False])
 def test_a_drape_is_the_networks_out_of_the_skin(scene: Scene, rest: RestState, views: bool) -> None:
     torch.manual_seed(0)
-    network = build_network(NetworkConfig(texel_channels=8, strand_width=16, skin_features=views)).eval()
+    # Where hair starts nearer, less of it is pushed out, and rounding makes less of a difference.
+    near = InitialShapeConfig(bend_relaxation=0.0, margin_slope=0.6)
+    config = NetworkConfig(texel_channels=8, strand_width=16, skin_features=views, initial_shape=near)
+    network = build_network(replace(config, projection=ProjectionConfig(clearance_slope=0.5))).eval()
     draper = NeuralDraper(network, load_model().draper.material)
     with torch.no_grad():
         deformed = draper.deform(scene)
     clearance = draper.prepared(scene.groom, scene.bodies.body).clearance
     expected = projected(deformed, rest.rest_length, clearance, scene.bodies)
     assert (expected - deformed).norm(dim=-1).max() > 1e-3
-    assert ((draper.drape(scene) - expected).norm(dim=-1) < 5e-5).float().mean() > 0.99
+    assert ((draper.drape(scene) - expected).norm(dim=-1) < 1e-5).float().mean() > 0.99
 
 
 @pytest.mark.parametrize("config", [NetworkConfig(contact=False), NetworkConfig(output="displacement")])

@@ -10,9 +10,11 @@ from quaffure.body import FEATURE_COUNT, BodyModel
 from quaffure.config import HairMaterial
 from quaffure.geometry.polyline import integrate_directions
 from quaffure.model import DirectionNetwork, InferenceNetwork, NetworkConfig, NetworkInputs, NeuralDraper
+from quaffure.model.cpu_backend import CpuTrainingBackend
 from quaffure.model.inference_network import ForwardNetwork
 from quaffure.model.strand_layers import OWN_FEATURES
 from quaffure.model.surroundings import surroundings_reference
+from quaffure.model.torch_backend import TorchBackend
 from quaffure.scene import Scene
 from quaffure.types import Tensor
 from tests.scenes import random_bodies
@@ -86,16 +88,13 @@ def test_a_refinement_reads_where_hair_is(scene: Scene, backend: Backend) -> Non
     """Rotated, integrated and measured here once more, from the changes that it is given."""
     network = network_of(Recording)
     draper = NeuralDraper(network, MATERIAL, backend=backend)
-    steps = draper._torch_backend  # the shape that the training reads
     draper.deform(scene)
     groom = draper.prepared(scene.groom, scene.bodies.body)
     assert len(network.read) == 2
-    from quaffure.model.cpu_backend import CpuTrainingBackend
-    from quaffure.model.torch_backend import TorchBackend
-
-    made = steps(CpuTrainingBackend if backend is Backend.CPU else TorchBackend, False)
-    (_, posed), *_ = made.posed([groom] * 2, scene.bodies)
-    shape = made.initial_shape(groom, posed)
+    kind = CpuTrainingBackend if backend is Backend.CPU else TorchBackend
+    steps = kind(network, draper.loading, bf16=False, projects=False)
+    (_, posed), *_ = steps.posed([groom] * 2, scene.bodies)
+    shape = steps.initial_shape(groom, posed)
     for changes, features in network.read:
         half = 0.5 * shape.compliance[..., None] * changes.float()
         quaternion = torch.nn.functional.pad(half.cumsum(2), (1, 0), value=1.0)

@@ -15,7 +15,7 @@ from quaffure.energies import HairEnergy, force_limit
 from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.errors import InputError
 from quaffure.hair import Groom
-from quaffure.model import NeuralDraper, build_network, load_network, save_network
+from quaffure.model import InitialShapeConfig, NeuralDraper, build_network, load_network, save_network
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training import (
@@ -196,11 +196,13 @@ def test_a_sample_counts_by_the_logarithm_of_its_energy(
 def test_the_loss_holds_strands_together_with_the_elastic_model_that_is_asked_for(
     body: BodyModel, groom: Groom, tmp_path: Path, elastic: Literal["cosserat", "mass_spring"]
 ) -> None:
-    config = replace(TINY, elastic=elastic, steps=1)
+    # Strands whose bends have spread are hardly stretched, sheared or bent before the first step.
+    network = replace(TINY.network, initial_shape=InitialShapeConfig(bend_relaxation=0.0, margin_slope=0.6))
+    config = replace(TINY, elastic=elastic, steps=1, network=network)
     run = training(body, groom, tmp_path, config)
     train(run, silent)
     terms = {name: float(value) for name, value in rows_of(tmp_path / "training.csv")[0].items()}
-    assert terms["elastic"] > 1e-5
+    assert terms["elastic"] > 1e-4
     parts = ("elastic", "gravity", "body_collision", "self_collision", "pose_regularization")
     assert terms["loss"] == pytest.approx(sum(terms[name] for name in parts), abs=2e-5)
     assert load_network(tmp_path / "best.safetensors")[2]["elastic"] == elastic

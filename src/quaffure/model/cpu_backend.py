@@ -130,14 +130,11 @@ def rewrite_features(
         strands: `quaffure.model.surroundings.Surroundings` of the rows.
     """
     roots, edges, compliance, features = shape
-    rotated, columns, of_rows = (
-        np.empty(edges.shape, np.float32),
-        bits(features),
-        bits(changes.view(len(roots), *changes.shape[-2:])),
-    )
+    rotated, columns = np.empty(edges.shape, np.float32), bits(features)
+    of_samples = bits(changes.view(len(roots), *changes.shape[-2:]))
     for sample, turned in enumerate(rotated):
         rows = ShapeRows(roots[sample].numpy(), edges[sample].numpy(), compliance[sample].numpy())
-        rotate_edges(rows, of_rows[sample], strands[0], get_num_threads(), turned, columns[sample])
+        rotate_edges(rows, of_samples[sample], strands[0], get_num_threads(), turned, columns[sample])
     write_surroundings(strands, roots.numpy(), rotated, grid, get_num_threads(), columns[..., OWN_FEATURES:])
 
 

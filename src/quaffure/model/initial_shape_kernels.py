@@ -120,4 +120,4 @@ def initial_shape_kernel(
             lane.fade(own_rows, anchor, body.least_disturbance, body.tied_share, rows, compliance)
             if body.bend_relaxation > 0:
                 relax_bends(own, body.bend_relaxation, states[thread], passed[thread])
-            lane.write_edges(own, own_rows, roots, edges, features)
+            lane.write_edges(own, own_rows, roots, rows, edges, features)

@@ -298,17 +298,18 @@ def write_local_features(rows: np.ndarray, row_of: np.ndarray, edge: int, count:
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def write_edges(
-    inputs: np.ndarray, row_of: np.ndarray, roots: np.ndarray, edges: np.ndarray, features: np.ndarray
-) -> None:
+    inputs: np.ndarray, row_of: np.ndarray, roots: np.ndarray, rows: np.ndarray, edges: np.ndarray,
+    features: np.ndarray,
+) -> None:  # fmt: skip
     """Write the edges in `inputs`, and where they end as the first features."""
-    ends = np.empty(1, np.float32)
-    bits = ends.view(np.uint32)
+    bits = rows.view(np.uint32)
     for i in range(LANES):
         row = row_of[i]
         for axis in range(3):
-            ends[0] = roots[row, axis]
+            end = VERTEX + axis * LANES + i
+            rows[end] = roots[row, axis]
             for edge in range(len(inputs)):
                 direction = inputs[edge, rod.DIRECTION + axis, i]
-                ends[0] += inputs[edge, rod.LENGTH, i] * direction
+                rows[end] += inputs[edge, rod.LENGTH, i] * direction
                 edges[row, edge, axis] = direction
-                features[row, 3 * edge + axis] = stored(bits[0], features.itemsize)
+                features[row, 3 * edge + axis] = stored(bits[end], features.itemsize)

@@ -15,7 +15,7 @@ from quaffure.body.kinematics_kernel import Skeleton, forward_kinematics
 from quaffure.hair.block_arrays import StrandBlocks
 from quaffure.model.initial_shape_kernels import BodyArrays, RodBlocks, ShapeArrays, initial_shape_kernel
 from quaffure.model.integration_kernel import ShapeRows, integrate_edges, rotate_edges
-from quaffure.model.projection_kernel import ProjectedStrands, push_out
+from quaffure.model.projection_kernel import PushedRods, PushSettings, push_out
 from quaffure.model.surroundings_kernels import GridUnits, write_surroundings
 
 
@@ -45,10 +45,10 @@ def main(network: Path, pose: np.ndarray, shape: np.ndarray) -> np.ndarray:
     rotate_edges(edges, changes.view(np.uint32).reshape(bits), around[0], threads, rotated[0], bent.features[0])
     write_surroundings(around, bent.roots, rotated, grid, threads, seen)
     changes = changes + refinement.run(None, {"channels": channels, "features": features, "rotations": changes})[0]
-    turns, order = changes.view(np.uint32).reshape(bits), strands.strand.reshape(-1)
-    hair = integrate_edges(edges, turns, order, c["rest_length"], rotation, head, threads)
-    hair = ProjectedStrands(hair, c["rest_length"], c["clearance"], c["spacing"][()], c["max_push"][()])
-    return push_out(hair, far[0] @ rotation.T + head, c["faces"], c["band"], head)
+    turns, order, rods = changes.view(np.uint32).reshape(bits), strands.strand.reshape(-1), _part(PushedRods, c)
+    hair = integrate_edges(edges, turns, order, rods.rest_length, rotation, head, threads)
+    skin = far[0] @ rotation.T + head, c["faces"], c["band"], head
+    return push_out(hair, rods, _part(PushSettings, c), *skin)
 
 
 def _part(kind, constants):

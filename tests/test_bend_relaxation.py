@@ -34,24 +34,24 @@ def test_small_rotations_are_those_of_the_dense_system() -> None:
     theta = torch.linalg.solve(whole, -difference.T @ (bending[..., None] * bends(edges, free)))
     expected = edges + torch.linalg.cross(theta, edges)
     assert theta.norm(dim=-1).max() > 5e-5
-    torch.testing.assert_close(relaxed_edges(edges, free, bending, goal, 4.0), expected, atol=5e-8, rtol=0)
+    torch.testing.assert_close(relaxed_edges(edges, free, bending, bending / 4 + goal), expected, atol=5e-8, rtol=0)
 
 
 def test_without_contact_edges_stay() -> None:
     generator = torch.Generator().manual_seed(1)
-    free, of_joints = directions(generator), stiffness(generator)
-    torch.testing.assert_close(relaxed_edges(free, free, *of_joints, 5.0), free, atol=1e-12, rtol=0)
+    free, (bending, goal) = directions(generator), stiffness(generator)
+    torch.testing.assert_close(relaxed_edges(free, free, bending, bending / 5 + goal), free, atol=1e-12, rtol=0)
 
 
 def test_a_bend_at_the_root_spreads() -> None:
     """Strands that turn as a whole about an axis across their first edge are bent at the root alone."""
     generator = torch.Generator().manual_seed(2)
-    free, (bending, goal) = directions(generator), stiffness(generator)
+    free, (bending, _) = directions(generator), stiffness(generator)
     across = torch.linalg.cross(
         free[..., :1, :], torch.randn(3, generator=generator, dtype=torch.float64).expand(2, 3, 1, 3)
     )
     edges = free @ matrix_from_axis_angle(0.6 * torch.nn.functional.normalize(across, dim=-1))[..., 0, :, :].mT
-    before, after = bends(edges, free), bends(relaxed_edges(edges, free, bending, 0 * goal, 5.0), free)
+    before, after = bends(edges, free), bends(relaxed_edges(edges, free, bending, bending / 5), free)
     assert before[..., 1:, :].norm(dim=-1).max() < 1e-12
     assert (after[..., 0, :].norm(dim=-1) < 0.9 * before[..., 0, :].norm(dim=-1)).all()
     assert (after[..., 1, :].norm(dim=-1) > 0.02).all()
@@ -64,3 +64,8 @@ def test_a_bend_at_the_root_spreads() -> None:
 def test_older_networks_start_as_they_did(values: dict[str, object], expected: float) -> None:
     """Their files hold settings of the initial shape without this one."""
     assert from_file_values(values).initial_shape.bend_relaxation == expected
+
+
+def test_older_networks_are_projected_as_they_were() -> None:
+    projection = from_file_values({"projection": {"most": 0.02}}).projection
+    assert (projection.push_relaxation, projection.pushes, projection.most) == (0.0, 1, 0.02)

@@ -7,7 +7,8 @@ import torch
 
 from quaffure.body import BodyModel
 from quaffure.body.collision_skin import collision_skin
-from quaffure.energies import HairEnergy, RestState
+from quaffure.config import HairMaterial
+from quaffure.energies import HairEnergy
 from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.rest_state import rest_state
 from quaffure.geometry.signed_distance import signed_distance
@@ -20,9 +21,11 @@ from quaffure.model import (
     load_model,
     project,
 )
+from quaffure.model.bend_relaxation import bends
 from quaffure.model.neural import drape
-from quaffure.model.prepared_groom import prepare_groom, raised_before_supports
-from quaffure.model.projection import project_reference
+from quaffure.model.prepared_groom import PreparedGroom, prepare_groom, raised_before_supports
+from quaffure.model.projection import project_reference, push_settings
+from quaffure.model.projection_kernel import PushedRods
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
@@ -40,26 +43,33 @@ def scene(bodies: BodyBatch) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def rest(scene: Scene) -> RestState:
-    return rest_state(scene.groom.rest_strands, load_model().draper.material)
+def prepared(scene: Scene) -> PreparedGroom:
+    return prepared_with(scene)
 
 
 CONFIG = ProjectionConfig()
+SETTINGS = push_settings(CONFIG, 1.0)
+ONE_PUSH = ProjectionConfig(pushes=1, push_relaxation=0.0)
 
 
-def clearance_of(rest: RestState) -> torch.Tensor:
-    return CONFIG.clearance_share * rest.collision_margin
+def prepared_with(scene: Scene, material: HairMaterial | None = None) -> PreparedGroom:
+    """Strands that are kept at half of their collision margins."""
+    draper, groom = load_model().draper, scene.groom
+    margin = rest_state(groom.rest_strands, material or draper.material).collision_margin
+    return replace(draper.prepared(groom, scene.bodies.body), clearance=CONFIG.clearance_share * margin)
 
 
-def projected(strands: Positions, rest_length: torch.Tensor, clearance: torch.Tensor, bodies: BodyBatch) -> Positions:
-    skin, head = collision_skin(bodies.body, float(clearance.max())), bodies.body.joint_names.index("Head")
+def projected(
+    strands: Positions, groom: PreparedGroom, bodies: BodyBatch, config: ProjectionConfig = CONFIG
+) -> Positions:
+    return pushed_out(strands, groom.blocks.pushed, bodies, config)
+
+
+def pushed_out(strands: Positions, rods: PushedRods, bodies: BodyBatch, config: ProjectionConfig = CONFIG) -> Positions:
+    skin, head = collision_skin(bodies.body, float(rods.clearance.max())), bodies.body.joint_names.index("Head")
     posed = zip(strands, bodies.posed.vertices[:, skin.vertices], bodies.posed.joint_positions[:, head])
-    hair = [project(own, skins, rest_length, clearance, skin, centre, CONFIG) for own, skins, centre in posed]
-    return torch.stack(hair)
-
-
-def pushed(strands: Positions, rest: RestState, bodies: BodyBatch) -> Positions:
-    return projected(strands, rest.rest_length, clearance_of(rest), bodies)
+    settings = push_settings(config, 1.0)
+    return torch.stack([project(own, skins, rods, skin, centre, settings) for own, skins, centre in posed])
 
 
 def inside(strands: Positions, scene: Scene) -> torch.Tensor:
@@ -67,12 +77,12 @@ def inside(strands: Positions, scene: Scene) -> torch.Tensor:
     return (signed_distance(strands.flatten(1, 2), scene.surface) < 0).float().mean(dim=1)
 
 
-def test_kernel_and_twin_agree(scene: Scene, rest: RestState) -> None:
-    found, skin = pushed(scene.posed, rest, scene.bodies), collision_skin(scene.bodies.body)
+def test_kernel_and_twin_agree(scene: Scene, prepared: PreparedGroom) -> None:
+    found, skin = projected(scene.posed, prepared, scene.bodies), collision_skin(scene.bodies.body)
     assert (found - scene.posed).norm(dim=-1).max() > 0.02  # posed strands run through the shoulders
     for sample in range(2):
         vertices = scene.bodies.posed.vertices[sample, skin.vertices]
-        expected = project_reference(scene.posed[sample], vertices, rest.rest_length, clearance_of(rest), skin, CONFIG)
+        expected = project_reference(scene.posed[sample], vertices, prepared, skin, SETTINGS)
         off = (found[sample] - expected).norm(dim=-1)
         # Where two faces are as near as each other, rounding decides on one; what hangs on that edge moves along.
         assert (off < 1e-5).float().mean() > 0.99
@@ -80,50 +90,52 @@ def test_kernel_and_twin_agree(scene: Scene, rest: RestState) -> None:
 
 def test_very_short_hair_is_that_of_the_twin(bodies: BodyBatch) -> None:
     scene = Scene(make_groom("crew_cut", bodies.body).select(torch.arange(0, 2400, 31)), bodies)
-    rest, skin = rest_state(scene.groom.rest_strands, load_model().draper.material), collision_skin(bodies.body)
+    prepared, skin = prepared_with(scene), collision_skin(bodies.body)
     flat = scene.posed.clone()
     flat[..., 1:, :] -= 0.8 * (flat[..., 1:, :] - flat[..., :1, :])  # most of it is too close to the skin
     flat = flat[..., :1, :] + torch.nn.functional.pad(
-        (rest.rest_length[..., None] * torch.nn.functional.normalize(flat.diff(dim=2), dim=-1)).cumsum(2),
+        (prepared.rest_length[..., None] * torch.nn.functional.normalize(flat.diff(dim=2), dim=-1)).cumsum(2),
         (0, 0, 1, 0),
     )
     flat[..., 1:, :] -= 0.002 * torch.nn.functional.normalize(
         scene.posed[..., -1:, :] - scene.posed[..., :1, :], dim=-1
     )
-    found = pushed(flat, rest, bodies)
+    found = projected(flat, prepared, bodies)
     vertices = bodies.posed.vertices[0, skin.vertices]
-    expected = project_reference(flat[0], vertices, rest.rest_length, clearance_of(rest), skin, CONFIG)
+    expected = project_reference(flat[0], vertices, prepared, skin, SETTINGS)
     assert (found[0] - flat[0]).abs().max() > 1e-4
     assert ((found[0] - expected).norm(dim=-1) < 1e-5).float().mean() > 0.99
 
 
-def test_hair_leaves_the_body_and_keeps_its_lengths(scene: Scene, rest: RestState) -> None:
-    out = pushed(scene.posed, rest, scene.bodies)
+def test_hair_leaves_the_body_and_keeps_its_lengths(scene: Scene, prepared: PreparedGroom) -> None:
+    out = projected(scene.posed, prepared, scene.bodies)
     before, after = (inside(strands, scene) for strands in (scene.posed, out))
     assert (before > 0.02).all()
     assert (after < 0.3 * before).all()
-    torch.testing.assert_close(out.diff(dim=2).norm(dim=-1), rest.rest_length.expand(2, -1, -1), atol=2e-6, rtol=1e-5)
+    torch.testing.assert_close(
+        out.diff(dim=2).norm(dim=-1), prepared.rest_length.expand(2, -1, -1), atol=2e-6, rtol=1e-5
+    )
     assert torch.equal(out[:, :, 0], scene.posed[:, :, 0])
 
 
-def test_strands_in_the_open_stay_to_the_bit(scene: Scene, rest: RestState) -> None:
+def test_strands_in_the_open_stay_to_the_bit(scene: Scene, prepared: PreparedGroom) -> None:
     distance = signed_distance(scene.posed.flatten(1, 2), scene.surface).unflatten(1, scene.posed.shape[1:3])
-    free = (distance[..., 1:] >= clearance_of(rest)[:, 1:] + 1e-5).all(dim=-1)
-    out = pushed(scene.posed, rest, scene.bodies)
+    free = (distance[..., 1:] >= prepared.clearance[:, 1:] + 1e-5).all(dim=-1)
+    out = projected(scene.posed, prepared, scene.bodies)
     assert free.sum() > 10
     assert torch.equal(out[free], scene.posed[free])
     assert not torch.equal(out[~free], scene.posed[~free])
 
 
-def test_what_is_out_of_the_skin_stays(scene: Scene, rest: RestState) -> None:
-    once = pushed(scene.posed, rest, scene.bodies)
-    twice = pushed(once, rest, scene.bodies)
+def test_what_is_out_of_the_skin_stays(scene: Scene, prepared: PreparedGroom) -> None:
+    once = projected(scene.posed, prepared, scene.bodies)
+    twice = projected(once, prepared, scene.bodies)
     moved = (twice - once).norm(dim=-1)
     assert moved.mean() < 0.05 * (once - scene.posed).norm(dim=-1).mean()
 
 
 @pytest.mark.parametrize("views", [True, False])
-def test_a_drape_is_the_networks_out_of_the_skin(scene: Scene, rest: RestState, views: bool) -> None:
+def test_a_drape_is_the_networks_out_of_the_skin(scene: Scene, views: bool) -> None:
     torch.manual_seed(0)
     # Where hair starts nearer, less of it is pushed out, and rounding makes less of a difference.
     near = InitialShapeConfig(bend_relaxation=0.0, margin_slope=0.6)
@@ -132,8 +144,7 @@ def test_a_drape_is_the_networks_out_of_the_skin(scene: Scene, rest: RestState, 
     draper = NeuralDraper(network, load_model().draper.material)
     with torch.no_grad():
         deformed = draper.deform(scene)
-    clearance = draper.prepared(scene.groom, scene.bodies.body).clearance
-    expected = projected(deformed, rest.rest_length, clearance, scene.bodies)
+    expected = projected(deformed, draper.prepared(scene.groom, scene.bodies.body), scene.bodies)
     assert (expected - deformed).norm(dim=-1).max() > 1e-3
     assert ((draper.drape(scene) - expected).norm(dim=-1) < 1e-5).float().mean() > 0.99
 
@@ -146,34 +157,57 @@ def test_networks_without_the_skin_stay_without_it(scene: Scene, config: Network
         torch.testing.assert_close(draper.drape(scene), draper.deform(scene), atol=1e-5, rtol=0)
 
 
-def test_a_strand_alone_is_pushed_as_in_its_groom(scene: Scene, rest: RestState) -> None:
-    whole = pushed(scene.posed, rest, scene.bodies)
+def test_relaxed_bends_cost_less(bodies: BodyBatch) -> None:
+    """Rods at rest in the shape that they came with: relaxed between pushes, they are bent less at single vertices."""
+    scene = Scene(make_groom("slicked_back", bodies.body).select(torch.arange(0, 2400, 31)), bodies)
+    prepared = prepared_with(scene)
+    free = torch.nn.functional.normalize(scene.posed.diff(dim=2), dim=-1)
+
+    def cost(hair: Positions) -> torch.Tensor:
+        edges = torch.nn.functional.normalize(hair.diff(dim=2), dim=-1)
+        return (prepared.rods.bending * bends(edges, free).square().sum(-1)).sum((1, 2))
+
+    pushed, relaxed = (projected(scene.posed, prepared, scene.bodies, config) for config in (ONE_PUSH, CONFIG))
+    assert cost(relaxed).sum() < 0.7 * cost(pushed).sum()
+    outside = [1 - inside(strands, scene) for strands in (pushed, relaxed)]
+    assert (outside[1] > outside[0] - 0.002).all()
+
+
+def test_held_edges_turn_less(scene: Scene, prepared: PreparedGroom) -> None:
+    held = replace(prepared, rods=prepared.rods._replace(goal=torch.full_like(prepared.rods.goal, 1e6)))
+    pushed = projected(scene.posed, held, scene.bodies, replace(CONFIG, pushes=1))
+    expected = projected(scene.posed, prepared, scene.bodies, ONE_PUSH)
+    torch.testing.assert_close(pushed, expected, atol=2e-5, rtol=0)
+
+
+def test_a_strand_alone_is_pushed_as_in_its_groom(scene: Scene, prepared: PreparedGroom) -> None:
+    whole = projected(scene.posed, prepared, scene.bodies)
     for strand in range(0, len(scene.groom), 8):
         one = slice(strand, strand + 1)
-        alone = projected(scene.posed[:, one], rest.rest_length[one], clearance_of(rest)[one], scene.bodies)
+        rods = PushedRods(*(values[one] for values in prepared.blocks.pushed))
+        alone = pushed_out(scene.posed[:, one], rods, scene.bodies)
         torch.testing.assert_close(alone, whole[:, one], atol=1e-6, rtol=0)
 
 
-def test_the_callers_strands_are_not_changed(scene: Scene, rest: RestState) -> None:
+def test_the_callers_strands_are_not_changed(scene: Scene, prepared: PreparedGroom) -> None:
     before = scene.posed.clone()
-    pushed(scene.posed, rest, scene.bodies)
+    projected(scene.posed, prepared, scene.bodies)
     assert torch.equal(scene.posed, before)
 
 
 @pytest.mark.parametrize("wrong", [torch.nan, torch.inf, -torch.inf, 1e30])
-def test_what_is_not_finite_stays(scene: Scene, rest: RestState, wrong: float) -> None:
+def test_what_is_not_finite_stays(scene: Scene, prepared: PreparedGroom, wrong: float) -> None:
     strands = scene.posed.clone()
     strands[0, 3, 5:] = wrong
-    found = pushed(strands, rest, scene.bodies)
+    found = projected(strands, prepared, scene.bodies)
     torch.testing.assert_close(found[0], strands[0], equal_nan=True, atol=0, rtol=0)
     assert not torch.equal(found[1], strands[1])
 
 
 def test_a_body_blown_up_ends_in_no_crash(scene: Scene) -> None:
     skin, strands = collision_skin(scene.bodies.body), scene.posed[0]
-    vertices, rest_length = 1e30 * scene.bodies.posed.vertices[0, skin.vertices], scene.groom.rest_lengths
-    clearance = torch.zeros(strands.shape[:2])
-    assert torch.equal(project(strands, vertices, rest_length, clearance, skin, torch.zeros(3), CONFIG), strands)
+    vertices, prepared = 1e30 * scene.bodies.posed.vertices[0, skin.vertices], prepared_with(scene)
+    assert torch.equal(project(strands, vertices, prepared.blocks.pushed, skin, torch.zeros(3), SETTINGS), strands)
 
 
 def test_the_shipped_model_leaves_the_skin(scene: Scene) -> None:
@@ -181,19 +215,19 @@ def test_the_shipped_model_leaves_the_skin(scene: Scene) -> None:
     with torch.no_grad():
         deformed = model.draper.deform(scene)
     drapes = model.drape(scene.groom, bodies.body_pose, bodies.body_shape)
-    clearance = model.draper.prepared(scene.groom, model.body).clearance
-    expected = projected(deformed, scene.groom.rest_lengths, clearance, bodies)
+    prepared = model.draper.prepared(scene.groom, model.body)
+    expected = projected(deformed, prepared, bodies, model.draper.network.config.projection)
     assert (expected - deformed).norm(dim=-1).max() > 1e-3
     assert ((drapes - expected).norm(dim=-1) < 5e-4).float().mean() > 0.99  # bfloat16
     many = list(model.drape_many([scene.groom] * 2, bodies.body_pose, bodies.body_shape))
     torch.testing.assert_close(torch.stack(many), drapes, atol=1e-5, rtol=0)
 
 
-def test_margins_of_five_centimetres_are_kept(scene: Scene, rest: RestState) -> None:
-    wide = rest_state(scene.groom.rest_strands, replace(load_model().draper.material, collision_margin=0.05))
-    clearance = clearance_of(wide)
+def test_margins_of_five_centimetres_are_kept(scene: Scene) -> None:
+    wide = prepared_with(scene, replace(load_model().draper.material, collision_margin=0.05))
+    clearance = wide.clearance
     assert clearance.max() == pytest.approx(0.025)
-    out = pushed(scene.posed, wide, scene.bodies)
+    out = projected(scene.posed, wide, scene.bodies)
     short = clearance - signed_distance(out.flatten(1, 2), scene.surface).unflatten(1, out.shape[1:3])
     print((short[..., 1:] < 1e-3).float().mean(), short.max(), (short[..., 1:] < 3e-3).float().mean())
     assert (short[..., 1:] < 1e-3).float().mean() > 0.95

@@ -4,42 +4,38 @@ Contact is resolved edge by edge from the root (`quaffure.geometry.mls_surface`)
 that touches, where a rod would bend over a length. With b_i the bend at the joint before edge i beyond that of the
 strand without contact, as a rotation vector, the rotations theta of the edges minimize
 
-    sum_i  B_i / 2 |b_i + theta_i - theta_(i-1)|^2  +  (B_i / r + G_i) / 2 |theta_i|^2
+    sum_i  B_i / 2 |b_i + theta_i - theta_(i-1)|^2  +  H_i / 2 |theta_i|^2
 
-so that bends spread over sqrt(r) joints or so, while each edge stays near its direction. A strand that touches nothing
-stays as it is. `quaffure.model.bend_relaxation_lanes` is the compiled twin.
+so that bends spread over sqrt(B / H) joints or so, while each edge stays near its direction. A strand that touches
+nothing stays as it is. Compiled twins: `bend_relaxation_lanes`, and `projection_kernel` for one strand.
 """
 
 import torch
 
 from quaffure.geometry.rotation import quaternion_multiply, rotate_by_gibbs
-from quaffure.model.bend_relaxation_lanes import LEAST_ALIGNMENT
+from quaffure.model.bend_relaxation_kernel import LEAST_ALIGNMENT
 from quaffure.model.free_rod import no_rotation, rotate
-from quaffure.types import EdgeVectors, Float, Tensor
+from quaffure.types import Float, Tensor
 
 
 def relaxed_edges(
-    edges: EdgeVectors,
-    free: EdgeVectors,
+    edges: Float[Tensor, "*b e 3"],
+    free: Float[Tensor, "*b e 3"],
     bending: Float[Tensor, "*s e"],
-    goal: Float[Tensor, "*s e"],
-    relaxation: float,
-) -> EdgeVectors:
+    hold: Float[Tensor, "*s e"],
+) -> Float[Tensor, "*b e 3"]:
     """Unit edges with relaxed bends.
 
     Args:
         edges, free: unit edges after contact and without it.
         bending: B of each joint [m^2], see `FreeRods`.
-        goal: G, stiffness of what holds an edge to the posed design [m^2].
-        relaxation: r; with 0 edges stay as they are.
+        hold: H, resistance of each edge to being turned [m^2].
     """
-    if relaxation == 0:
-        return edges
     stiffness, slope = torch.zeros_like(bending[..., 0, None]), torch.zeros_like(edges[..., 0, :])
     found: list[tuple[Tensor, Tensor]] = []
     for edge, bend in reversed([*enumerate(bends(edges, free).unbind(-2))]):
         joint = bending[..., edge, None]
-        own = joint / relaxation + goal[..., edge, None] + stiffness
+        own = hold[..., edge, None] + stiffness
         found.append((joint / (joint + own), (joint * bend + slope) / (joint + own)))
         stiffness, slope = joint * own / (joint + own), joint * (slope - own * bend) / (joint + own)
     theta, thetas = torch.zeros_like(slope), []
@@ -49,7 +45,7 @@ def relaxed_edges(
     return rotate_by_gibbs(0.5 * torch.stack(thetas, dim=-2), edges)
 
 
-def bends(edges: EdgeVectors, free: EdgeVectors) -> EdgeVectors:
+def bends(edges: Float[Tensor, "*b e 3"], free: Float[Tensor, "*b e 3"]) -> Float[Tensor, "*b e 3"]:
     """Rotation vectors, to first order, from where each edge were with the bend without contact before it."""
     rotation, found = no_rotation(edges[..., 0, :]), []
     for direction, unbent in zip(edges.unbind(-2), free.unbind(-2)):

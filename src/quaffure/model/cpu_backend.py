@@ -17,7 +17,7 @@ from quaffure.model.initial_shape import InitialShape, bits, empty_shape, fill_i
 from quaffure.model.integration_kernel import ShapeRows, integrate_edges, rotate_edges
 from quaffure.model.pose_code import pose_code
 from quaffure.model.prepared_groom import PreparedGroom
-from quaffure.model.projection import project
+from quaffure.model.projection import project, push_settings
 from quaffure.model.quaffure_network import DirectionNetwork
 from quaffure.model.strand_layers import OWN_FEATURES, feature_size
 from quaffure.model.surroundings import grid_units
@@ -58,6 +58,7 @@ class CpuBackend:
         self.config, self._loading = network.config, loading
         self.layout: Any = network.for_inference(bf16)
         self._grid = grid_units(network.config.density_grid)
+        self._push = push_settings(network.config.projection, loading.stiffness)
         self.network_seconds = 0.0
 
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, CpuPosed]]:
@@ -117,8 +118,8 @@ class CpuBackend:
         """Hair projected out of the skin [m, world]."""
         if not self.config.contact:
             return hair
-        body, strands = posed.body, (hair[0], posed.body.world_skin[0], groom.rest_length, groom.clearance)
-        return project(*strands, posed.skin, body.head_position[0], self.config.projection)[None]
+        body, rods = posed.body, groom.blocks.pushed
+        return project(hair[0], body.world_skin[0], rods, posed.skin, body.head_position[0], self._push)[None]
 
 
 def rewrite_features(
@@ -169,9 +170,9 @@ class CpuTrainingBackend(TorchBackend):
         """Hair projected out of the skin [m, world], to which the gradient passes as if it had not been moved."""
         if not self.projects:
             return hair
-        skin, config = collision_skin(posed.bodies.body, self.config.projection.most), self.config.projection
+        skin, settings = collision_skin(posed.bodies.body, self.config.projection.most), self.push_settings
         projected = [
-            project(own, vertices, groom.rest_length, groom.clearance, skin, head, config)
+            project(own, vertices, groom.blocks.pushed, skin, head, settings)
             for own, vertices, head in zip(hair.detach(), posed.body.world_skin, posed.body.head_position)
         ]
         return hair + (torch.stack(projected) - hair.detach())

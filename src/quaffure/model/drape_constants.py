@@ -13,11 +13,10 @@ Names with a dot are fields of the classes of that name, which the compiled kern
     Surroundings.*    what surrounds strands in their design (`quaffure.model.surroundings`)
     GridUnits.*       of the grid of densities (`quaffure.model.surroundings_kernels`)
     groom_code        [16]
-    rest_length       [strand, edge]
-    clearance         [strand, vertex], distance from the skin
+    PushedRods.*      strands for the projection (`quaffure.model.projection_kernel`)
+    PushSettings.*    its settings
     faces, band       of the collision skin, and how far below and above it they count
     passes, least_disturbance, decay_length, tied_share, bend_relaxation       of the initial shape
-    spacing, max_push                                         of the projection
     feature_columns, own_feature_columns    numbers that the network reads of a strand, and how many come before those
                       of its surroundings
 """
@@ -37,6 +36,7 @@ from quaffure.io.atomic import replacing
 from quaffure.model.network_config import NetworkConfig
 from quaffure.model.neural import NeuralDraper
 from quaffure.model.prepared_groom import PreparedGroom
+from quaffure.model.projection import push_settings
 from quaffure.model.strand_layers import OWN_FEATURES, feature_size
 from quaffure.model.surroundings import Surroundings, grid_units
 
@@ -82,26 +82,24 @@ def _of_groom(groom: PreparedGroom) -> dict[str, np.ndarray]:
     return {
         **_fields(blocks.strands),
         **_fields(blocks.rods),
+        **_fields(blocks.pushed),
         **{f"Surroundings.{name}": values for name, values in zip(Surroundings._fields, blocks.surroundings)},
         "rows": blocks.rows,
         "texels": blocks.texels.flat.numpy(),
         "groom_code": groom.code.numpy(),
-        "rest_length": groom.rest_length.numpy(),
-        "clearance": groom.clearance.numpy(),
     }
 
 
 def _of_network(config: NetworkConfig) -> dict[str, np.ndarray]:
-    shape, projection = config.initial_shape, config.projection
+    shape = config.initial_shape
     return {
         **_fields(grid_units(config.density_grid)),
+        **_fields(push_settings(config.projection, 1.0)),
         "passes": np.array(shape.passes),
         "least_disturbance": np.array(shape.least_disturbance**2 + 1e-12, np.float32),
         "decay_length": np.array(shape.decay_length, np.float32),
         "tied_share": np.array(shape.tied_share, np.float32),
         "bend_relaxation": np.array(shape.bend_relaxation, np.float32),
-        "spacing": np.array(projection.spacing, np.float32),
-        "max_push": np.array(projection.max_push, np.float32),
         "feature_columns": np.array(feature_size(config)),
         "own_feature_columns": np.array(OWN_FEATURES),
     }

@@ -74,7 +74,9 @@ def initial_shape_reference(
     )
     clearance = groom.initial_clearance
     edges, local = resolve_contact_reference(roots, free, rest_length, clearance, body.surface, config.decay_length)
-    shape = relaxed_edges(edges, free, rods.bending, rods.goal, config.bend_relaxation)
+    shape = edges
+    if config.bend_relaxation > 0:
+        shape = relaxed_edges(edges, free, rods.bending, rods.bending / config.bend_relaxation + rods.goal)
     deflection = torch.nn.functional.pad(edges - free, (0, 0, 1, 0)).diff(dim=2).norm(dim=-1)
     disturbance = (edges - posed).square().sum(-1).amax(dim=2, keepdim=True)
     fading = disturbance / (disturbance + config.least_disturbance**2 + 1e-12)

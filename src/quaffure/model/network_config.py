@@ -92,11 +92,22 @@ class ProjectionConfig:
     """Distance along a strand between two contact queries [m]; shorter edges are skipped."""
     max_push: float = 3.0
     """Largest push of a vertex, in lengths of its edge: the edge then stands nearly along the push."""
+    pushes: int = 2
+    """How often a strand is pushed out at most, and its bends relaxed."""
+    push_relaxation: float = 2.0
+    """How far bends of a push spread along a strand at most (`quaffure.model.bend_relaxation`), 0 for not at all."""
+    contact_stiffness: float = 8000.0
+    """Resistance k of contact to relaxing: k l^2 against the rotation of an edge of length l [m^2], as the bending
+    stiffness in weights of a metre of hair."""
 
     def __post_init__(self) -> None:
         least = min(self.clearance_share, self.clearance_slope, self.max_push, self.depth, self.most)
         if self.spacing <= 0 or not least >= 0 or not math.isfinite(self.clearance_slope):
             raise ValueError(f"expected a spacing above 0, no share, slope, push or distance below it, found {self}")
+        if not (isinstance(self.pushes, int) and 1 <= self.pushes <= 16):
+            raise ValueError(f"expected 1 to 16 pushes, found {self.pushes!r}")
+        if not (self.push_relaxation >= 0 and 0 <= self.contact_stiffness < math.inf):
+            raise ValueError(f"expected no bend relaxation or contact stiffness below 0, found {self}")
 
     def clearance(self, margin: Float[Tensor, "s n"], depth: Float[Tensor, "s 1"]) -> Float[Tensor, "s n"]:
         """Distance at which hair with a collision margin is left alone [m].
@@ -189,12 +200,14 @@ def from_file_values(values: Mapping[str, Any]) -> NetworkConfig:
         ValueError: a setting that is not known, or out of range.
     """
     named = {FILE_KEYS.get(key, key): value for key, value in values.items()}
+    # Networks that were trained before bends were relaxed drape as they did.
     if "initial_shape" in named:
-        # Networks that were trained before bends were relaxed drape as they did.
         shape = known_fields({"bend_relaxation": 0.0} | named["initial_shape"], InitialShapeConfig)
         body = MlsBodyConfig(**known_fields(shape.pop("body", {}), MlsBodyConfig))
         named["initial_shape"] = InitialShapeConfig(**shape, body=body)
-    for name, kind in (("density_grid", DensityGridConfig), ("projection", ProjectionConfig)):
-        if name in named:
-            named[name] = kind(**known_fields(named[name], kind))
+    if "projection" in named:
+        values = {"push_relaxation": 0.0, "pushes": 1} | named["projection"]
+        named["projection"] = ProjectionConfig(**known_fields(values, ProjectionConfig))
+    if "density_grid" in named:
+        named["density_grid"] = DensityGridConfig(**known_fields(named["density_grid"], DensityGridConfig))
     return NetworkConfig(**known_fields(named, NetworkConfig))

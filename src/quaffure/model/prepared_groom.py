@@ -31,6 +31,7 @@ from quaffure.model.network_config import (
     InitialShapeConfig,
     NetworkConfig,
 )
+from quaffure.model.projection_kernel import PushedRods
 from quaffure.model.surroundings import Surroundings, coarse_density
 from quaffure.types import Float, Int, RestLengths, Tensor
 
@@ -77,6 +78,7 @@ class KernelBlocks(NamedTuple):
         rows: of the kernels' results, for each strand.
         texels: of each row.
         surroundings: `Surroundings` of each row but those that repeat the last strand.
+        pushed: strands in their own order, for the projection out of the skin.
     """
 
     strands: StrandBlocks
@@ -84,6 +86,7 @@ class KernelBlocks(NamedTuple):
     rows: Int[np.ndarray, "block lane"]
     texels: StrandTexels
     surroundings: tuple[np.ndarray, ...]
+    pushed: PushedRods
 
     @property
     def nbytes(self) -> int:
@@ -125,7 +128,9 @@ class PreparedGroom:
         rows = np.arange(strands.strand.size, dtype=np.int32).reshape(strands.strand.shape)
         rods = RodBlocks(*(in_blocks(values[of_rows]) for values in self.rods))
         own = of_rows[: len(self.initial_clearance)]
-        return KernelBlocks(strands, rods, rows, texels, tuple(values[own].numpy() for values in self.surroundings))
+        around = tuple(values[own].numpy() for values in self.surroundings)
+        pushed = (self.rest_length, self.clearance, self.rods.bending, self.rods.goal)
+        return KernelBlocks(strands, rods, rows, texels, around, PushedRods(*(values.numpy() for values in pushed)))
 
     def stiffened(self, factor: Float[Tensor, "s e"]) -> "PreparedGroom":
         """The same groom with each edge stiffer by a factor of its own."""

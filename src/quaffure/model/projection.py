@@ -2,9 +2,13 @@
 
 From the root to the tip, every `spacing` or at every vertex, an edge whose end is in the skin, or closer to it than its
 clearance, is rotated out along the nearest face's normal, and what hangs on it moves along: the projection of
-position-based dynamics (Mueller et al. 2007) with lengths kept. Strands without contact stay as they are, to the bit,
-and no strand depends on another.
+position-based dynamics (Mueller et al. 2007) with lengths kept. That leaves bends at single vertices, which are then
+relaxed (`quaffure.model.bend_relaxation`) relative to the strand as it came; each edge resists as contact does, and at
+least as in the initial shape. Both are repeated while the strand is pushed. Strands without contact stay as they are,
+to the bit, and no strand depends on another.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,64 +16,107 @@ import torch
 from quaffure.body.collision_skin import CollisionSkin
 from quaffure.geometry.mesh import face_normals
 from quaffure.geometry.triangle_grid import NONE
-from quaffure.geometry.triangle_leaves import nearest_in_band, triangle_leaves
+from quaffure.geometry.triangle_leaves import TriangleLeaves, nearest_in_band, triangle_leaves
+from quaffure.model.bend_relaxation import relaxed_edges
 from quaffure.model.network_config import ProjectionConfig
-from quaffure.model.projection_kernel import ProjectedStrands, push_out
-from quaffure.types import Float, RestLengths, Tensor
+from quaffure.model.prepared_groom import PreparedGroom
+from quaffure.model.projection_kernel import PushedRods, PushSettings, push_out
+from quaffure.types import Bool, Float, Tensor
 
 _FARTHEST = 1e4  # of body and hair from the head [m]; beyond, a network or its input has blown up
+
+
+def push_settings(config: ProjectionConfig, stiffness: float | Tensor) -> PushSettings:
+    """Settings as the kernel takes them.
+
+    Args:
+        stiffness: of all joints; one for each is in the groom (`PreparedGroom.stiffened`).
+    """
+    return PushSettings(
+        config.pushes,
+        np.float32(config.spacing),
+        np.float32(config.max_push),
+        np.float32(config.push_relaxation),
+        np.float32(config.contact_stiffness),
+        np.float32(1.0 if isinstance(stiffness, Tensor) else stiffness),
+    )
 
 
 def project_reference(
     deformed: Float[Tensor, "s n 3"],
     vertices: Float[Tensor, "v 3"],
-    rest_length: RestLengths,
-    clearance: Float[Tensor, "s n"],
+    groom: PreparedGroom,
     skin: CollisionSkin,
-    config: ProjectionConfig,
+    settings: PushSettings,
 ) -> Float[Tensor, "s n 3"]:
     """Torch twin of `project`, for any device; its grid has no end."""
-    band, corners = torch.from_numpy(skin.band).to(deformed), vertices[skin.faces]
-    leaves, normals = triangle_leaves(corners, torch.arange(len(corners), device=corners.device)), face_normals(corners)
-    free, out = torch.zeros_like(rest_length[:, 0]), [deformed[:, 0]]
-    shift, edges = torch.zeros_like(deformed[:, 0]), rest_length.shape[1]
+    corners = vertices[skin.faces]
+    leaves = triangle_leaves(corners, torch.arange(len(corners), device=corners.device))
+    faces = _Faces(corners, leaves, face_normals(corners), torch.from_numpy(skin.band).to(deformed))
+    lengths, joints = groom.rest_length, float(settings.stiffness) * groom.rods.bending
+    hair, free = deformed, torch.nn.functional.normalize(deformed.diff(dim=1), dim=-1)
+    touching = torch.ones(len(hair), dtype=torch.bool, device=hair.device)
+    for _ in range(settings.pushes):
+        swept, pushed = _sweep(hair, groom, faces, settings)
+        touching = touching & pushed
+        if settings.push_relaxation > 0:
+            contact = float(settings.contact_stiffness) * lengths.square()
+            hold = torch.maximum(contact, joints / float(settings.push_relaxation)) + groom.rods.goal
+            edges = torch.nn.functional.normalize(swept.diff(dim=1), dim=-1)
+            steps = lengths[..., None] * relaxed_edges(edges, free, joints, hold)
+            swept = torch.cat([swept[:, :1], swept[:, :1] + steps.cumsum(dim=1)], dim=1)
+        hair = torch.where(touching[:, None, None], swept, hair)
+    return hair
+
+
+class _Faces(NamedTuple):
+    """Faces of the skin: corners, their leaves, normals, and how far below and above each counts."""
+
+    corners: Float[Tensor, "k 3 3"]
+    leaves: TriangleLeaves
+    normals: Float[Tensor, "k 3"]
+    band: Float[Tensor, "k 2"]
+
+
+def _sweep(
+    hair: Float[Tensor, "s n 3"], groom: PreparedGroom, faces: _Faces, settings: PushSettings
+) -> tuple[Float[Tensor, "s n 3"], Bool[Tensor, " s"]]:
+    """Strands pushed out from the root to the tip, and which ones were."""
+    free, out, moved = torch.zeros_like(groom.rest_length[:, 0]), [hair[:, 0]], torch.zeros_like(hair[:, 0, 0]).bool()
+    shift, edges = torch.zeros_like(hair[:, 0]), groom.rest_length.shape[1]
     for edge in range(edges):
-        position, length = deformed[:, edge + 1] + shift, rest_length[:, edge]
+        position, length = hair[:, edge + 1] + shift, groom.rest_length[:, edge]
         free = free - length
         queried = (free < 0) | (edge == edges - 1)
         height, face = position.new_ones(len(position)), torch.full((len(position),), NONE, device=position.device)
-        height[queried], face[queried] = nearest_in_band(position[queried], corners, leaves, band)
-        free = torch.where(queried, config.spacing - 0.5 * length, free)
-        push = (clearance[:, edge + 1] - height).clamp(max=config.max_push * length)
-        vector = position + push[:, None] * normals[face] - out[-1]
+        height[queried], face[queried] = nearest_in_band(position[queried], faces.corners, faces.leaves, faces.band)
+        free = torch.where(queried, float(settings.spacing) - 0.5 * length, free)
+        push = (groom.clearance[:, edge + 1] - height).clamp(max=float(settings.max_push) * length)
+        vector = position + push[:, None] * faces.normals[face] - out[-1]
         rotated = out[-1] + length[:, None] * torch.nn.functional.normalize(vector, dim=-1)
-        out.append(torch.where(((face >= 0) & (push > 0))[:, None], rotated, position))
-        shift = shift + out[-1] - position
-    return torch.stack(out, dim=1)
+        pushed = (face >= 0) & (push > 0)
+        out.append(torch.where(pushed[:, None], rotated, position))
+        shift, moved = shift + out[-1] - position, moved | pushed
+    return torch.stack(out, dim=1), moved
 
 
 def project(
     deformed: Float[Tensor, "s n 3"],
     vertices: Float[Tensor, "v 3"],
-    rest_length: RestLengths,
-    clearance: Float[Tensor, "s n"],
+    rods: PushedRods,
     skin: CollisionSkin,
     centre: Float[Tensor, "3"],
-    config: ProjectionConfig,
+    settings: PushSettings,
 ) -> Float[Tensor, "s n 3"]:
     """Strands of one groom projected out of the skin [m]; float32, on the CPU.
 
     Args:
         deformed: vertices [m]; where any is not finite, all stay as they are.
         vertices: of `skin`, posed [m].
-        rest_length: of the strands' edges [m].
-        clearance: distance from the skin that each vertex is to keep [m], not above the band of `skin`.
         centre: of the head [m]; what is outside of a `TriangleGrid` round it stays as it is.
     """
     # A comparison with NaN is false.
     if not ((vertices - centre).abs().max() < _FARTHEST and (deformed - centre).abs().max() < _FARTHEST):
         return deformed
-    strands = (deformed.numpy(), rest_length.numpy(), clearance.numpy())
-    scalars = np.float32(config.spacing), np.float32(config.max_push)
     body = vertices.numpy(), skin.faces.numpy(), skin.band, centre.numpy()
-    return torch.from_numpy(push_out(ProjectedStrands(*strands, *scalars), *body))
+    return torch.from_numpy(push_out(deformed.numpy(), rods, settings, *body))

@@ -20,7 +20,7 @@ from quaffure.model.initial_shape import InitialShape, initial_shape_reference, 
 from quaffure.model.network_config import NetworkConfig
 from quaffure.model.pose_code import pose_code
 from quaffure.model.prepared_groom import PreparedGroom
-from quaffure.model.projection import project_reference
+from quaffure.model.projection import project_reference, push_settings
 from quaffure.model.strand_layers import OWN_FEATURES
 from quaffure.model.surroundings import surroundings_reference
 from quaffure.scene import BodyBatch
@@ -39,6 +39,7 @@ class TorchBackend:
 
     Attributes:
         projects: without it, `project` leaves hair as it is.
+        push_settings: of the projection.
         network_seconds: wall time of the network alone, of all drapes so far; of what was queued on another device.
     """
 
@@ -47,6 +48,7 @@ class TorchBackend:
         self.network_seconds = 0.0
         self.config: NetworkConfig = network.config  # type: ignore[assignment]
         self.projects = projects and self.config.contact
+        self.push_settings = push_settings(self.config.projection, loading.stiffness)
 
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, TorchPosed]]:
         """Each groom with the bodies of its rows."""
@@ -110,7 +112,7 @@ class TorchBackend:
         skin = collision_skin(posed.bodies.body, self.config.projection.most)
         with torch.no_grad():
             projected = [
-                project_reference(own, vertices, groom.rest_length, groom.clearance, skin, self.config.projection)
+                project_reference(own, vertices, groom, skin, self.push_settings)
                 for own, vertices in zip(hair, posed.body.world_skin)
             ]
         return hair + (torch.stack(projected) - hair.detach())

@@ -25,7 +25,7 @@ from quaffure.model.bend_relaxation import bends
 from quaffure.model.neural import drape
 from quaffure.model.prepared_groom import PreparedGroom, prepare_groom, raised_before_supports
 from quaffure.model.projection import project_reference, push_settings
-from quaffure.model.projection_kernel import PushedRods
+from quaffure.model.projection_kernel import PushedRods, PushSettings
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
@@ -49,7 +49,7 @@ def prepared(scene: Scene) -> PreparedGroom:
 
 CONFIG = ProjectionConfig()
 SETTINGS = push_settings(CONFIG, 1.0)
-ONE_PUSH = ProjectionConfig(pushes=1, push_relaxation=0.0)
+ONE_PUSH = push_settings(ProjectionConfig(pushes=1, push_relaxation=0.0), 1.0)
 
 
 def prepared_with(scene: Scene, material: HairMaterial | None = None) -> PreparedGroom:
@@ -60,15 +60,14 @@ def prepared_with(scene: Scene, material: HairMaterial | None = None) -> Prepare
 
 
 def projected(
-    strands: Positions, groom: PreparedGroom, bodies: BodyBatch, config: ProjectionConfig = CONFIG
+    strands: Positions, groom: PreparedGroom, bodies: BodyBatch, settings: PushSettings = SETTINGS
 ) -> Positions:
-    return pushed_out(strands, groom.blocks.pushed, bodies, config)
+    return pushed_out(strands, groom.blocks.pushed, bodies, settings)
 
 
-def pushed_out(strands: Positions, rods: PushedRods, bodies: BodyBatch, config: ProjectionConfig = CONFIG) -> Positions:
+def pushed_out(strands: Positions, rods: PushedRods, bodies: BodyBatch, settings: PushSettings = SETTINGS) -> Positions:
     skin, head = collision_skin(bodies.body, float(rods.clearance.max())), bodies.body.joint_names.index("Head")
     posed = zip(strands, bodies.posed.vertices[:, skin.vertices], bodies.posed.joint_positions[:, head])
-    settings = push_settings(config, 1.0)
     return torch.stack([project(own, skins, rods, skin, centre, settings) for own, skins, centre in posed])
 
 
@@ -77,12 +76,14 @@ def inside(strands: Positions, scene: Scene) -> torch.Tensor:
     return (signed_distance(strands.flatten(1, 2), scene.surface) < 0).float().mean(dim=1)
 
 
-def test_kernel_and_twin_agree(scene: Scene, prepared: PreparedGroom) -> None:
-    found, skin = projected(scene.posed, prepared, scene.bodies), collision_skin(scene.bodies.body)
+@pytest.mark.parametrize("stiffness", [1.0, 20.0])
+def test_kernel_and_twin_agree(scene: Scene, prepared: PreparedGroom, stiffness: float) -> None:
+    settings, skin = push_settings(CONFIG, stiffness), collision_skin(scene.bodies.body)
+    found = projected(scene.posed, prepared, scene.bodies, settings)
     assert (found - scene.posed).norm(dim=-1).max() > 0.02  # posed strands run through the shoulders
     for sample in range(2):
         vertices = scene.bodies.posed.vertices[sample, skin.vertices]
-        expected = project_reference(scene.posed[sample], vertices, prepared, skin, SETTINGS)
+        expected = project_reference(scene.posed[sample], vertices, prepared, skin, settings)
         off = (found[sample] - expected).norm(dim=-1)
         # Where two faces are as near as each other, rounding decides on one; what hangs on that edge moves along.
         assert (off < 1e-5).float().mean() > 0.99
@@ -167,7 +168,7 @@ def test_relaxed_bends_cost_less(bodies: BodyBatch) -> None:
         edges = torch.nn.functional.normalize(hair.diff(dim=2), dim=-1)
         return (prepared.rods.bending * bends(edges, free).square().sum(-1)).sum((1, 2))
 
-    pushed, relaxed = (projected(scene.posed, prepared, scene.bodies, config) for config in (ONE_PUSH, CONFIG))
+    pushed, relaxed = (projected(scene.posed, prepared, scene.bodies, settings) for settings in (ONE_PUSH, SETTINGS))
     assert cost(relaxed).sum() < 0.7 * cost(pushed).sum()
     outside = [1 - inside(strands, scene) for strands in (pushed, relaxed)]
     assert (outside[1] > outside[0] - 0.002).all()
@@ -175,7 +176,7 @@ def test_relaxed_bends_cost_less(bodies: BodyBatch) -> None:
 
 def test_held_edges_turn_less(scene: Scene, prepared: PreparedGroom) -> None:
     held = replace(prepared, rods=prepared.rods._replace(goal=torch.full_like(prepared.rods.goal, 1e6)))
-    pushed = projected(scene.posed, held, scene.bodies, replace(CONFIG, pushes=1))
+    pushed = projected(scene.posed, held, scene.bodies, SETTINGS._replace(pushes=1))
     expected = projected(scene.posed, prepared, scene.bodies, ONE_PUSH)
     torch.testing.assert_close(pushed, expected, atol=2e-5, rtol=0)
 
@@ -216,7 +217,7 @@ def test_the_shipped_model_leaves_the_skin(scene: Scene) -> None:
         deformed = model.draper.deform(scene)
     drapes = model.drape(scene.groom, bodies.body_pose, bodies.body_shape)
     prepared = model.draper.prepared(scene.groom, model.body)
-    expected = projected(deformed, prepared, bodies, model.draper.network.config.projection)
+    expected = projected(deformed, prepared, bodies, push_settings(model.draper.network.config.projection, 1.0))
     assert (expected - deformed).norm(dim=-1).max() > 1e-3
     assert ((drapes - expected).norm(dim=-1) < 5e-4).float().mean() > 0.99  # bfloat16
     many = list(model.drape_many([scene.groom] * 2, bodies.body_pose, bodies.body_shape))

@@ -1,4 +1,5 @@
-# make demo: drapes a bundled groom on a bundled motion, into out/.   make test: all checks, as in CI; WORKERS=2 in two processes.
+# make demo: drapes a bundled groom on a bundled motion, into out/.   make test: all checks but slow tests; WORKERS=2 in two processes.
+# make test-slow: the slow tests.
 # make docs: the documentation site, into out/docs.
 # make fuzz: damaged files against every reader; MUTANTS of each format, SEED.
 # All make .venv first: some minutes and 2 GB the first time, nothing after that.
@@ -11,7 +12,7 @@ SEED ?= 0
 WORKERS ?= 0
 SETUP := .venv/setup-done
 
-.PHONY: demo test docs fuzz setup clean
+.PHONY: demo test test-slow docs fuzz setup clean
 .DEFAULT_GOAL := demo
 
 demo: $(SETUP)
@@ -27,6 +28,9 @@ test: $(SETUP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile
+
+test-slow: $(SETUP)
+	$(BIN)/pytest --numprocesses $(WORKERS) --dist loadfile -m "slow and not long"
 
 docs: $(SETUP)
 	$(BIN)/sphinx-build -q -W -b html docs out/docs

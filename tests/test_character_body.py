@@ -161,6 +161,7 @@ def test_gradient_through_the_pose_of_an_imported_body(twin: ImportedBody) -> No
     assert float(gradient) == pytest.approx(float(difference), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_stylised_head_wears_bundled_grooms(body: BodyModel, wide: ImportedBody) -> None:
     own, other = (each.rest_vertices[each.faces[each.scalp.faces]].flatten(0, 1) for each in (body, wide.body))
     ratio = (other.amax(0) - other.amin(0)) / (own.amax(0) - own.amin(0))

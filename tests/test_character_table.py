@@ -21,6 +21,7 @@ def table_of(folder: Path, *lines: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_rows_are_draped_failures_named_and_finished_rows_left(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -106,6 +106,7 @@ def test_the_quick_cases_need_nothing_but_the_package_and_hold_a_run(body: BodyM
     assert torch.equal(case.body_shape, torch.tensor(of.shapes[quick[-1].shape]))
 
 
+@pytest.mark.slow
 @pytest.mark.shared_data
 @pytest.mark.parametrize(("version", "length"), [(2, 76), (3, 145)])
 def test_the_frames_of_a_set_lie_within_its_motion_files(

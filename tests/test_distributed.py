@@ -21,6 +21,7 @@ def groom(body: BodyModel) -> Groom:
     return tiny_groom(body)
 
 
+@pytest.mark.slow
 def test_two_processes_take_the_mean_of_their_gradients(
     body: BodyModel, groom: Groom, tiny_groom_file: Path, tmp_path: Path
 ) -> None:

@@ -174,6 +174,7 @@ def every_ninth_strand(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("quaffure.benchmark.evaluation_set.load_groom", thinned)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("every_ninth_strand")
 def test_the_quick_evaluation_of_the_shipped_weights(tmp_path: Path) -> None:
     out = tmp_path / "quick.json"
@@ -220,6 +221,7 @@ def test_evaluate_takes_what_a_user_brings(
     assert (case["clip"], case["frames"], case["shape"]) == ("walk", [4, 6, 8], shape[1])
 
 
+@pytest.mark.slow
 def test_drapes_of_another_method_are_scored_like_our_own(
     run: Callable[..., None], refused: Callable[..., str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -393,6 +393,7 @@ def test_codes_tell_styles_apart_grown_anew_and_thinned(
     assert not torch.equal(codes_of(encoder, samples[:1]), codes_of(encoder, [half_of(samples[0], 0)]))
 
 
+@pytest.mark.slow
 @pytest.mark.shared_data
 def test_real_grooms_have_codes_of_ordinary_size(body: BodyModel, registered: Registered) -> None:
     groom, _ = registered("grooms/mohawk/Ratboy_mohawk.tfx")

@@ -215,6 +215,7 @@ def test_import_says_what_a_file_gets_from_another(
     assert attributes.group_names == ("a", "thick")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_pictures")
 def test_import_finds_ties_and_keeps_those_of_the_file(
     tmp_path: Path, body: BodyModel, capfd: pytest.CaptureFixture[str]

@@ -223,6 +223,7 @@ def test_a_solver_that_fails_leaves_no_drape(drapes: DrapeFolder) -> None:
 # ---- training
 
 
+@pytest.mark.slow
 def test_training_learns_what_a_solver_did(drapes: DrapeFolder, tmp_path: Path) -> None:
     turn = torch.linspace(-0.5, 0.5, 40)[:, None] * torch.tensor([0.3, 0.2, 1.0])
     displacement = torch.zeros(40, *drapes.groom.rest_strands.shape)

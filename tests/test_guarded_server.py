@@ -235,6 +235,7 @@ def test_a_flood_is_slowed_down(server: ViserServer, monkeypatch: pytest.MonkeyP
     assert taken[-1] - taken[0] > 0.9 * (600 - MOST_MESSAGES_PER_SECOND / 2) / MOST_MESSAGES_PER_SECOND
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="resident memory is read from /proc")
 @pytest.mark.parametrize("interactions", [100, pytest.param(400, marks=pytest.mark.long)])
 def test_memory_stays_flat_over_many_interactions(

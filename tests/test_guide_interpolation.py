@@ -299,6 +299,7 @@ def test_bad_input_is_named(body: BodyModel, parted: Groom) -> None:
         groom_of_drape(replace(sequence, posed=sequence.posed + np.float32(0.1)), body)
 
 
+@pytest.mark.slow
 @pytest.mark.shared_data
 def test_strands_of_a_real_groom_stay_out_of_the_body(body: BodyModel, registered: Registered) -> None:
     groom = select_guides(registered("grooms/sintel/sintel_hair_16points.tfx")[0])

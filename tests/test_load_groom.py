@@ -126,6 +126,7 @@ def test_head_meshes_are_read_and_checked(tmp_path: Path) -> None:
         read_head(tmp_path / "none.obj")
 
 
+@pytest.mark.slow
 @pytest.mark.shared_data
 def test_sintel_loads_with_and_without_its_head(
     shared_data: Path, body: BodyModel, registered: Registered, monkeypatch: pytest.MonkeyPatch

@@ -188,6 +188,7 @@ print(array_digest(solver("strand_newton").drape(Scene(few, BodyBatch(model.body
 """
 
 
+@pytest.mark.slow
 def test_grooms_and_drapes_are_the_same_with_any_number_of_threads() -> None:
     environment = os.environ | {"NUMBA_NUM_THREADS": "7", "PYTHONPATH": os.pathsep.join(sys.path)}
     outputs = {

@@ -79,6 +79,7 @@ def settled(case: Case, frame: int) -> np.ndarray:
     return guides.astype(np.float32)
 
 
+@pytest.mark.slow
 def test_upright_the_source_comes_back(case: Case) -> None:
     found = case.original.points(case.posed[0], case.vertices[0])
     assert found.shape == case.strands.points.shape
@@ -513,6 +514,7 @@ def imported(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return path
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_source(
     imported: Path, shared_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

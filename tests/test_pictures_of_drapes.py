@@ -75,6 +75,7 @@ def pixels(path: Path) -> np.ndarray:
         return np.asarray(image).astype(int)
 
 
+@pytest.mark.slow
 def test_the_first_picture_of_a_sparse_groom_has_a_full_head_of_hair(
     tmp_path: Path, sparse: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -95,6 +96,7 @@ def test_the_first_picture_of_a_sparse_groom_has_a_full_head_of_hair(
     assert not [line for line in lines if line.startswith("pictures show")]
 
 
+@pytest.mark.slow
 def test_strands_between_are_part_of_the_time_of_pictures(
     tmp_path: Path, sparse: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,6 +116,7 @@ def test_strands_between_are_part_of_the_time_of_pictures(
     assert laps["files"] == 0
 
 
+@pytest.mark.slow
 def test_pictures_and_videos_are_filled(tmp_path: Path, body, capfd: pytest.CaptureFixture[str]) -> None:
     groom = make_groom(STYLES["bob"], body).thinned(1600)
     write_groom(tmp_path / "groom.npz", groom)

@@ -84,6 +84,7 @@ def test_strands_that_stand_alone_by_design_are_left_there(body: BodyModel) -> N
     assert not np.array_equal(descent.direction[20], descent.direction[nearest])
 
 
+@pytest.mark.slow
 def test_the_first_frame_of_a_clip_has_fewer_strays(body: BodyModel) -> None:
     scene = clip_scene(make_groom("long_straight", body), body, "neck_turn", slice(0, 1))
     alone, gathered = (

@@ -205,6 +205,7 @@ def test_sintel_fits_our_scalp(registered: Registered, body: BodyModel, surface:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.shared_data
 def test_ponytail_registers_from_its_four_parts(registered: Registered, body: BodyModel, surface: Surface) -> None:
     groom, report = registered(*(f"grooms/ponytail/{part}.tfx" for part in ("back", "front_top", "side", "tail")))

@@ -208,6 +208,7 @@ def test_drapes_end_as_low_as_those_of_lbfgs_and_keep_lengths(body: BodyModel) -
     torch.testing.assert_close(draped[:, :, 0], scene.posed[:, :, 0])
 
 
+@pytest.mark.slow
 def test_a_tail_stays_a_tail_and_out_of_the_head(body: BodyModel) -> None:
     """In a bow: without cohesion its strands lie all around the head."""
     scene = clip_scene(few_strands(body, "ponytail", count=600), body, "bow", slice(60, 61))

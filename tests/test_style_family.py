@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import pytest
 import torch
 
 from quaffure.body import BodyModel
@@ -29,6 +30,7 @@ def test_a_sample_is_a_valid_groom_of_full_size(body: BodyModel, surface: Surfac
     assert 1500 <= len(valid(drawn(1)[0], body, surface)) <= 2500
 
 
+@pytest.mark.slow
 def test_twenty_samples_are_valid_grooms(body: BodyModel, surface: Surface) -> None:
     for style in drawn(20, seed=1):
         valid(replace(style, root_rows=24), body, surface)

@@ -50,6 +50,7 @@ def groom(body: BodyModel) -> Groom:
     return tiny_groom(body)
 
 
+@pytest.mark.slow
 def test_a_killed_run_ends_like_an_unbroken_one_bit_for_bit(tiny_groom_file: Path, tmp_path: Path) -> None:
     steps, killed = 6, tmp_path / "killed"
     process = subprocess.Popen([QUAFFURE, *train_command(killed, tiny_groom_file, steps)], stdout=subprocess.DEVNULL)
@@ -75,6 +76,7 @@ def test_a_killed_run_ends_like_an_unbroken_one_bit_for_bit(tiny_groom_file: Pat
     assert [row["loss"] for row in rows_of(log)] == [row["loss"] for row in rows_of(tmp_path / "whole/training.csv")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_run_that_is_asked_to_stop_ends_its_step_and_leaves_weights(
     number: signal.Signals, tiny_groom_file: Path, tmp_path: Path
@@ -150,6 +152,7 @@ def test_a_run_from_the_shipped_weights_takes_their_network(
     assert "the options of their network" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_command_trains_on_another_body(
     tiny_groom_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -199,6 +202,7 @@ def test_every_groom_is_trained_on_each_body(
     assert len(re.findall("[0-9a-f]{8}", geometry)) == 2
 
 
+@pytest.mark.slow
 def test_a_network_is_specialised_on_a_character(
     body: BodyModel,
     tiny_groom_file: Path,

@@ -197,6 +197,7 @@ def test_very_short_edges_keep_their_length_with_the_rod() -> None:
     assert (length / short.rest_lengths - 1).abs().max() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_tail_settles_as_low_as_newtons_method_leaves_it(body: BodyModel) -> None:
     groom = few_strands(body, "ponytail")
     scene = clip_scene(groom, body, "neck_turn", slice(36, 37))

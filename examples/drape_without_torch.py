@@ -48,7 +48,7 @@ def main(network: Path, pose: np.ndarray, shape: np.ndarray) -> np.ndarray:
     turns, order, rods = changes.view(np.uint32).reshape(bits), strands.strand.reshape(-1), _part(PushedRods, c)
     hair = integrate_edges(edges, turns, order, rods.rest_length, rotation, head, threads)
     skin = far[0] @ rotation.T + head, c["faces"], c["band"], head
-    return push_out(hair, rods, _part(PushSettings, c), *skin)
+    return push_out(hair, rods, _part(PushSettings, c)._replace(stiffness=stiffness), *skin)
 
 
 def _part(kind, constants):

@@ -200,7 +200,7 @@ def test_joints_comply_with_what_the_skin_has_bent(groom: Groom, bodies: BodyBat
 
 def test_stiffness_of_every_edge_is_that_of_all(model: Quaffure, groom: Groom, bodies: BodyBatch) -> None:
     rows = bodies.body_pose, bodies.body_shape
-    each, all_alike = Loading(torch.full((len(groom), 23), 2.5)), Loading(2.5)
+    each, all_alike = Loading(torch.full((len(groom), 23), 2.5, requires_grad=True)), Loading(2.5)
     draped = model.with_loading(each).drape(groom, *rows)
     torch.testing.assert_close(model.with_loading(all_alike).drape(groom, *rows), draped, atol=2e-5, rtol=0)
     assert (draped - model.drape(groom, *rows)).norm(dim=-1).max() > 5e-3

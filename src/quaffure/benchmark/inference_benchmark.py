@@ -160,7 +160,7 @@ def floor(model: Quaffure, groom: Groom) -> Floor:
     target = torch.empty_like(source)
     multiply = _timed(lambda: torch.mm(left, right, out=product), repeats=5)[0]
     copy = _timed(lambda: target.copy_(source), repeats=5)[0]
-    groom_bytes = prepared.blocks.nbytes + prepared.rest_length.nbytes + prepared.clearance.nbytes
+    groom_bytes = prepared.blocks.nbytes
     weight_bytes = sum(values.nbytes for values in network.weights())
     activation_bytes = 2 * network.activations(rows) * network.dtype.itemsize
     moved = weight_bytes / BATCH + activation_bytes + groom_bytes

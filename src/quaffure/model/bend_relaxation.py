@@ -6,8 +6,10 @@ strand without contact, as a rotation vector, the rotations theta of the edges m
 
     sum_i  B_i / 2 |b_i + theta_i - theta_(i-1)|^2  +  H_i / 2 |theta_i|^2
 
-so that bends spread over sqrt(B / H) joints or so, while each edge stays near its direction. A strand that touches
-nothing stays as it is. Compiled twins: `bend_relaxation_lanes`, and `projection_kernel` for one strand.
+so that bends spread over sqrt(B / H) joints or so, while each edge stays near its direction. In the initial shape
+H = B / r + G, with G of what holds an edge; in the projection H = max(B / r, k l^2) + G, with the contact stiffness k
+and the edge's length l. A strand that touches nothing stays as it is. Compiled twins: `bend_relaxation_lanes`, and for
+one strand `projection_kernel`.
 """
 
 import torch

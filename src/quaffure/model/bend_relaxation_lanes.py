@@ -28,9 +28,9 @@ def relax_bends(inputs: np.ndarray, relaxation: float | np.floating, state: np.n
     for edge in range(len(inputs)):
         _bend(inputs[edge], state[edge], passed)
     passed[:4] = _ZERO
-    hold = _ONE / relaxation
+    per_relaxation = _ONE / relaxation
     for edge in range(len(inputs) - 1, -1, -1):
-        _eliminate(inputs[edge], hold, state[edge], passed)
+        _eliminate(inputs[edge], per_relaxation, state[edge], passed)
     passed[:3] = _ZERO
     for edge in range(len(inputs)):
         _substitute(inputs[edge], state[edge], passed)
@@ -49,11 +49,11 @@ def _bend(row: np.ndarray, own: np.ndarray, rotation: np.ndarray) -> None:
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _eliminate(row: np.ndarray, hold: float | np.floating, own: np.ndarray, passed: np.ndarray) -> None:
+def _eliminate(row: np.ndarray, per_relaxation: float | np.floating, own: np.ndarray, passed: np.ndarray) -> None:
     """Take an edge into the quadratic function in `passed`, and eliminate its rotation."""
     for i in range(LANES):
         joint = row[rod.BENDING, i]
-        stiffness = joint * hold + row[rod.GOAL, i] + passed[_STIFFNESS, i]
+        stiffness = joint * per_relaxation + row[rod.GOAL, i] + passed[_STIFFNESS, i]
         bend = own[_BEND, i], own[_BEND + 1, i], own[_BEND + 2, i]
         slope = passed[_SLOPE, i], passed[_SLOPE + 1, i], passed[_SLOPE + 2, i]
         follows, shift, slope = eliminated(bend, slope, joint, stiffness)

@@ -58,7 +58,7 @@ class CpuBackend:
         self.config, self._loading = network.config, loading
         self.layout: Any = network.for_inference(bf16)
         self._grid = grid_units(network.config.density_grid)
-        self._push = push_settings(network.config.projection, loading.stiffness)
+        self._push_settings = push_settings(network.config.projection, loading.stiffness)
         self.network_seconds = 0.0
 
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, CpuPosed]]:
@@ -119,7 +119,7 @@ class CpuBackend:
         if not self.config.contact:
             return hair
         body, rods = posed.body, groom.blocks.pushed
-        return project(hair[0], body.world_skin[0], rods, posed.skin, body.head_position[0], self._push)[None]
+        return project(hair[0], body.world_skin[0], rods, posed.skin, body.head_position[0], self._push_settings)[None]
 
 
 def rewrite_features(

@@ -97,8 +97,8 @@ class ProjectionConfig:
     push_relaxation: float = 2.0
     """How far bends of a push spread along a strand at most (`quaffure.model.bend_relaxation`), 0 for not at all."""
     contact_stiffness: float = 8000.0
-    """Resistance k of contact to relaxing: k l^2 against the rotation of an edge of length l [m^2], as the bending
-    stiffness in weights of a metre of hair."""
+    """Resistance k l^2 of every edge of a pushed strand, of length l, to being turned back; as the bending stiffness,
+    in weights of a metre of hair [m^2]. With less of it the energy is lower and more hair is inside the body."""
 
     def __post_init__(self) -> None:
         least = min(self.clearance_share, self.clearance_slope, self.max_push, self.depth, self.most)
@@ -106,8 +106,8 @@ class ProjectionConfig:
             raise ValueError(f"expected a spacing above 0, no share, slope, push or distance below it, found {self}")
         if not (isinstance(self.pushes, int) and 1 <= self.pushes <= 16):
             raise ValueError(f"expected 1 to 16 pushes, found {self.pushes!r}")
-        if not (self.push_relaxation >= 0 and 0 <= self.contact_stiffness < math.inf):
-            raise ValueError(f"expected no bend relaxation or contact stiffness below 0, found {self}")
+        if not (0 <= self.push_relaxation < math.inf and 0 <= self.contact_stiffness < math.inf):
+            raise ValueError(f"expected no push relaxation or contact stiffness below 0, found {self}")
 
     def clearance(self, margin: Float[Tensor, "s n"], depth: Float[Tensor, "s 1"]) -> Float[Tensor, "s n"]:
         """Distance at which hair with a collision margin is left alone [m].
@@ -202,12 +202,12 @@ def from_file_values(values: Mapping[str, Any]) -> NetworkConfig:
     named = {FILE_KEYS.get(key, key): value for key, value in values.items()}
     # Networks that were trained before bends were relaxed drape as they did.
     if "initial_shape" in named:
-        shape = known_fields({"bend_relaxation": 0.0} | named["initial_shape"], InitialShapeConfig)
+        shape = {"bend_relaxation": 0.0} | known_fields(named["initial_shape"], InitialShapeConfig)
         body = MlsBodyConfig(**known_fields(shape.pop("body", {}), MlsBodyConfig))
         named["initial_shape"] = InitialShapeConfig(**shape, body=body)
     if "projection" in named:
-        values = {"push_relaxation": 0.0, "pushes": 1} | named["projection"]
-        named["projection"] = ProjectionConfig(**known_fields(values, ProjectionConfig))
+        known = known_fields(named["projection"], ProjectionConfig)
+        named["projection"] = ProjectionConfig(**{"push_relaxation": 0.0, "pushes": 1} | known)
     if "density_grid" in named:
         named["density_grid"] = DensityGridConfig(**known_fields(named["density_grid"], DensityGridConfig))
     return NetworkConfig(**known_fields(named, NetworkConfig))

@@ -91,7 +91,7 @@ class KernelBlocks(NamedTuple):
     @property
     def nbytes(self) -> int:
         """Memory that the kernels read [bytes]."""
-        return sum(array.nbytes for array in (*self.strands, *self.rods, self.texels.rows))
+        return sum(array.nbytes for array in (*self.strands, *self.rods, self.texels.rows, *self.pushed))
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,9 @@ class PreparedGroom:
         own = of_rows[: len(self.initial_clearance)]
         around = tuple(values[own].numpy() for values in self.surroundings)
         pushed = (self.rest_length, self.clearance, self.rods.bending, self.rods.goal)
-        return KernelBlocks(strands, rods, rows, texels, around, PushedRods(*(values.numpy() for values in pushed)))
+        return KernelBlocks(
+            strands, rods, rows, texels, around, PushedRods(*(values.detach().numpy() for values in pushed))
+        )
 
     def stiffened(self, factor: Float[Tensor, "s e"]) -> "PreparedGroom":
         """The same groom with each edge stiffer by a factor of its own."""

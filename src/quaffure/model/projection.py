@@ -3,9 +3,9 @@
 From the root to the tip, every `spacing` or at every vertex, an edge whose end is in the skin, or closer to it than its
 clearance, is rotated out along the nearest face's normal, and what hangs on it moves along: the projection of
 position-based dynamics (Mueller et al. 2007) with lengths kept. That leaves bends at single vertices, which are then
-relaxed (`quaffure.model.bend_relaxation`) relative to the strand as it came; each edge resists as contact does, and at
-least as in the initial shape. Both are repeated while the strand is pushed. Strands without contact stay as they are,
-to the bit, and no strand depends on another.
+relaxed relative to the strand as it came (`quaffure.model.bend_relaxation`), and what goes back in is pushed again, up
+to `pushes` times. The last step is a relaxation, too stiff to take more than some hundredths of a percent of the
+vertices back in. Strands without contact stay as they are, to the bit, and no strand depends on another.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from quaffure.model.bend_relaxation import relaxed_edges
 from quaffure.model.network_config import ProjectionConfig
 from quaffure.model.prepared_groom import PreparedGroom
 from quaffure.model.projection_kernel import PushedRods, PushSettings, push_out
-from quaffure.types import Bool, Float, Tensor
+from quaffure.types import Bool, Float, RestLengths, Tensor
 
 _FARTHEST = 1e4  # of body and hair from the head [m]; beyond, a network or its input has blown up
 
@@ -53,19 +53,22 @@ def project_reference(
     corners = vertices[skin.faces]
     leaves = triangle_leaves(corners, torch.arange(len(corners), device=corners.device))
     faces = _Faces(corners, leaves, face_normals(corners), torch.from_numpy(skin.band).to(deformed))
-    lengths, joints = groom.rest_length, float(settings.stiffness) * groom.rods.bending
-    hair, free = deformed, torch.nn.functional.normalize(deformed.diff(dim=1), dim=-1)
-    touching = torch.ones(len(hair), dtype=torch.bool, device=hair.device)
+    hair, rows = deformed.clone(), torch.arange(len(deformed), device=deformed.device)
+    free = torch.nn.functional.normalize(deformed.diff(dim=1), dim=-1)
     for _ in range(settings.pushes):
-        swept, pushed = _sweep(hair, groom, faces, settings)
-        touching = touching & pushed
+        lengths = groom.rest_length[rows]
+        swept, pushed = _sweep(hair[rows], lengths, groom.clearance[rows], faces, settings)
+        rows, lengths, swept = rows[pushed], lengths[pushed], swept[pushed]
+        if len(rows) == 0:
+            break
         if settings.push_relaxation > 0:
+            joints = float(settings.stiffness) * groom.rods.bending[rows]
             contact = float(settings.contact_stiffness) * lengths.square()
-            hold = torch.maximum(contact, joints / float(settings.push_relaxation)) + groom.rods.goal
+            hold = torch.maximum(joints / float(settings.push_relaxation), contact) + groom.rods.goal[rows]
             edges = torch.nn.functional.normalize(swept.diff(dim=1), dim=-1)
-            steps = lengths[..., None] * relaxed_edges(edges, free, joints, hold)
+            steps = lengths[..., None] * relaxed_edges(edges, free[rows], joints, hold)
             swept = torch.cat([swept[:, :1], swept[:, :1] + steps.cumsum(dim=1)], dim=1)
-        hair = torch.where(touching[:, None, None], swept, hair)
+        hair[rows] = swept
     return hair
 
 
@@ -79,19 +82,23 @@ class _Faces(NamedTuple):
 
 
 def _sweep(
-    hair: Float[Tensor, "s n 3"], groom: PreparedGroom, faces: _Faces, settings: PushSettings
+    hair: Float[Tensor, "s n 3"],
+    rest_length: RestLengths,
+    clearance: Float[Tensor, "s n"],
+    faces: _Faces,
+    settings: PushSettings,
 ) -> tuple[Float[Tensor, "s n 3"], Bool[Tensor, " s"]]:
     """Strands pushed out from the root to the tip, and which ones were."""
-    free, out, moved = torch.zeros_like(groom.rest_length[:, 0]), [hair[:, 0]], torch.zeros_like(hair[:, 0, 0]).bool()
-    shift, edges = torch.zeros_like(hair[:, 0]), groom.rest_length.shape[1]
+    until_query, out = torch.zeros_like(rest_length[:, 0]), [hair[:, 0]]
+    moved, shift, edges = torch.zeros_like(until_query).bool(), torch.zeros_like(hair[:, 0]), rest_length.shape[1]
     for edge in range(edges):
-        position, length = hair[:, edge + 1] + shift, groom.rest_length[:, edge]
-        free = free - length
-        queried = (free < 0) | (edge == edges - 1)
+        position, length = hair[:, edge + 1] + shift, rest_length[:, edge]
+        until_query = until_query - length
+        queried = (until_query < 0) | (edge == edges - 1)
         height, face = position.new_ones(len(position)), torch.full((len(position),), NONE, device=position.device)
         height[queried], face[queried] = nearest_in_band(position[queried], faces.corners, faces.leaves, faces.band)
-        free = torch.where(queried, float(settings.spacing) - 0.5 * length, free)
-        push = (groom.clearance[:, edge + 1] - height).clamp(max=float(settings.max_push) * length)
+        until_query = torch.where(queried, float(settings.spacing) - 0.5 * length, until_query)
+        push = (clearance[:, edge + 1] - height).clamp(max=float(settings.max_push) * length)
         vector = position + push[:, None] * faces.normals[face] - out[-1]
         rotated = out[-1] + length[:, None] * torch.nn.functional.normalize(vector, dim=-1)
         pushed = (face >= 0) & (push > 0)

@@ -56,7 +56,7 @@ def push_out(
     """Strands projected out of the skin [m], see `quaffure.model.projection.project`; all positions are finite."""
     out, threads, edges = np.empty_like(hair), get_num_threads(), rods.rest_length.shape[1]
     body, rows = (vertices, faces, band, centre), np.empty((threads, _PADDING), np.float32)
-    spaces = np.empty((threads, edges, _COLUMNS), np.float32)
+    spaces = np.empty((threads, edges * _COLUMNS + _PADDING), np.float32)
     if not _push_out(hair, rods, settings, triangle_grid(*body, hair.reshape(-1, 3)), rows, spaces, out):
         _push_out(hair, rods, settings, triangle_grid(*body), rows, spaces, out)
     return out
@@ -121,20 +121,21 @@ def _sweep(
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _relax(
-    before: np.ndarray, rods: PushedRods, strand: int, settings: PushSettings, space: np.ndarray, hair: np.ndarray
+    unpushed: np.ndarray, rods: PushedRods, strand: int, settings: PushSettings, memory: np.ndarray, hair: np.ndarray
 ) -> None:
-    """Relax the bends of a pushed strand [n 3] relative to the strand before (`quaffure.model.bend_relaxation`)."""
-    edges = len(space)
+    """Relax the bends of a pushed strand [n 3] relative to the one that came (`quaffure.model.bend_relaxation`)."""
+    edges = rods.rest_length.shape[1]
+    space = memory[: edges * _COLUMNS].reshape(edges, _COLUMNS)
     rotation = _ONE, _ZERO, _ZERO, _ZERO
     for edge in range(edges):
         direction = _direction(hair, edge)
-        bend, rotation = bend_before(rotation, _direction(before, edge), direction)
+        bend, rotation = bend_before(rotation, _direction(unpushed, edge), direction)
         space[edge, _DIRECTION], space[edge, _DIRECTION + 1], space[edge, _DIRECTION + 2] = direction
         space[edge, _BEND], space[edge, _BEND + 1], space[edge, _BEND + 2] = bend
-    stiffness, slope, hold = _ZERO, (_ZERO, _ZERO, _ZERO), _ONE / settings.push_relaxation
+    stiffness, slope, per_relaxation = _ZERO, (_ZERO, _ZERO, _ZERO), _ONE / settings.push_relaxation
     for edge in range(edges - 1, -1, -1):
         joint, length = settings.stiffness * rods.bending[strand, edge], rods.rest_length[strand, edge]
-        resistance = max(joint * hold, settings.contact_stiffness * length * length)
+        resistance = max(joint * per_relaxation, settings.contact_stiffness * length * length)
         stiffness += resistance + rods.goal[strand, edge]
         bend = space[edge, _BEND], space[edge, _BEND + 1], space[edge, _BEND + 2]
         follows, shift, slope = eliminated(bend, slope, joint, stiffness)

@@ -23,17 +23,21 @@ GROOMS = (
     "long_straight", "bob", "slicked_back", "layered_shag", "short_waves", "curly_bob", "afro", "short_coils",
     "side_part_lob",
 )  # fmt: skip
-EVERY = 4  # of the validation bodies
+POSES = range(0, 16, 4)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--weights")
     parser.add_argument("--groom", action="append", help="may be given several times")
+    parser.add_argument(
+        "--pose", action="append", type=int, help="a validation body, 0 to 15; may be given several times"
+    )
     parser.add_argument("variants", nargs="+")
     options = parser.parse_args()
     body, validation, model = load_body(), prior_validation(), qf.load_model(options.weights)
-    bodies = BodyBatch(body, validation.body_pose[::EVERY], validation.body_shape[::EVERY])
+    poses = options.pose or list(POSES)
+    bodies = BodyBatch(body, validation.body_pose[poses], validation.body_shape[poses])
     drapers = [with_settings(model.draper, variant) for variant in options.variants]
     means = [0.0] * len(drapers)
     grooms = options.groom or GROOMS

@@ -5,7 +5,7 @@ import torch
 
 from quaffure.geometry.rotation import matrix_from_axis_angle
 from quaffure.model.bend_relaxation import bends, relaxed_edges
-from quaffure.model.network_config import from_file_values
+from quaffure.model.network_config import NetworkConfig, from_file_values
 from quaffure.types import Tensor
 
 EDGES = 9
@@ -69,3 +69,8 @@ def test_older_networks_start_as_they_did(values: dict[str, object], expected: f
 def test_older_networks_are_projected_as_they_were() -> None:
     projection = from_file_values({"projection": {"most": 0.02}}).projection
     assert (projection.push_relaxation, projection.pushes, projection.most) == (0.0, 1, 0.02)
+
+
+def test_runs_of_before_are_not_continued_with_another_projection() -> None:
+    assert "projection" not in repr(from_file_values({"projection": {}}))
+    assert "push_relaxation=2.0" in repr(NetworkConfig())

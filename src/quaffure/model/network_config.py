@@ -92,8 +92,8 @@ class ProjectionConfig:
     """Distance along a strand between two contact queries [m]; shorter edges are skipped."""
     max_push: float = 3.0
     """Largest push of a vertex, in lengths of its edge: the edge then stands nearly along the push."""
-    pushes: int = 2
-    """How often a strand is pushed out at most, and its bends relaxed."""
+    pushes: int = 3
+    """How often a strand is pushed out at most, and its bends relaxed; without relaxation once."""
     push_relaxation: float = 2.0
     """How far bends of a push spread along a strand at most (`quaffure.model.bend_relaxation`), 0 for not at all."""
     contact_stiffness: float = 8000.0
@@ -171,13 +171,13 @@ class NetworkConfig:
                 raise ValueError(f"expected {name} from {least} to {most}, found {value!r}")
 
     def __repr__(self) -> str:
-        """By the keys of files, without what is as by default: checkpoints of runs are found by this text."""
+        """By the keys of files, without what is as it was in the first runs: checkpoints are found by this text."""
         default = {
             "surroundings": False,
             "refinements": 0,
             "initial_shape": InitialShapeConfig(),
             "density_grid": DensityGridConfig(),
-            "projection": ProjectionConfig(),
+            "projection": ProjectionConfig(pushes=1, push_relaxation=0.0),
         }
         values = {name: getattr(self, name) for name in (f.name for f in fields(self))}
         shown = (

@@ -3,8 +3,8 @@
 From the root to the tip, every `spacing` or at every vertex, an edge whose end is in the skin, or closer to it than its
 clearance, is rotated out along the nearest face's normal, and what hangs on it moves along: the projection of
 position-based dynamics (Mueller et al. 2007) with lengths kept. That leaves bends at single vertices, which are then
-relaxed relative to the strand as it came (`quaffure.model.bend_relaxation`), and what goes back in is pushed again, up
-to `pushes` times. The last step is a relaxation, too stiff to take more than some hundredths of a percent of the
+relaxed relative to the strand as it came (`quaffure.model.bend_relaxation`), and what that moves is pushed again, up to
+`pushes` times. The last step is a relaxation, too stiff to take more than some hundredths of a percent of the
 vertices back in. Strands without contact stay as they are, to the bit, and no strand depends on another.
 """
 
@@ -20,7 +20,7 @@ from quaffure.geometry.triangle_leaves import TriangleLeaves, nearest_in_band, t
 from quaffure.model.bend_relaxation import relaxed_edges
 from quaffure.model.network_config import ProjectionConfig
 from quaffure.model.prepared_groom import PreparedGroom
-from quaffure.model.projection_kernel import PushedRods, PushSettings, push_out
+from quaffure.model.projection_kernel import LEAST_RELAXED, PushedRods, PushSettings, push_out
 from quaffure.types import Bool, Float, RestLengths, Tensor
 
 _FARTHEST = 1e4  # of body and hair from the head [m]; beyond, a network or its input has blown up
@@ -59,16 +59,16 @@ def project_reference(
         lengths = groom.rest_length[rows]
         swept, pushed = _sweep(hair[rows], lengths, groom.clearance[rows], faces, settings)
         rows, lengths, swept = rows[pushed], lengths[pushed], swept[pushed]
-        if len(rows) == 0:
-            break
-        if settings.push_relaxation > 0:
-            joints = float(settings.stiffness) * groom.rods.bending[rows]
-            contact = float(settings.contact_stiffness) * lengths.square()
-            hold = torch.maximum(joints / float(settings.push_relaxation), contact) + groom.rods.goal[rows]
-            edges = torch.nn.functional.normalize(swept.diff(dim=1), dim=-1)
-            steps = lengths[..., None] * relaxed_edges(edges, free[rows], joints, hold)
-            swept = torch.cat([swept[:, :1], swept[:, :1] + steps.cumsum(dim=1)], dim=1)
         hair[rows] = swept
+        if len(rows) == 0 or settings.push_relaxation == 0:
+            break
+        joints = float(settings.stiffness) * groom.rods.bending[rows]
+        contact = float(settings.contact_stiffness) * lengths.square()
+        hold = torch.maximum(joints / float(settings.push_relaxation), contact) + groom.rods.goal[rows]
+        edges = torch.nn.functional.normalize(swept.diff(dim=1), dim=-1)
+        steps = lengths[..., None] * relaxed_edges(edges, free[rows], joints, hold)
+        hair[rows, 1:] = swept[:, :1] + steps.cumsum(dim=1)
+        rows = rows[(hair[rows] - swept).norm(dim=-1).amax(dim=1) >= LEAST_RELAXED]
     return hair
 
 

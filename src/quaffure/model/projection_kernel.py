@@ -14,6 +14,8 @@ from quaffure.model.bend_relaxation_kernel import bend_before, eliminated, turne
 _PADDING = 64  # numbers between the workspaces of threads, which would write into one line of the cache
 # Columns of the workspace of an edge: direction, bend, and theta_i = follows theta_(i-1) - shift.
 _DIRECTION, _BEND, _SHIFT, _FOLLOWS, _COLUMNS = 0, 3, 6, 9, 10
+LEAST_RELAXED = 1e-4
+"""Largest displacement of a vertex by a relaxation up to which its strand is not pushed again [m]."""
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 
 
@@ -78,10 +80,11 @@ def _push_out(
                 pushed, in_grid = _sweep(rods, strand, settings, grid, rows[thread], result)
                 if not in_grid:
                     listed[thread] = 0
-                if not pushed:
+                if not (pushed and settings.push_relaxation > _ZERO):
                     break
-                if settings.push_relaxation > _ZERO:
-                    _relax(hair[strand], rods, strand, settings, spaces[thread], result)
+                relaxed = _relax(hair[strand], rods, strand, settings, spaces[thread], result)
+                if relaxed < np.float32(LEAST_RELAXED * LEAST_RELAXED):
+                    break
     return listed.min() == 1
 
 
@@ -122,8 +125,12 @@ def _sweep(
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _relax(
     unpushed: np.ndarray, rods: PushedRods, strand: int, settings: PushSettings, memory: np.ndarray, hair: np.ndarray
-) -> None:
-    """Relax the bends of a pushed strand [n 3] relative to the one that came (`quaffure.model.bend_relaxation`)."""
+) -> float:
+    """Relax the bends of a pushed strand [n 3] relative to the one that came (`quaffure.model.bend_relaxation`).
+
+    Returns:
+        Largest squared displacement of a vertex [m^2].
+    """
     edges = rods.rest_length.shape[1]
     space = memory[: edges * _COLUMNS].reshape(edges, _COLUMNS)
     rotation = _ONE, _ZERO, _ZERO, _ZERO
@@ -142,14 +149,17 @@ def _relax(
         stiffness *= follows
         space[edge, _FOLLOWS] = follows
         space[edge, _SHIFT], space[edge, _SHIFT + 1], space[edge, _SHIFT + 2] = shift
-    theta, x, y, z = (_ZERO, _ZERO, _ZERO), hair[0, 0], hair[0, 1], hair[0, 2]
+    theta, x, y, z, farthest = (_ZERO, _ZERO, _ZERO), hair[0, 0], hair[0, 1], hair[0, 2], _ZERO
     for edge in range(edges):
         direction = space[edge, _DIRECTION], space[edge, _DIRECTION + 1], space[edge, _DIRECTION + 2]
         shift = space[edge, _SHIFT], space[edge, _SHIFT + 1], space[edge, _SHIFT + 2]
         theta, direction = turned(space[edge, _FOLLOWS], shift, theta, direction)
         length = rods.rest_length[strand, edge]
         x, y, z = x + length * direction[0], y + length * direction[1], z + length * direction[2]
+        dx, dy, dz = x - hair[edge + 1, 0], y - hair[edge + 1, 1], z - hair[edge + 1, 2]
+        farthest = max(farthest, dx * dx + dy * dy + dz * dz)
         hair[edge + 1, 0], hair[edge + 1, 1], hair[edge + 1, 2] = x, y, z
+    return farthest
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")

@@ -30,7 +30,7 @@ class CoherentSetting:
     """How a frame follows the last one, `FRAME_SECONDS` later.
 
     Attributes:
-        passes: of a frame.
+        passes: of a frame, at least.
         most_passes: of a frame in which strands still move.
         most_move, most_moved: displacement of a vertex in a pass and in a frame, on top of the head's and of what a
             limb pushes, to first order [m].
@@ -45,12 +45,12 @@ class CoherentSetting:
             others, and passes after that.
     """
 
-    passes: int = 4
+    passes: int = 2
     most_passes: int = 6
     most_move: float = 0.01
     most_moved: float = 0.038
     most_with_head: float = 0.012
-    still: float = 0.004
+    still: float = 0.003
     moving_share: float = 0.1
     cut_distance: float = 0.25
     cut_angle: float = 0.8

@@ -12,6 +12,7 @@ from quaffure.config import HairMaterial
 from quaffure.energies import HairEnergy
 from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.rest_state import rest_state
+from quaffure.geometry.rotation_kernel import lifted_edge
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.model import (
     InitialShapeConfig,
@@ -186,6 +187,20 @@ def test_held_edges_are_not_turned_back(scene: Scene, prepared: PreparedGroom) -
     vertices = scene.bodies.posed.vertices[0, skin.vertices]
     off = (found[0] - project_reference(scene.posed[0], vertices, held, skin, ONCE)).norm(dim=-1)
     assert (off < 1e-5).float().mean() > 0.99
+
+
+@pytest.mark.parametrize("across", [0.0, 1e-7, 0.3, 1.0])
+@pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.8, 0.0, 0.6), (-0.6, 0.8, 0.0)])
+def test_the_end_of_a_lifted_edge_is_higher_by_the_push(across: float, normal: tuple[float, float, float]) -> None:
+    """An edge straight into the skin, too, which adding the push to its end would only make shorter."""
+    up = np.array(normal, np.float32)
+    side = np.cross(up, np.float32([0.36, 0.48, 0.8]))
+    side = side / np.linalg.norm(side)
+    edge = 0.01 * (across * side - np.sqrt(1 - across**2) * up).astype(np.float32)
+    for push, expected in ((0.004, None), (0.5, 0.0095)):
+        found = np.array(lifted_edge(tuple(edge), tuple(up), np.float32(push), np.float32(0.01), np.float32(0.95)))
+        assert np.linalg.norm(found) == pytest.approx(0.01, rel=1e-5)
+        assert found @ up == pytest.approx(edge @ up + push if expected is None else expected, abs=1e-7)
 
 
 def test_a_strand_alone_is_pushed_as_in_its_groom(scene: Scene, prepared: PreparedGroom) -> None:

@@ -105,6 +105,20 @@ def test_twist_descends_from_any_shape(monkeypatch: pytest.MonkeyPatch) -> None:
     assert bool((falls[0] > 0.05 * energies[0]).all())
 
 
+def test_twist_does_not_run_off_where_the_exact_system_is_nearly_singular() -> None:
+    """Strands in tangles, of which some had twists of ten turns and a thousand times their energy."""
+    count, edges = 400, 23
+    rest_edges = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64) + 0.5 * _random((count, edges, 3), 0)
+    rest, tangled = (
+        torch.nn.functional.pad(0.012 * shape.cumsum(1), (0, 0, 1, 0))
+        for shape in (rest_edges, rest_edges + _random((count, edges, 3), 1))
+    )
+    rod, positions, rotation = stress_free_rest(rest), tangled[None], torch.eye(3).double().expand(1, count, 3, 3)
+    assert float(equilibrium_twist(directors(positions), rod, rotation).abs().max()) < 10
+    energy = fused_rod(positions, rod_arrays(rod, torch.float64), rotation)
+    torch.testing.assert_close(energy, energy_rod(positions, rod, rotation), rtol=1e-4, atol=0)
+
+
 def test_posed_rest_shape_is_free_of_energy_and_force() -> None:
     strands = _strands()
     rotation = matrix_from_axis_angle(_random((1, STRANDS, 3), 4))

@@ -19,7 +19,7 @@ from quaffure.digest import array_digest
 from quaffure.draper import Draper
 from quaffure.types import Float, Tensor
 
-DRAPE_VERSION = 4
+DRAPE_VERSION = 5
 """To be raised by whoever changes what drapers return: energies, solvers, networks' code, posing, collision."""
 
 

@@ -246,7 +246,7 @@ def equilibrium_twist(direction: EdgeVectors, rest: RodRest, rotation: RootRotat
 
     The bending energy of joint i is a constant less P_i cos + Q_i sin of the mean twist there, so the second derivative
     is tridiagonal. At first, where a joint is more than 67 degrees of twist from its own minimum, its curvature is
-    raised (`SAFE_CURVATURE`); the last steps are plain Newton steps (`EXACT_BELOW`).
+    raised (`SAFE_CURVATURE`); the last steps are plain Newton steps, none as large as `EXACT_BELOW`.
     """
     cosine_part, sine_part = _bending_by_twist(direction, rest, rotation)
     amplitude = torch.hypot(cosine_part, sine_part)
@@ -266,8 +266,9 @@ def equilibrium_twist(direction: EdgeVectors, rest: RodRest, rotation: RootRotat
             rest.twisting_stiffness,
         )
         is_exact = largest < EXACT_BELOW
-        # Where the exact system is not positive definite, the next step is a safe one.
-        failed = is_exact & (least_pivot < LEAST_PIVOT)
+        # Where the exact system is not positive definite, or nearly singular, the next step is a safe one.
+        size = step.abs().amax(dim=-1, keepdim=True)
+        failed = is_exact & ((least_pivot < LEAST_PIVOT) | (size >= EXACT_BELOW))
         step = torch.where(failed | (largest < TWIST_TOLERANCE), 0, step)
         twist, largest = twist - step, step.abs().amax(dim=-1, keepdim=True)
         largest = torch.where(failed, EXACT_BELOW, largest)

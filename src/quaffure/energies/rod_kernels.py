@@ -260,7 +260,7 @@ def _joint_derivatives(
 def _twist_step(rest: RodArrays, strand: int, work: RodWorkspace, is_exact: bool) -> np.floating:
     """One step of Newton's method: elimination from root to tip, substitution back. Returns the largest change.
 
-    Where the exact system is not positive definite, nothing changes and the next step is a safe one.
+    Where the exact system is not positive definite, or nearly singular, nothing changes; the next step is a safe one.
     """
     twist, pivot, right, coupling = work.twist, work.pivot, work.right, work.coupling
     edges = len(pivot)
@@ -285,7 +285,11 @@ def _twist_step(rest: RodArrays, strand: int, work: RodWorkspace, is_exact: bool
         beyond = coupling[edge + 1] if edge + 1 < edges else _ZERO
         step = (right[edge] - beyond * step) / pivot[edge]
         largest = max(largest, abs(step))
-        twist[edge + 1] -= step
+        right[edge] = step
+    if is_exact and not largest < _EXACT_BELOW:
+        return _EXACT_BELOW
+    for edge in range(edges):
+        twist[edge + 1] -= right[edge]
     return largest
 
 

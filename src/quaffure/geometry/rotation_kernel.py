@@ -60,3 +60,28 @@ def pushed_edge(
     )
     scale = length / np.sqrt(x * x + y * y + z * z + np.float32(1e-24))
     return scale * x, scale * y, scale * z
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def lifted_edge(
+    edge: Vector, normal: Vector, push: float | np.floating, length: float | np.floating, most: float | np.floating
+) -> Vector:
+    """An edge of a length, rotated towards a normal until its end is higher by a push, or until the cosine between
+    both is `most`; in single precision. Kernels inline it."""
+    height = edge[0] * normal[0] + edge[1] * normal[1] + edge[2] * normal[2]
+    x, y, z = edge[0] - height * normal[0], edge[1] - height * normal[1], edge[2] - height * normal[2]
+    # An edge straight into the skin may leave it in any direction.
+    if x * x + y * y + z * z < np.float32(1e-10) * length * length:
+        across = np.float32(1.0) if abs(normal[0]) < np.float32(0.7) else np.float32(0.0)
+        x, y, z = (
+            across - across * normal[0] * normal[0] - (np.float32(1.0) - across) * normal[0] * normal[1],
+            np.float32(1.0) - across - across * normal[0] * normal[1] - (np.float32(1.0) - across) * normal[1] ** 2,
+            -across * normal[0] * normal[2] - (np.float32(1.0) - across) * normal[1] * normal[2],
+        )
+    cosine = min(max((height + push) / length, np.float32(-1.0)), most)
+    scale = np.sqrt(max(np.float32(1.0) - cosine * cosine, np.float32(0.0)) / (x * x + y * y + z * z))
+    return (
+        length * (cosine * normal[0] + scale * x),
+        length * (cosine * normal[1] + scale * y),
+        length * (cosine * normal[2] + scale * z),
+    )

@@ -91,7 +91,7 @@ class ProjectionConfig:
     spacing: float = 0.0025
     """Distance along a strand between two contact queries [m]; shorter edges are skipped."""
     max_push: float = 3.0
-    """Largest push of a vertex, in lengths of its edge: the edge then stands nearly along the push."""
+    """Largest tangent of the angle by which an edge rises from the skin that it is pushed out of."""
     pushes: int = 3
     """How often a strand is pushed out at most, and its bends relaxed; without relaxation once."""
     push_relaxation: float = 2.0

@@ -1,13 +1,14 @@
 """Strands projected out of the skin after the network, which reads a point-sampled one.
 
 From the root to the tip, every `spacing` or at every vertex, an edge whose end is in the skin, or closer to it than its
-clearance, is rotated out along the nearest face's normal, and what hangs on it moves along: the projection of
-position-based dynamics (Mueller et al. 2007) with lengths kept. That leaves bends at single vertices, which are then
-relaxed relative to the strand as it came (`quaffure.model.bend_relaxation`), and what that moves is pushed again, up to
-`pushes` times. The last step is a relaxation, too stiff to take more than some hundredths of a percent of the
-vertices back in. Strands without contact stay as they are, to the bit, and no strand depends on another.
+clearance, is rotated towards the nearest face's normal until it is as far away, and what hangs on it moves along: the
+projection of position-based dynamics (Mueller et al. 2007) with lengths kept. That leaves bends at single vertices,
+which are then relaxed relative to the strand as it came (`quaffure.model.bend_relaxation`), and what that moves is
+pushed again, up to `pushes` times. The last step is a relaxation, too stiff to take more than some hundredths of a
+percent of the vertices back in. Strands without contact stay as they are, to the bit, and no strand depends on another.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ def push_settings(config: ProjectionConfig, stiffness: float | Tensor) -> PushSe
     return PushSettings(
         config.pushes,
         np.float32(config.spacing),
-        np.float32(config.max_push),
+        np.float32(config.max_push / math.hypot(1, config.max_push)),
         np.float32(config.push_relaxation),
         np.float32(config.contact_stiffness),
         np.float32(1.0 if isinstance(stiffness, Tensor) else stiffness),
@@ -98,9 +99,11 @@ def _sweep(
         height, face = position.new_ones(len(position)), torch.full((len(position),), NONE, device=position.device)
         height[queried], face[queried] = nearest_in_band(position[queried], faces.corners, faces.leaves, faces.band)
         until_query = torch.where(queried, float(settings.spacing) - 0.5 * length, until_query)
-        push = (clearance[:, edge + 1] - height).clamp(max=float(settings.max_push) * length)
-        vector = position + push[:, None] * faces.normals[face] - out[-1]
-        rotated = out[-1] + length[:, None] * torch.nn.functional.normalize(vector, dim=-1)
+        push, vector, normal = clearance[:, edge + 1] - height, position - out[-1], faces.normals[face]
+        along = (vector * normal).sum(-1)
+        across = torch.nn.functional.normalize(vector - along[:, None] * normal, dim=-1)
+        rise = ((along + push) / length).clamp(min=-1, max=float(settings.most_rise))[:, None]
+        rotated = out[-1] + length[:, None] * (rise * normal + (1 - rise.square()).sqrt() * across)
         pushed = (face >= 0) & (push > 0)
         out.append(torch.where(pushed[:, None], rotated, position))
         shift, moved = shift + out[-1] - position, moved | pushed

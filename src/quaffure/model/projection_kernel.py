@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from numba import get_num_threads, njit, prange
 
 from quaffure.geometry.mls_kernels import FAST
-from quaffure.geometry.rotation_kernel import Vector, pushed_edge
+from quaffure.geometry.rotation_kernel import Vector, lifted_edge
 from quaffure.geometry.triangle_grid import OUT_OF_BAND, TriangleGrid, nearest_triangle_in_band, triangle_grid
 from quaffure.model.bend_relaxation_kernel import bend_before, eliminated, turned
 
@@ -36,11 +36,12 @@ class PushedRods(NamedTuple):
 
 
 class PushSettings(NamedTuple):
-    """Fields of `quaffure.model.network_config.ProjectionConfig`, and the stiffness of all joints."""
+    """Fields of `quaffure.model.network_config.ProjectionConfig`, the cosine between an edge and the normal that its
+    `max_push` is at most, and the stiffness of all joints."""
 
     pushes: int
     spacing: np.float32
-    max_push: np.float32
+    most_rise: np.float32
     push_relaxation: np.float32
     contact_stiffness: np.float32
     stiffness: np.float32
@@ -108,13 +109,13 @@ def _sweep(
             height, face = nearest_triangle_in_band(x, y, z, grid, row)
             if face == OUT_OF_BAND:
                 in_grid = False
-            push = min(rods.clearance[strand, vertex] - height, settings.max_push * length)
+            push = rods.clearance[strand, vertex] - height
             if face >= 0 and push > _ZERO:
                 pushed = True
                 px, py, pz = hair[vertex - 1, 0], hair[vertex - 1, 1], hair[vertex - 1, 2]
                 record = grid.records[face]
                 normal = record[0], record[1], record[2]
-                ux, uy, uz = pushed_edge((px, py, pz), (x, y, z), normal, push, length)
+                ux, uy, uz = lifted_edge((x - px, y - py, z - pz), normal, push, length, settings.most_rise)
                 ux, uy, uz = px + ux, py + uy, pz + uz
                 dx, dy, dz = dx + ux - x, dy + uy - y, dz + uz - z
                 x, y, z = ux, uy, uz
@@ -125,7 +126,7 @@ def _sweep(
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _relax(
     unpushed: np.ndarray, rods: PushedRods, strand: int, settings: PushSettings, memory: np.ndarray, hair: np.ndarray
-) -> float:
+) -> np.floating:
     """Relax the bends of a pushed strand [n 3] relative to the one that came (`quaffure.model.bend_relaxation`).
 
     Returns:

@@ -13,7 +13,7 @@ from quaffure.backend import Backend
 from quaffure.model import NeuralDraper
 from quaffure.scene import BodyBatch, Scene
 
-STEP = 1e-6  # rad
+STEP = 1e-7  # rad
 
 
 def main(strands: int = 100) -> dict[str, float]:

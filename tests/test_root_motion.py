@@ -21,7 +21,7 @@ from quaffure.hair import DrapeSequence, Groom
 from quaffure.io import read_amass, read_bvh, read_drape, write_drape, write_groom, write_usd
 from quaffure.io.read_motion import read_motion
 from quaffure.io.read_strands import read_strands
-from quaffure.model import load_model
+from quaffure.model import NeuralDraper, ProjectionConfig, load_model
 from quaffure.procedural import make_groom
 from tests.synthetic_drape import drape as synthetic_drape
 from tests.synthetic_drape import patch_of_strands
@@ -163,8 +163,15 @@ def test_the_page_shows_the_path(walk: Motion, groom: Groom, body: BodyModel) ->
     assert not still.path.any()
 
 
-def test_the_network_drapes_a_turned_and_moved_body_alike(walk: Motion, groom: Groom, body: BodyModel) -> None:
+def test_the_network_drapes_a_turned_and_moved_body_alike(
+    walk: Motion, groom: Groom, body: BodyModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     draper = load_model().draper
+    # Where hair starts nearer, and is pushed once, less contact enlarges the roundings.
+    near = replace(draper.network.config.initial_shape, bend_relaxation=0.0, margin_slope=0.6)
+    once = ProjectionConfig(pushes=1, push_relaxation=0.0)
+    monkeypatch.setattr(draper.network, "config", replace(draper.network.config, initial_shape=near, projection=once))
+    draper = NeuralDraper(draper.network, draper.material)
     still = drape_motion(draper, groom, body, walk.in_place(), MEAN_SHAPE)
     turn = torch.from_numpy(Rotation.from_euler("z", 130, degrees=True).as_matrix())
     hips = axis_angle_from_matrix(turn @ matrix_from_axis_angle(walk.body_pose[:, :3].double())).float()
@@ -172,9 +179,7 @@ def test_the_network_drapes_a_turned_and_moved_body_alike(walk: Motion, groom: G
     found = drape_motion(draper, groom, body, turned, MEAN_SHAPE)
     pelvis = body.rest_joints[0].numpy()
     expected = (still.strands - pelvis) @ turn.numpy().T + pelvis + PATH.numpy()[:, None, None]
-    off = np.abs(found.strands - expected)
-    assert np.quantile(off, 0.999) < 1e-5
-    assert off.max() < 1e-4  # a contact rotates all that hangs on it, and with it the roundings
+    assert np.abs(found.strands - expected).max() < 1e-5
 
 
 @pytest.mark.shared_data

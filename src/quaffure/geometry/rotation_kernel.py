@@ -72,12 +72,10 @@ def lifted_edge(
     x, y, z = edge[0] - height * normal[0], edge[1] - height * normal[1], edge[2] - height * normal[2]
     # An edge straight into the skin may leave it in any direction.
     if x * x + y * y + z * z < np.float32(1e-10) * length * length:
-        across = np.float32(1.0) if abs(normal[0]) < np.float32(0.7) else np.float32(0.0)
-        x, y, z = (
-            across - across * normal[0] * normal[0] - (np.float32(1.0) - across) * normal[0] * normal[1],
-            np.float32(1.0) - across - across * normal[0] * normal[1] - (np.float32(1.0) - across) * normal[1] ** 2,
-            -across * normal[0] * normal[2] - (np.float32(1.0) - across) * normal[1] * normal[2],
-        )
+        if abs(normal[0]) < np.float32(0.7):
+            x, y, z = np.float32(1.0) - normal[0] * normal[0], -normal[0] * normal[1], -normal[0] * normal[2]
+        else:
+            x, y, z = -normal[0] * normal[1], np.float32(1.0) - normal[1] * normal[1], -normal[1] * normal[2]
     cosine = min(max((height + push) / length, np.float32(-1.0)), most)
     scale = np.sqrt(max(np.float32(1.0) - cosine * cosine, np.float32(0.0)) / (x * x + y * y + z * z))
     return (

@@ -101,7 +101,12 @@ def _sweep(
         until_query = torch.where(queried, float(settings.spacing) - 0.5 * length, until_query)
         push, vector, normal = clearance[:, edge + 1] - height, position - out[-1], faces.normals[face]
         along = (vector * normal).sum(-1)
-        across = torch.nn.functional.normalize(vector - along[:, None] * normal, dim=-1)
+        across = vector - along[:, None] * normal
+        # As in `lifted_edge`: an edge straight into the skin may leave it in any direction.
+        axis = torch.nn.functional.one_hot((normal[:, 0].abs() >= 0.7).long(), 3).to(normal)
+        is_straight = across.square().sum(-1) < 1e-10 * length.square()
+        across = torch.where(is_straight[:, None], axis - (axis * normal).sum(-1, keepdim=True) * normal, across)
+        across = torch.nn.functional.normalize(across, dim=-1)
         rise = ((along + push) / length).clamp(min=-1, max=float(settings.most_rise))[:, None]
         rotated = out[-1] + length[:, None] * (rise * normal + (1 - rise.square()).sqrt() * across)
         pushed = (face >= 0) & (push > 0)

@@ -62,6 +62,7 @@ def test_other_beginnings_are_none(body: BodyModel) -> None:
     assert [name for name in CLIP_NAMES if calibration_pose(load_motion(name, body), body)] == []
 
 
+@pytest.mark.slow
 @pytest.mark.shared_data
 def test_real_motion_has_it_where_it_begins_with_one(body: BodyModel, shared_data: Path) -> None:
     files = sorted([*shared_data.glob("motion*/*.bvh"), *shared_data.glob("rigs/*.bvh")])

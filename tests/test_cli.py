@@ -411,6 +411,7 @@ def test_grooms_with_no_strands(refusal: Refusal, name: str) -> None:
     assert "found no strands" in line
 
 
+@pytest.mark.slow
 def test_a_random_cloud_is_no_groom(refusal: Refusal) -> None:
     cloud = np.random.default_rng(0).uniform(-1, 1, (1000, 12, 3))
     path = refusal.saved("cloud.npz", npz_bytes(strands=cloud))

@@ -236,6 +236,7 @@ def test_a_decoder_trained_on_leaves_all_codes_as_they_are(samples: list[GroomSa
         GroomCodeRecipe(other, samples[:3], [], begun)
 
 
+@pytest.mark.slow
 def test_the_command_grows_trains_and_measures(
     grooms: dict[str, Groom], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -176,6 +176,7 @@ def test_import_registers_and_shows(
     assert 0.02 < before < after  # no body on the left
 
 
+@pytest.mark.slow
 def test_reports_say_which_strands_are_used_and_why_not_the_others(
     tmp_path: Path, foreign: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -310,6 +311,7 @@ def test_strands_go_to_usd_and_guides_stay_in_the_drape(drape: Path) -> None:
     assert len(read_strands(drape.with_suffix(".usd")).counts) == 700
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_pictures")
 def test_render_draws_what_was_kept(tmp_path: Path, drape: Path) -> None:
     outputs = [tmp_path / f"hair{suffix}" for suffix in (".png", ".mp4", ".usdc")]

@@ -188,6 +188,7 @@ def test_upright_a_strand_through_an_ear_stays_near_its_course(case: Case) -> No
     assert np.linalg.norm(found - points, axis=1).max() < 0.015
 
 
+@pytest.mark.slow
 def test_registration_alone_says_where_a_strand_begins_and_stands(
     shared_data: Path, body: BodyModel, surface: Surface
 ) -> None:

@@ -167,6 +167,7 @@ def refused(roots: np.ndarray, body: BodyModel, expected: str) -> None:
         register_groom(as_file(strands), body, "wrong")
 
 
+@pytest.mark.slow
 def test_what_is_no_head_of_hair_is_refused(body: BodyModel) -> None:
     generator = np.random.default_rng(0)
     refused(generator.uniform(-0.12, 0.12, (1000, 3)), body, "scalp")
@@ -185,6 +186,7 @@ def test_styles_register_onto_themselves(name: str, body: BodyModel) -> None:
     assert report.median_residual < 2
 
 
+@pytest.mark.slow
 @pytest.mark.shared_data
 def test_sintel_fits_our_scalp(registered: Registered, body: BodyModel, surface: Surface) -> None:
     groom, report = registered(SINTEL)
@@ -217,6 +219,7 @@ def test_ponytail_registers_from_its_four_parts(registered: Registered, body: Bo
     checked(groom, body, surface)
 
 
+@pytest.mark.slow
 @pytest.mark.shared_data
 def test_mohawk_from_another_species_registers_upright(
     registered: Registered, body: BodyModel, surface: Surface
@@ -282,6 +285,7 @@ def test_a_beard_is_recognised_and_left_out(registered: Registered) -> None:
     assert "strands: 400 of 600 are hair of the scalp; left out: 200 of a beard" in str(report).splitlines()
 
 
+@pytest.mark.slow
 @pytest.mark.shared_data
 def test_a_reversed_file_registers_like_the_one_it_was_made_of(registered: Registered) -> None:
     base, report = registered(BASE)

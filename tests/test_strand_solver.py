@@ -126,7 +126,7 @@ def test_hair_around_a_strand_is_a_quadratic_model_of_its_density_energy() -> No
     assert torch.equal(torch.from_numpy(around.positions), positions[0])
     _, expected = energy_and_gradient(energy.only("self_collision"), scene, positions)
     expected[:, :, 0] = torch.from_numpy(around.gradient[:, 0])  # roots are left out there
-    small = expected.norm(dim=-1) < 0.99 * torch.from_numpy(descent._most_force)
+    small = expected.norm(dim=-1) < 0.99 * torch.from_numpy(descent._most_force)[:, None]
     found = torch.from_numpy(around.gradient)[None]
     assert float(small.float().mean()) > 0.5
     assert float(found[small].norm()) > 0
@@ -308,7 +308,7 @@ def test_a_motion_is_draped_the_same_whatever_was_draped_before(body: BodyModel)
     assert not np.array_equal(continued, once)
 
 
-@pytest.mark.parametrize(("step", "passes", "moved"), [(1, (2, 6), 0.038), (4, (8, 24), 0.152)])
+@pytest.mark.parametrize(("step", "passes", "moved"), [(1, (2, 4), 0.038), (4, (8, 16), 0.152)])
 def test_limits_of_a_frame_grow_with_its_time(
     step: int, passes: tuple[int, int], moved: float, body: BodyModel
 ) -> None:
@@ -378,9 +378,7 @@ def test_forces_between_strands_are_limited_in_units_of_their_weight(pull: float
         for share in (1.0, pull)
     )
     assert other._most_force == pytest.approx(unit * usual._most_force, rel=1e-5)
-    assert usual._most_force[:, 0] == pytest.approx(
-        10 * STANDARD_GRAVITY * HairEnergy(scene.groom).rest.mass.sum(1).numpy()
-    )
+    assert usual._most_force == pytest.approx(10 * STANDARD_GRAVITY * HairEnergy(scene.groom).rest.mass.sum(1).numpy())
 
 
 def test_a_setting_needs_as_many_passes_as_its_parts() -> None:

@@ -46,7 +46,7 @@ class CoherentSetting:
     """
 
     passes: int = 2
-    most_passes: int = 6
+    most_passes: int = 4
     most_move: float = 0.01
     most_moved: float = 0.038
     most_with_head: float = 0.012

@@ -27,9 +27,12 @@ from quaffure.solvers.strand_kernels import (
     Evaluation,
     StrandArrays,
     evaluate_strands,
+    largest_displacements,
     limit_rotations,
+    model_surroundings,
     resolve_strands,
     rotate_edges,
+    take_strands,
 )
 from quaffure.solvers.strand_recursion import StrandModel, newton_rotations
 from quaffure.solvers.stray_strands import APART, nearest_of, stands_apart
@@ -116,7 +119,8 @@ class StrandDescent:
         self._anywhere = np.full(strands, 1e6, np.float32)
         # The unit of forces between strands, which push apart without gravity too: no less than their weight on earth.
         self._own_weight = max(STANDARD_GRAVITY, math.hypot(*energy.acceleration)) * mass
-        self._most_force = MAX_FORCE * self._own_weight.sum(axis=1, keepdims=True)
+        # Where strands cross, Eq. 11 has forces of 1e7 weights, beside which float64 keeps nothing of the rod.
+        self._most_force = MAX_FORCE * self._own_weight.sum(axis=1)
         self._now, self._trial = _evaluation(strands, vertices), _evaluation(strands, vertices)
         self._around = DensityModel(
             np.zeros((strands, vertices, 3), np.float32),
@@ -170,11 +174,11 @@ class StrandDescent:
         oscillation = self._control.oscillation
         for _ in range(passes):
             gradient = self._with_other_hair()[1]
-            self._model_surroundings(gradient, self.strand_damping[:, None], oscillation.weight_share)
+            self._model_surroundings(gradient, self.strand_damping, oscillation.weight_share)
             before = self._now.positions.copy()
             if self._start is None:
                 self._start = before
-            gone = np.linalg.norm(before - self._start, axis=-1).max(axis=-1)
+            gone = largest_displacements(before, self._start)
             limit = np.clip(most_moved - gone, 0.0, most_move)
             self._move(self._k_body_collision, self._control.most_turn, limit, self._control.backtracks)
             moved, moved_before = self._now.positions - before, self._displacement
@@ -262,13 +266,11 @@ class StrandDescent:
         return float(energy.detach()), torch.autograd.grad(energy, hair)[0][0].numpy()
 
     def _model_surroundings(self, gradient: np.ndarray, damping: float | np.ndarray, weight_share: float = 1.0) -> None:
-        size = np.linalg.norm(gradient, axis=-1)
-        # Where strands cross, Eq. 11 has forces of 1e7 weights, beside which float64 keeps nothing of the rod.
-        limited = np.minimum(size, self._most_force)
-        self._around.gradient[:] = gradient * (limited / np.maximum(size, 1e-30))[..., None]
-        self._around.positions[:] = self._now.positions
-        force = (1 + damping) * limited + weight_share * damping * self._own_weight
-        self._around.stiffness[:] = force / self._control.yield_distance
+        of_strands = np.full(len(gradient), damping, np.float32) if isinstance(damping, float) else damping
+        weight, yielding = np.float32(weight_share) * self._own_weight, np.float32(self._control.yield_distance)
+        model_surroundings(
+            gradient, self._most_force, of_strands, weight, yielding, self._now.positions, self._around
+        )  # fmt: skip
 
     def _move(self, k_body_collision: np.float32, most_turn: float, most_move: np.ndarray, backtracks: int) -> None:
         """One pass; without `backtracks` whole steps are taken, whatever they do to the energy."""
@@ -286,19 +288,12 @@ class StrandDescent:
             )
             has_fallen = self._trial.energy[pending].sum(axis=1) < self._now.energy[pending, 0]
             taken = pending[has_fallen] if backtracks else pending
-            self._take(taken, trial)
+            take_strands(taken, trial, self._trial, self.direction, self._now, self.moved)
             pending = pending[~has_fallen] if backtracks else pending[:0]
             if not len(pending):
                 break
             step *= self._control.shortening
         self.passes += 1
-
-    def _take(self, strands: np.ndarray, direction: np.ndarray) -> None:
-        moved = self._trial.positions[strands] - self._now.positions[strands]
-        self.moved[strands] = np.linalg.norm(moved, axis=-1).max(axis=-1, initial=0.0)
-        self.direction[strands] = direction[strands]
-        for kept, found in zip(self._now, self._trial):
-            kept[strands] = found[strands]
 
     def _model(self) -> StrandModel:
         return StrandModel(

@@ -20,6 +20,7 @@ from quaffure.geometry.surface_distance import distance_within
 _RUN = 16  # strands that one thread takes in turn: near neighbours, each finds a face that the next starts from
 _STRIDE = 16  # runs between one that a thread takes and its next: dense hair is shared by all threads
 _ZERO, _HALF, _ONE, _TINY = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(1e-12)
+_TINY_FORCE = np.float32(1e-30)  # [N]
 _MOST_PUSH = np.float32(3.0)  # lengths of its edge by which a vertex is pushed out at most
 
 
@@ -121,6 +122,72 @@ def _squeeze(x: np.ndarray, slope: np.ndarray, stiffness: np.ndarray, positions:
             moved = x[vertex, axis] - positions[vertex, axis]
             energy += (slope[vertex, axis] + _HALF * stiffness[vertex] * moved) * moved
     return energy
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def model_surroundings(
+    gradient: np.ndarray, most_force: np.ndarray, damping: np.ndarray, own_weight: np.ndarray,
+    yield_distance: float | np.floating, positions: np.ndarray, out: DensityModel,
+) -> None:  # fmt: skip
+    """Fill a model with forces of at most `most_force` [strand] [N], and with stiffnesses by which these yield over a
+    distance [m].
+
+    Args:
+        gradient: of the energy of hair against hair by the vertices [N], [strand vertex 3].
+        damping: d of every strand: 1 + d times the stiffness, and d times that of its weight.
+        own_weight: of every vertex, as much of it as damps [N], [strand vertex].
+        positions: of the vertices [m].
+    """
+    limited, stiffness, origin = out
+    for strand in prange(len(gradient)):
+        origin[strand] = positions[strand]
+        most, damped = most_force[strand], damping[strand]
+        for vertex in range(gradient.shape[1]):
+            x, y, z = gradient[strand, vertex, 0], gradient[strand, vertex, 1], gradient[strand, vertex, 2]
+            size = np.sqrt(x * x + y * y + z * z)
+            force = min(size, most)
+            scale = force / max(size, _TINY_FORCE)
+            limited[strand, vertex, 0], limited[strand, vertex, 1] = scale * x, scale * y
+            limited[strand, vertex, 2] = scale * z
+            resisted = force + damped * (force + own_weight[strand, vertex])
+            stiffness[strand, vertex] = resisted / yield_distance
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def take_strands(
+    strands: np.ndarray, trial_direction: np.ndarray, trial: Evaluation, direction: np.ndarray, now: Evaluation,
+    moved: np.ndarray,
+) -> None:  # fmt: skip
+    """Copy directions and evaluation of the `strands` listed, and write the largest displacement of their vertices
+    [m]."""
+    # Arrays of a tuple that is not taken apart outside of the loop are copies inside of it.
+    positions, energy, gradient, contact = now
+    other_positions, other_energy, other_gradient, other_contact = trial
+    for index in prange(len(strands)):
+        strand = strands[index]
+        moved[strand] = _largest_displacement(other_positions[strand], positions[strand])
+        direction[strand], positions[strand] = trial_direction[strand], other_positions[strand]
+        energy[strand], gradient[strand] = other_energy[strand], other_gradient[strand]
+        contact[strand] = other_contact[strand]
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def largest_displacements(positions: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Largest displacement of a vertex of each strand [m], [strand]."""
+    found = np.empty(len(positions), np.float32)
+    for strand in prange(len(positions)):
+        found[strand] = _largest_displacement(positions[strand], before[strand])
+    return found
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _largest_displacement(positions: np.ndarray, before: np.ndarray) -> np.floating:
+    most = _ZERO
+    for vertex in range(len(positions)):
+        x, y = positions[vertex, 0] - before[vertex, 0], positions[vertex, 1] - before[vertex, 1]
+        z = positions[vertex, 2] - before[vertex, 2]
+        most = max(most, x * x + y * y + z * z)
+    return np.sqrt(most)
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")

@@ -168,9 +168,12 @@ def refused(roots: np.ndarray, body: BodyModel, expected: str) -> None:
 
 
 @pytest.mark.slow
+def test_a_cloud_of_roots_is_refused(body: BodyModel) -> None:
+    refused(np.random.default_rng(0).uniform(-0.12, 0.12, (1000, 3)), body, "scalp")
+
+
 def test_what_is_no_head_of_hair_is_refused(body: BodyModel) -> None:
     generator = np.random.default_rng(0)
-    refused(generator.uniform(-0.12, 0.12, (1000, 3)), body, "scalp")
     refused(generator.normal(size=(3, 3)), body, "at least 20 strands, found 3")
     refused(np.ones((100, 3)), body, "one point")
     refused(generator.uniform(-0.1, 0.1, (500, 3)) * [1, 1, 0], body, "line or a plane")

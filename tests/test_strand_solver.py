@@ -22,6 +22,7 @@ from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, en
 from quaffure.solvers.by_name import DesignSolver
 from quaffure.solvers.coherent_clip import CoherentSetting
 from quaffure.solvers.strand_descent import StrandDescent
+from quaffure.solvers.strand_kernels import DensityModel, Evaluation, model_surroundings, take_strands
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonSetting
 from quaffure.solvers.strand_recursion import LEAST_ALIGNMENT, StrandModel, newton_rotations
 from tests.scenes import clip_scene, few_strands, posed_scene, sphere_groom, upright_scene
@@ -141,6 +142,50 @@ def test_hair_around_a_strand_is_a_quadratic_model_of_its_density_energy() -> No
     step = moved.positions[0].numpy() - around.positions
     model = (around.gradient * step).sum(axis=(1, 2)) + 0.5 * (around.stiffness[..., None] * step**2).sum(axis=(1, 2))
     assert moved._now.energy[:, 1] == pytest.approx(model, rel=1e-3, abs=1e-4 * float(np.abs(model).max()))
+
+
+def _random(*shape: int, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
+
+
+def test_forces_of_the_model_are_limited_and_damping_stiffens_it() -> None:
+    """Against the same formulas in numpy."""
+    strands, vertices, distance = 7, 5, 0.002
+    gradient, positions = _random(strands, vertices, 3, seed=0), _random(strands, vertices, 3, seed=1)
+    gradient[0, 0] = 0.0
+    most, damping = abs(_random(strands, seed=2)) + 1, abs(_random(strands, seed=3))
+    weight = abs(_random(strands, vertices, seed=4))
+    model = DensityModel(np.empty_like(gradient), np.empty_like(weight), np.empty_like(positions))
+    model_surroundings(gradient, most, damping, weight, np.float32(distance), positions, model)
+    size = np.linalg.norm(gradient, axis=-1)
+    limited = np.minimum(size, most[:, None])
+    assert (limited < size).any()
+    assert (limited == size).any()
+    expected = gradient * (limited / np.maximum(size, 1e-30))[..., None]
+    np.testing.assert_allclose(model.gradient, expected, rtol=1e-5, atol=1e-6)
+    stiffness = ((1 + damping[:, None]) * limited + damping[:, None] * weight) / distance
+    np.testing.assert_allclose(model.stiffness, stiffness, rtol=1e-5)
+    assert np.array_equal(model.positions, positions)
+
+
+def test_only_strands_that_are_listed_are_taken() -> None:
+    def evaluation(seed: int) -> Evaluation:
+        energy = _random(6, 2, seed=seed).astype(np.float64)
+        return Evaluation(
+            _random(6, 4, 3, seed=seed), energy, _random(6, 4, 3, seed=seed + 1), _random(6, 4, 4, seed=seed + 2)
+        )
+
+    now, trial, before = evaluation(0), evaluation(10), evaluation(0)
+    direction, other, kept = _random(6, 3, 3, seed=20), _random(6, 3, 3, seed=21), _random(6, 3, 3, seed=20)
+    moved, taken = np.full(6, -1, np.float32), np.array([1, 4, 5])
+    left = np.array([0, 2, 3])
+    take_strands(taken, other, trial, direction, now, moved)
+    for own, found, old in zip((*now, direction), (*trial, other), (*before, kept)):
+        assert np.array_equal(own[taken], found[taken])
+        assert np.array_equal(own[left], old[left])
+    displacement = np.linalg.norm(trial.positions - before.positions, axis=-1).max(axis=-1)
+    np.testing.assert_allclose(moved[taken], displacement[taken], rtol=1e-5)
+    assert (moved[left] == -1).all()
 
 
 def test_contact_is_resolved_outwards_and_held_edges_stay() -> None:

@@ -62,7 +62,7 @@ def self_collision_and_gradient(
     slope = np.float32(3 * material.k_self_collision) * excess * excess
     active = active_particles(particles, slope)
     density_gradient(particles, active, shape, slope, order, h, get_num_threads(), gradient)
-    energy = material.k_self_collision * float(_sum_of_cubes(excess))
+    energy = material.k_self_collision * _sum_of_cubes(excess)
     return energy, torch.from_numpy(gradient).reshape(positions.shape)
 
 

@@ -266,7 +266,7 @@ class StrandDescent:
         return float(energy.detach()), torch.autograd.grad(energy, hair)[0][0].numpy()
 
     def _model_surroundings(self, gradient: np.ndarray, damping: float | np.ndarray, weight_share: float = 1.0) -> None:
-        of_strands = np.full(len(gradient), damping, np.float32) if isinstance(damping, float) else damping
+        of_strands = damping if isinstance(damping, np.ndarray) else np.full(len(gradient), damping, np.float32)
         weight, yielding = np.float32(weight_share) * self._own_weight, np.float32(self._control.yield_distance)
         model_surroundings(
             gradient, self._most_force, of_strands, weight, yielding, self._now.positions, self._around

@@ -126,7 +126,7 @@ def _squeeze(x: np.ndarray, slope: np.ndarray, stiffness: np.ndarray, positions:
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def model_surroundings(
-    gradient: np.ndarray, most_force: np.ndarray, damping: np.ndarray, own_weight: np.ndarray,
+    gradient: np.ndarray, most_force: np.ndarray, damping: np.ndarray, damping_weight: np.ndarray,
     yield_distance: float | np.floating, positions: np.ndarray, out: DensityModel,
 ) -> None:  # fmt: skip
     """Fill a model with forces of at most `most_force` [strand] [N], and with stiffnesses by which these yield over a
@@ -135,7 +135,7 @@ def model_surroundings(
     Args:
         gradient: of the energy of hair against hair by the vertices [N], [strand vertex 3].
         damping: d of every strand: 1 + d times the stiffness, and d times that of its weight.
-        own_weight: of every vertex, as much of it as damps [N], [strand vertex].
+        damping_weight: of every vertex, as much of it as damps [N], [strand vertex].
         positions: of the vertices [m].
     """
     limited, stiffness, origin = out
@@ -149,7 +149,7 @@ def model_surroundings(
             scale = force / max(size, _TINY_FORCE)
             limited[strand, vertex, 0], limited[strand, vertex, 1] = scale * x, scale * y
             limited[strand, vertex, 2] = scale * z
-            resisted = force + damped * (force + own_weight[strand, vertex])
+            resisted = force + damped * (force + damping_weight[strand, vertex])
             stiffness[strand, vertex] = resisted / yield_distance
 
 
@@ -160,7 +160,7 @@ def take_strands(
 ) -> None:  # fmt: skip
     """Copy directions and evaluation of the `strands` listed, and write the largest displacement of their vertices
     [m]."""
-    # Arrays of a tuple that is not taken apart outside of the loop are copies inside of it.
+    # Taken apart here: assigned to through the tuple, inside the loop, the arrays stay as they are (numba 0.68).
     positions, energy, gradient, contact = now
     other_positions, other_energy, other_gradient, other_contact = trial
     for index in prange(len(strands)):

@@ -62,17 +62,8 @@ def self_collision_and_gradient(
     slope = np.float32(3 * material.k_self_collision) * excess * excess
     active = active_particles(particles, slope)
     density_gradient(particles, active, shape, slope, order, h, get_num_threads(), gradient)
-    energy = material.k_self_collision * _sum_of_cubes(excess)
+    energy = material.k_self_collision * float((excess.astype(np.float64) ** 3).sum())
     return energy, torch.from_numpy(gradient).reshape(positions.shape)
-
-
-@njit(cache=True)
-def _sum_of_cubes(values: np.ndarray) -> float:
-    total = 0.0
-    for value in values:
-        wide = np.float64(value)
-        total += wide * wide * wide
-    return total
 
 
 @njit(cache=True)

@@ -2,8 +2,9 @@
 
     python examples/gradient_in_pose.py
 
-The torch backend differentiates the whole drape but the projection out of the skin, so poses, shapes and materials can
-be fitted to hair by gradient descent. Differences of so small a step need double precision, gradients do not.
+The torch backend differentiates the whole drape but the projection out of the skin, so poses, shapes and the stiffness
+of each edge can be fitted to hair by gradient descent. Differences of so small a step need double precision, gradients
+do not.
 """
 
 import torch

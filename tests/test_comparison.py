@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -36,15 +37,16 @@ from quaffure.config import HairMaterial
 from quaffure.drape_motion import drape_motion
 from quaffure.energies import Gravity, HairEnergy, SelfCollision
 from quaffure.energies.design_terms import terms_of_design
+from quaffure.energies.energy_term import HairState
 from quaffure.errors import InputError
 from quaffure.hair import Groom
-from quaffure.model import NetworkConfig, NeuralDraper, build_network
+from quaffure.model import DirectionNetwork, NetworkConfig, NeuralDraper, build_network
 from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.procedural import HELD_OUT, STYLES, make_groom
-from quaffure.scene import Scene
+from quaffure.scene import HairScene, Scene
 from quaffure.solvers import AdamDraper, XpbdDraper, XpbdSetting
 from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
-from quaffure.types import Positions
+from quaffure.types import Energy, Float, Positions, Tensor
 
 STRANDS = 40
 
@@ -253,6 +255,29 @@ def test_weights_settings_and_material_are_in_the_key_of_a_draper() -> None:
     assert len(keys) == 8
 
 
+class _Shifted(DirectionNetwork):
+    def forward(self, *inputs: Any) -> Float[Tensor, "b s e 3"]:
+        return super().forward(*inputs) + 0.5
+
+
+class _Moon(Gravity):
+    def energy(self, hair: HairState, scene: HairScene) -> Energy:
+        return super().energy(hair, scene) / 6
+
+
+def test_code_and_layers_of_a_user_are_in_the_key_of_a_draper() -> None:
+    config = NetworkConfig(texel_channels=4, strand_width=8)
+    networks = []
+    for kind in (DirectionNetwork, DirectionNetwork, DirectionNetwork, _Shifted):
+        torch.manual_seed(0)
+        networks.append(kind(config))
+    networks[2].strand[0] = torch.nn.Tanh()
+    same, again, other_layer, other_forward = (draper_key(NeuralDraper(each, HairMaterial())) for each in networks)
+    assert same == again
+    assert len({same, other_layer, other_forward}) == 3
+    assert draper_key(AdamDraper(terms=(Gravity(),))) != draper_key(AdamDraper(terms=(_Moon(),)))
+
+
 def test_a_renamed_class_or_file_keeps_its_drapes_and_another_version_does_not(
     tmp_path: Path, case: EvaluationCase, body: BodyModel
 ) -> None:
@@ -260,7 +285,7 @@ def test_a_renamed_class_or_file_keeps_its_drapes_and_another_version_does_not(
     draper.drape(Method("counting", Counting()), case, 0)
 
     class Renamed(Counting):
-        __module__ = "elsewhere"
+        __module__ = "quaffure.elsewhere"
 
     known = CaseDraper(body, draper.cache).known
     assert known(Method("counting", Renamed()), case, 0) is not None

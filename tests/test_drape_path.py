@@ -15,6 +15,7 @@ from quaffure.apps.cli.main import main
 from quaffure.backend import Backend
 from quaffure.body import FEATURE_COUNT, BodyModel, kinematics
 from quaffure.config import HairMaterial
+from quaffure.energies.loading import Loading
 from quaffure.model import (
     DirectionNetwork,
     InferenceNetwork,
@@ -103,6 +104,13 @@ def test_a_subclass_drapes_with_its_own_forward(scene: Scene) -> None:
         torch.testing.assert_close(draper.drape(scene), draper.deform(scene), atol=2e-5, rtol=0)
 
 
+def test_an_assigned_method_is_noticed(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = network_of(DirectionNetwork)
+    assert isinstance(network.for_inference(bf16=False), InferenceNetwork)
+    monkeypatch.setattr(network, "rotations", lambda texels, features: features.new_ones(*features.shape[:2], 23, 3))
+    assert isinstance(network.for_inference(bf16=False), ForwardNetwork)
+
+
 @pytest.mark.parametrize("where", ["strand", "decoder"])
 def test_a_replaced_layer_is_noticed(scene: Scene, where: str) -> None:
     network = network_of(DirectionNetwork)
@@ -136,7 +144,7 @@ def test_both_backends_drape_alike(scene: Scene) -> None:
     assert rows[1].shape == (1, 2, 24, 3)
 
 
-@pytest.mark.parametrize("varied", ["pose", "shape"])
+@pytest.mark.parametrize("varied", ["pose", "shape", "stiffness"])
 def test_torch_drapes_are_differentiable(body: BodyModel, varied: str) -> None:
     """Central differences through the whole drape but the projection, in double precision."""
     network, bodies = network_of(DirectionNetwork).double(), body.to("cpu", torch.float64)
@@ -145,6 +153,7 @@ def test_torch_drapes_are_differentiable(body: BodyModel, varied: str) -> None:
     values = {
         "pose": 0.15 * torch.randn(1, 81, generator=generator, dtype=torch.float64),
         "shape": torch.randn(1, 10, generator=generator, dtype=torch.float64),
+        "stiffness": 0.5 + torch.rand(8, 23, generator=generator, dtype=torch.float64),
     }
     weights = torch.randn(1, 8, 24, 3, generator=generator, dtype=torch.float64)
     direction = torch.randn(values[varied].shape, generator=generator, dtype=torch.float64)
@@ -152,7 +161,8 @@ def test_torch_drapes_are_differentiable(body: BodyModel, varied: str) -> None:
     def loss(step: float | Tensor) -> Tensor:
         now = values | {varied: values[varied] + step * direction}
         scene = Scene(groom, BodyBatch(bodies, now["pose"], now["shape"]))
-        return (NeuralDraper(network, MATERIAL).deform(scene) * weights).sum()
+        draper = NeuralDraper(network, MATERIAL).with_loading(Loading(now["stiffness"]))
+        return (draper.deform(scene) * weights).sum()
 
     step = torch.zeros((), dtype=torch.float64, requires_grad=True)
     (gradient,) = torch.autograd.grad(loss(step), step)

@@ -18,6 +18,8 @@ from quaffure.energies import (
 )
 from quaffure.energies.rest_state import rest_state
 from quaffure.energies.sag_free import residual, sag_free_report
+from quaffure.errors import InputError
+from quaffure.errors import InputError
 from quaffure.geometry import Surface, integrate_directions_reference
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.hair import Groom
@@ -136,3 +138,10 @@ def test_margins_never_exceed_the_clearance_where_nothing_is_supported(body: Bod
     free = rest.support == 0
     assert bool((rest.collision_margin <= distance + 1e-9)[free].all())
     assert bool((rest.collision_margin > distance)[~free].all())
+
+
+@pytest.mark.parametrize("name", ["linear_density", "k_body_collision"])
+def test_a_gradient_that_supports_do_not_have_is_refused(body: BodyModel, name: str) -> None:
+    value = torch.tensor(getattr(HairMaterial(), name), requires_grad=True)
+    with pytest.raises(InputError, match=f"{name}: expected no gradient"):
+        sag_free_rest(few_strands(body, "bob", 4), body, replace(HairMaterial(), **{name: value}))

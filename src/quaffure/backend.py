@@ -12,7 +12,8 @@ class Backend(Enum):
     CPU = "cpu"
     """Compiled kernels, float32, on the CPU. Derivatives in the hair's positions alone."""
     TORCH = "torch"
-    """torch operations on any device, in any floating type, differentiable in every input."""
+    """torch operations on any device, in any floating type, differentiable in poses, shapes, positions and
+    stiffness, and, with terms of your own, in the material."""
 
 
 def choose_backend(values: Tensor) -> Backend:

@@ -1,11 +1,13 @@
 """Under what key a drape is kept: everything that decides it, by value.
 
-Names of classes, files and functions are no part of it: what is moved or renamed drapes as before. The code that drapes
-is stood for by `DRAPE_VERSION`.
+Names of this package's classes, files and functions are no part of it: what is moved or renamed drapes as before. Its
+code is stood for by `DRAPE_VERSION`, that of other classes, such as a network or an energy term of a user, is a part.
 """
 
 import hashlib
+import inspect
 import json
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass
 from enum import Enum
@@ -21,6 +23,7 @@ from quaffure.types import Float, Tensor
 
 DRAPE_VERSION = 5
 """To be raised by whoever changes what drapers return: energies, solvers, networks' code, posing, collision."""
+_KNOWN = {"quaffure", "torch", "numpy", *sys.stdlib_module_names}
 
 
 def drape_key(
@@ -36,10 +39,8 @@ def drape_key(
 
 
 def draper_key(draper: Draper) -> str:
-    """Key of a draper: its name, and by value its public attributes, material and weights among them.
-
-    Private attributes are left out, as they hold what was computed before. Two drapers of other code need other names.
-    """
+    """Key of a draper: its name, the code of classes that are not this package's, and by value its public attributes,
+    material, layers and weights among them. Private attributes are left out: they hold what was computed before."""
     return _sha256(_by_value(draper))
 
 
@@ -72,14 +73,36 @@ def _by_value(value: Any) -> object:
     if isinstance(value, Enum | Path | torch.dtype | torch.device):
         return str(value)
     if isinstance(value, torch.nn.Module):
-        return {"config": _by_value(getattr(value, "config", None)), "weights": _by_value(value.state_dict())}
+        parts = [[name, _code(type(part)), type(part).__name__, part.extra_repr()] for name, part in _layers(value)]
+        config, weights = _by_value(getattr(value, "config", None)), _by_value(value.state_dict())
+        return {"code": _code(type(value)), "config": config, "layers": parts, "weights": weights}
     values = (
         {field.name: getattr(value, field.name) for field in fields(value)} if is_dataclass(value) else _public(value)
     )
     # A class without fields, such as an energy term, differs from others in its name alone.
     if hasattr(value, "name") or not is_dataclass(value):
         values["name"] = getattr(value, "name", "")
-    return {name: _by_value(item) for name, item in values.items()}
+    code = _code(type(value))
+    return {name: _by_value(item) for name, item in values.items()} | ({"code": code} if code else {})
+
+
+def _layers(network: torch.nn.Module) -> list[tuple[str, torch.nn.Module]]:
+    """Layers without parts, and all of classes that are not this package's."""
+    return [(name, part) for name, part in network.named_modules() if _code(type(part)) or not list(part.children())]
+
+
+def _code(kind: type) -> list[str]:
+    """Names of the classes that `kind` is made of and that are not this package's, torch's or Python's, with their
+    source, where there is any."""
+    others = [each for each in kind.__mro__ if each.__module__.partition(".")[0] not in _KNOWN]
+    return [f"{each.__qualname__}: {_source(each)}" for each in others]
+
+
+def _source(kind: type) -> str:
+    try:
+        return inspect.getsource(kind)
+    except (OSError, TypeError):  # typed into an interpreter
+        return ""
 
 
 def _public(value: object) -> dict[str, Any]:

@@ -124,9 +124,11 @@ def sag_free_rest(
             without. The weight of their goals is at least the groom's, its `stiffness_scale` multiplies B and C.
 
     Raises:
-        InputError: a strand folds back (`previous_frames`).
+        InputError: a strand folds back (`previous_frames`), or a gradient is asked for in what supports are solved
+            from.
     """
     material = material or HairMaterial()
+    _check_no_gradient(material)
     state = rest_state(groom.rest_strands.double().cpu(), material)
     strands = state.rest_strands
     own = groom.to("cpu")
@@ -157,6 +159,13 @@ def sag_free_rest(
         unstable=unstable,
         tails=tails_of(groom),
     )
+
+
+def _check_no_gradient(material: HairMaterial) -> None:
+    for name in ("linear_density", "k_body_collision"):
+        value = getattr(material, name)
+        if isinstance(value, Tensor) and value.requires_grad:
+            raise InputError(f"material, {name}", "no gradient: the rest shape of a design is solved without", "one")
 
 
 def _scale_for_preload(forces: StrandForces, moments: tuple[Tensor, Tensor, Tensor]) -> Float[Tensor, "s e"]:

@@ -64,7 +64,6 @@ class CpuBackend:
     def posed(self, grooms: Sequence[PreparedGroom], bodies: BodyBatch) -> Iterator[tuple[PreparedGroom, CpuPosed]]:
         """Each groom with the body of its row; bodies are posed, and textures decoded, `BATCH` at a time."""
         body, config = bodies.body, self.config
-        skin = collision_skin(body, self.config.projection.most)
         rest, rotations, positions = bodies.joints
         for first in range(0, len(grooms), BATCH):
             part, rows = grooms[first : first + BATCH], slice(first, first + BATCH)
@@ -82,6 +81,7 @@ class CpuBackend:
             self.network_seconds += time.perf_counter() - begun
             memory = empty_shape(1, most, self.layout.columns, self.layout.dtype)
             for row, groom in enumerate(part):
+                skin = collision_skin(body, groom.most_clearance)
                 yield groom, CpuPosed(batch.sample(row), texture[row], memory, skin)
 
     def initial_shape(self, groom: PreparedGroom, posed: CpuPosed) -> InitialShape:
@@ -170,7 +170,7 @@ class CpuTrainingBackend(TorchBackend):
         """Hair projected out of the skin [m, world], to which the gradient passes as if it had not been moved."""
         if not self.projects:
             return hair
-        skin, settings = collision_skin(posed.bodies.body, self.config.projection.most), self.push_settings
+        skin, settings = collision_skin(posed.bodies.body, groom.most_clearance), self.push_settings
         projected = [
             project(own, vertices, groom.blocks.pushed, skin, head, settings)
             for own, vertices, head in zip(hair.detach(), posed.body.world_skin, posed.body.head_position)

@@ -53,17 +53,18 @@ def write_drape_constants(path: Path, draper: NeuralDraper, groom: Groom, body: 
         raise InputError(
             "--weights", "a network of edge directions, with pose features, contact and surroundings", "another one"
         )
-    arrays = _of_body(body, config) | _of_groom(draper.prepared(groom, body)) | _of_network(config)
+    prepared = draper.prepared(groom, body)
+    arrays = _of_body(body, config, prepared.most_clearance) | _of_groom(prepared) | _of_network(config)
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
-def _of_body(body: BodyModel, config: NetworkConfig) -> dict[str, np.ndarray]:
+def _of_body(body: BodyModel, config: NetworkConfig, most_clearance: float) -> dict[str, np.ndarray]:
     skeleton, own = skeleton_of(body), config.initial_shape.body
     if skeleton is None:
         raise InputError("body", "float32, on the CPU", "another one")
     posed = skin_to_pose(body, own.leaves, True)
-    skin, sampled = collision_skin(body, config.projection.most), len(posed.normals)
+    skin, sampled = collision_skin(body, most_clearance), len(posed.normals)
     parts = np.array([sampled, sampled + len(scalp_vertices(body))])
     return {
         **_fields(skeleton),

@@ -85,7 +85,8 @@ class ProjectionConfig:
     depth: float = 6e-4
     """Largest depth below its collision margin at which hair is left alone [m]; at rest on skin it is 0.1 to 0.5 mm."""
     most: float = 0.025
-    """Largest distance that hair is pushed out to [m]: farther faces take longer to search."""
+    """Largest distance that hair is pushed out to, or the material's margin where that is wider [m]: farther faces take
+    longer to search."""
     clearance_slope: float = 0.12
     """Growth of that distance before a vertex that needs more, for each length along a strand."""
     spacing: float = 0.0025
@@ -109,15 +110,16 @@ class ProjectionConfig:
         if not (0 <= self.push_relaxation < math.inf and 0 <= self.contact_stiffness < math.inf):
             raise ValueError(f"expected no push relaxation or contact stiffness below 0, found {self}")
 
-    def clearance(self, margin: Float[Tensor, "s n"], depth: Float[Tensor, "s 1"]) -> Float[Tensor, "s n"]:
+    def clearance(self, margin: Float[Tensor, "s n"], depth: Float[Tensor, "s 1"], most: float) -> Float[Tensor, "s n"]:
         """Distance at which hair with a collision margin is left alone [m].
 
         Args:
             depth: below the margin, to which it is left alone for its stiffness; outside of the skin all the same.
+            most: of that distance [m].
         """
         allowed = torch.minimum((1 - self.clearance_share) * margin.abs(), margin.new_tensor(self.depth))
         least = margin.clamp(max=0)
-        return torch.maximum(margin - torch.maximum(allowed, depth), least).clamp(max=self.most)
+        return torch.maximum(margin - torch.maximum(allowed, depth), least).clamp(max=most)
 
 
 @dataclass(frozen=True)

@@ -81,12 +81,12 @@ class NeuralDraper:
     ) -> None:
         """
         Args:
-            backend: `TORCH` for derivatives in pose, shape and material on the CPU; by default the one of the weights.
+            backend: `TORCH` for derivatives in pose, shape and stiffness on the CPU; by default the one of the weights.
         """
         self.network, self.material, self.bf16, self.loading = network, material, bf16, STANDARD_LOADING
         self._kind = backend or choose_backend(next(network.parameters()))
         self._prepared: GroomCache[WeakKeyDictionary[BodyModel, PreparedGroom]] = GroomCache()
-        self._stiffened: WeakKeyDictionary[PreparedGroom, tuple[Tensor, PreparedGroom]] = WeakKeyDictionary()
+        self._stiffened: WeakKeyDictionary[PreparedGroom, tuple[Tensor, int, PreparedGroom]] = WeakKeyDictionary()
         self._made: tuple[object, DrapeBackend] | None = None
 
     def with_loading(self, loading: Loading) -> "NeuralDraper":
@@ -126,7 +126,8 @@ class NeuralDraper:
         Args:
             projects: project hair out of the skin as `drape` does; trainings do.
 
-        By the backend `TORCH` differentiable in pose, shape and material too, not in the encoder's weights.
+        By the backend `TORCH` differentiable in pose, shape and the stiffness of each edge too, not in the
+        encoder's weights.
         """
         kind: type[TorchBackend] = CpuTrainingBackend if self._kind is Backend.CPU else TorchBackend
         prepared = [self.prepared(scene.groom, scene.bodies.body)] * len(scene.bodies.body_pose)
@@ -144,9 +145,12 @@ class NeuralDraper:
         prepared, stiffness = on_bodies[body], self.loading.stiffness
         if not isinstance(stiffness, Tensor):
             return prepared
-        if prepared not in self._stiffened or self._stiffened[prepared][0] is not stiffness:
-            self._stiffened[prepared] = stiffness, prepared.stiffened(stiffness)
-        return self._stiffened[prepared][1]
+        if stiffness.requires_grad:
+            return prepared.stiffened(stiffness)  # not kept: its graph serves one gradient
+        kept, version = self._stiffened.get(prepared), stiffness._version
+        if kept is None or kept[0] is not stiffness or kept[1] != version:
+            kept = self._stiffened[prepared] = stiffness, version, prepared.stiffened(stiffness)
+        return kept[2]
 
     def backend(self) -> DrapeBackend:
         """The five steps with the weights of now; made anew when anything that decides a drape has changed."""

@@ -22,7 +22,8 @@ def pose_code(config: NetworkConfig, body: HeadFrameBody, loading: Loading) -> F
         return used
     pull = torch.tensor(loading.in_gravities).to(body.world_from_head)
     size = math.log(max(math.hypot(*loading.in_gravities), _LEAST))
-    logarithms = pull.new_tensor([size, math.log(loading.mean_stiffness) - size])
+    stiffness = torch.as_tensor(loading.stiffness).to(pull).log().mean()
+    logarithms = torch.stack([pull.new_tensor(size), stiffness - size])
     return torch.cat([used, pull @ body.world_from_head, logarithms.expand(len(used), 2)], dim=1)
 
 

@@ -105,6 +105,7 @@ class PreparedGroom:
         rest_length: of every edge [m].
         initial_clearance: distance from the point-sampled body at which strands start [m].
         clearance: distance up to which hair is projected out of the skin [m], see `quaffure.model.projection`.
+        most_clearance: of all grooms of the material [m].
         surroundings: of each strand.
         order: of the strands in the kernels' blocks, near ones next to each other.
     """
@@ -116,6 +117,7 @@ class PreparedGroom:
     rest_length: RestLengths
     initial_clearance: Float[Tensor, "s n"]
     clearance: Float[Tensor, "s n"]
+    most_clearance: float
     surroundings: Surroundings
     order: Int[Tensor, " s"]
 
@@ -151,12 +153,13 @@ def prepare_groom(
     strands, design = rest_strands(groom, body), design_of(groom, body, material)
     shape, design_margin = config.initial_shape, design.collision_margin.to(groom.rest_strands)
     start = clearance = torch.full_like(design_margin, NO_CONTACT)
+    most_clearance = max(config.projection.most, float(material.collision_margin))
     if config.contact:
         held = torch.nn.functional.pad(design.rod.goal_weight > 0, (1, 0)).to(groom.rest_strands.device)
         depth = balanced_depth(design, groom.rest_lengths, material, shape)
         start = initial_clearance(groom, design_margin, body, shape) - depth
         start = limit_slope(torch.where(held, NO_CONTACT, start), groom.rest_lengths, shape.margin_slope)
-        clearance = config.projection.clearance(design_margin, depth)
+        clearance = config.projection.clearance(design_margin, depth, most_clearance)
         at_rest, slope = design.distance.to(groom.rest_strands), config.projection.clearance_slope
         clearance = raised_before_supports(clearance, groom.rest_lengths, at_rest, slope)
         clearance = torch.where(held, NO_CONTACT, clearance)
@@ -171,6 +174,7 @@ def prepare_groom(
         groom.rest_lengths,
         start,
         clearance,
+        most_clearance,
         surroundings_of(groom, body, material, design_margin, config.density_grid),
         spatial_order(positions, LANES),
     )

@@ -86,7 +86,7 @@ class DirectionNetwork(StrandLayers):
     def _has_own_layers(self) -> bool:
         with torch.device("meta"):
             expected = DirectionNetwork(self.config)
-        return "forward" not in vars(self) and all(
+        return not _replaces_methods(self) and all(
             _layers(getattr(self, name)) == _layers(getattr(expected, name))
             for name in ("decoder", "from_texel", "from_strand", "strand", "refinements")
         )
@@ -101,6 +101,11 @@ def build_network(config: NetworkConfig) -> QuaffureNetwork:
 
 def _code(inputs: NetworkInputs) -> Float[Tensor, "b inputs"]:
     return torch.cat([inputs.groom_code.expand(len(inputs.pose_code), -1), inputs.pose_code], dim=1)
+
+
+def _replaces_methods(module: nn.Module) -> bool:
+    """Whether a method of a module or of a layer was assigned to, as in `network.rotations = mine`."""
+    return any(callable(getattr(type(part), name, None)) for part in module.modules() for name in vars(part))
 
 
 def _layers(module: nn.Module) -> list[tuple[str, type, str, bool]]:

@@ -109,7 +109,7 @@ class TorchBackend:
         """Hair projected out of the skin [m, world]."""
         if not self.projects:
             return hair
-        skin = collision_skin(posed.bodies.body, self.config.projection.most)
+        skin = collision_skin(posed.bodies.body, groom.most_clearance)
         with torch.no_grad():
             projected = [
                 project_reference(own, vertices, groom, skin, self.push_settings)

@@ -19,7 +19,6 @@ from quaffure.energies import (
 from quaffure.energies.rest_state import rest_state
 from quaffure.energies.sag_free import residual, sag_free_report
 from quaffure.errors import InputError
-from quaffure.errors import InputError
 from quaffure.geometry import Surface, integrate_directions_reference
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.hair import Groom

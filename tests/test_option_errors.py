@@ -2,7 +2,8 @@
 
 import pytest
 
-from quaffure.apps.cli.main import main
+from quaffure.apps.cli.drape import DrapeCommand
+from quaffure.apps.cli.main import main, parse
 
 
 def refused(capfd: pytest.CaptureFixture[str], words: str) -> str:
@@ -55,3 +56,20 @@ def test_the_version_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--help"])
     assert "quaffure --version" in " ".join(capfd.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "settle", "coherent"),
+    [
+        ("", 0, True),
+        ("--coherent", 0, True),
+        ("--no-coherent", 0, False),
+        ("--settle 5", 5, True),
+        ("--settle", 3, True),
+        ("--settle --no-coherent", 3, False),
+    ],
+)
+def test_what_may_be_left_out(words: str, settle: int, coherent: bool) -> None:
+    command = parse(f"drape bob --out a.npz {words}".split())
+    assert isinstance(command, DrapeCommand)
+    assert (command.settle, command.coherent) == (settle, coherent)

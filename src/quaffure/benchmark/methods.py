@@ -16,7 +16,7 @@ from quaffure.hair.groom import Groom
 from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_model import PAPER, load_model
 from quaffure.solvers.by_name import DesignSolver
-from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
+from quaffure.solvers.strand_newton import SETTLING_PASSES, SettledDraper, StrandNewtonDraper
 
 SETTLED = f"{NEURAL}_settled"
 STARTED_ROWS = ("adam", "lbfgs", STRAND_NEWTON)
@@ -26,7 +26,6 @@ FROM_NETWORK = {f"{name}_from_{NEURAL}": name for name in STARTED_ROWS}
 and `SOLVER_ROWS` is the reference of all rows."""
 ROWS = (POSED, *SOLVER_ROWS, *FROM_NETWORK, NEURAL, SETTLED, PAPER)
 QUICK_ROWS = (POSED, STRAND_NEWTON, NEURAL, SETTLED)
-SETTLING_PASSES = 3
 
 
 @dataclass(frozen=True, eq=False)

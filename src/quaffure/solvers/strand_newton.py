@@ -27,6 +27,9 @@ from quaffure.solvers.strand_descent import StepControl, StrandDescent
 from quaffure.solvers.supported_terms import refuse_other_terms
 from quaffure.types import Positions
 
+SETTLING_PASSES = 3
+"""From the drape of another draper, where no number is given."""
+
 
 @dataclass(frozen=True)
 class StrandNewtonSetting:

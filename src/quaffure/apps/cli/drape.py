@@ -85,7 +85,7 @@ class DrapeCommand:
     """A joint map (.toml) for a motion whose joint names are not known; `quaffure inspect` writes one to edit."""
     frames: str = ":"
     """Frames A:B:STEP of the motion at 30 frames per second, from A up to B, which is not included; `30` alone is one
-    frame."""
+    frame. A clip starts at A: what moves before is not draped."""
     in_place: bool = False
     """Leave out the path of the body through the world; it turns, but does not travel."""
     body: Path | None = None
@@ -98,10 +98,11 @@ class DrapeCommand:
     """The method: one of the solvers (docs/solvers.md), the network, or the supervised baseline (docs/groomgen.md).
     Without it strand_newton, or with --weights the network."""
     coherent: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
-    """With strand_newton: drape each frame by itself. Without this option every frame starts from the last one, so that
-    clips do not jump."""
-    settle: int = 0
-    """Passes of strand_newton from the output of another draper; 0 is that draper alone."""
+    """With strand_newton: drape each frame by itself. Without this option, or with --coherent, the first frame is
+    settled and every next one starts from the last, so that clips do not jump."""
+    settle: Annotated[int, tyro.conf.arg(metavar="[INT]")] = 0
+    """Passes of strand_newton from the output of another draper, 3 where no number follows; without the option that
+    draper alone."""
     elastic: Annotated[str | None, tyro.conf.arg(metavar=f"{{{','.join(ELASTIC_MODELS)}}}")] = None
     """The elastic model: rod, but modified_cosserat, the paper's, with xpbd_paper, groomgen and --model paper; xpbd
     accepts both, adam and lbfgs in all their forms any. Metrics are those of the same model."""

@@ -30,6 +30,7 @@ from quaffure.apps.cli.train import TrainCommand
 from quaffure.apps.cli.train_code import TrainCodeCommand
 from quaffure.apps.cli.view import ViewCommand
 from quaffure.errors import InputError
+from quaffure.solvers.strand_newton import SETTLING_PASSES
 
 Command = (
     Annotated[DrapeCommand, tyro.conf.subcommand("drape")]
@@ -88,7 +89,7 @@ def parse(arguments: list[str] | None = None) -> Command:
                 Command,
                 prog="quaffure",
                 description="Drape strand hair on a posed, shaped body. `quaffure --version` prints the version.",
-                args=words,
+                args=_in_full(words),
                 config=(
                     tyro.conf.OmitSubcommandPrefixes,
                     tyro.conf.OmitArgPrefixes,
@@ -100,6 +101,15 @@ def parse(arguments: list[str] | None = None) -> Command:
         if not stop.code:  # --help
             raise
         _refuse(option_error(message.getvalue(), words, Command))
+
+
+def _in_full(words: list[str]) -> list[str]:
+    """Words as tyro parses them, which knows neither values that may be left out nor options for what is so already."""
+    full = [word for word in words if word != "--coherent"] if words[:1] == ["drape"] else words
+    for index in reversed([index for index, word in enumerate(full) if word == "--settle"]):
+        if full[index + 1 : index + 2] == [] or full[index + 1].startswith("--"):
+            full = [*full[: index + 1], str(SETTLING_PASSES), *full[index + 1 :]]
+    return full
 
 
 def _refuse(reason: str) -> NoReturn:

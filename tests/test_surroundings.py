@@ -37,13 +37,16 @@ def random_strands(count: int = 200) -> tuple[torch.Tensor, torch.Tensor, Surrou
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-4), (torch.bfloat16, 0.02)])
 def test_the_kernel_is_its_twin(dtype: torch.dtype, tolerance: float) -> None:
     roots, edges, strands = random_strands()
-    features = torch.full((2, len(strands.mass), SURROUNDING_FEATURES * (VERTICES - 1)), torch.nan, dtype=dtype)
+    # The last columns of more, as in a drape.
+    own = 3
+    features = torch.full((2, len(strands.mass), own + SURROUNDING_FEATURES * (VERTICES - 1)), torch.nan, dtype=dtype)
     around, vectors = tuple(map(torch.Tensor.numpy, strands)), (roots.numpy(), edges.numpy())
-    write_surroundings(around, *vectors, grid_units(GRID), get_num_threads(), bits(features))
+    write_surroundings(around, *vectors, grid_units(GRID), get_num_threads(), bits(features)[..., own:])
     positions = integrate_directions(roots, edges, strands.rest_length)
     expected = surroundings_reference(positions, strands, GRID).flatten(2)
     assert expected.std() > 0.5
-    torch.testing.assert_close(features.float(), expected, atol=tolerance, rtol=tolerance)
+    torch.testing.assert_close(features[..., own:].float(), expected, atol=tolerance, rtol=tolerance)
+    assert features[..., :own].isnan().all()
 
 
 def test_the_gradient_is_that_of_the_density() -> None:

@@ -108,10 +108,12 @@ class GuideInterpolation:
             raise InputError("guides", f"{len(self.guide_lengths)} of {self.vertex_count} vertices", f"{guides.shape}")
         if out is None:
             out = np.empty((len(self), self.vertex_count, 3), np.float32)
+        # Writable, as most arrays are: kernels are compiled anew for those that are not, such as a file's.
+        guides, body_vertices = (np.require(array, requirements=("C", "W")) for array in (guides, body_vertices))
         axes, detail = np.empty_like(guides), np.empty_like(guides)
-        _split(np.ascontiguousarray(guides), axis_projection(self.vertex_count), axes, detail)
+        _split(guides, axis_projection(self.vertex_count), axes, detail)
         mixture = _Mixture(self.guides, self.weights, self.guide_lengths, self.carriers, self.root_weights)
-        _mix(axes, detail, mixture, np.ascontiguousarray(body_vertices), first_direction_vertex(self.vertex_count), out)
+        _mix(axes, detail, mixture, body_vertices, first_direction_vertex(self.vertex_count), out)
         return out
 
 

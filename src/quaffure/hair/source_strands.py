@@ -130,7 +130,8 @@ class OriginalStrands(GuideInterpolation):
         rest = np.ascontiguousarray(self.groom.rest_strands.numpy(), dtype=np.float32)
         if guides.shape != rest.shape:
             raise InputError("guides", f"the {len(rest)} of {rest.shape[1]} vertices of the groom", f"{guides.shape}")
-        draped = np.ascontiguousarray(guides, dtype=np.float32)
+        # Writable, as most guides are: kernels are compiled anew for those that are not, such as a file's.
+        draped = np.require(guides, np.float32, ("C", "W"))
         if not (np.isfinite(draped).all() and np.isfinite(body_vertices).all()):
             raise InputError("guides", "finite guides and body vertices", "NaN or infinity")
         # A copy: frames read from a file are not writable.

@@ -107,7 +107,8 @@ def initial_shape_kernel(
                 joint = rods.mass[block, edge], rods.bending[block, edge], rods.goal[block, edge]
                 lane.load(strands.edges[block, edge], loads, joint, body.pull[sample], body.stiffness, rows, own[edge])
             rod.relax(own, passes, states[thread], passed[thread])
-            cover[3], listed = np.float32(-1.0), 0
+            # A literal would be a type of its own, for which `evaluate_ends` is compiled again.
+            cover[3], listed = np.float32(-1.0), int(np.int64(0))
             for edge in range(count):
                 lane.aim(own[edge], rows)
                 listed = lane.evaluate_ends(own_records, own_positions, body.radius, cover, listed, inside, near, rows)

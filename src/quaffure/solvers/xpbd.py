@@ -202,7 +202,7 @@ class HairInMotion:
 
     def world(self) -> FloatOf[np.ndarray, "s n 3"]:
         """Vertices [m, world]."""
-        return (unpacked(self.x, len(self.roots)) + self.roots[:, None]).astype(np.float32)
+        return (unpacked(self.x, len(self.roots)) + self.roots[:, None]).astype(np.float32, order="C")
 
     def step(self, time_step: float, setting: XpbdSetting) -> None:
         """One time step of dt [s] from rest."""

@@ -6,7 +6,7 @@ float64 there: with long time steps a root's tension moves its vertex by metres,
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -75,7 +75,8 @@ def sweep_strands(
         relaxation: omega of successive over-relaxation of the edges.
         most_push: how far one projection of a contact moves a vertex at most [m].
     """
-    for block in prange(len(strands.x)):
+    for index in prange(len(strands.x)):
+        block: Any = np.int64(index)  # one type, see `quaffure.energies.stability.stable_factors`
         _sweep_block(block, strands, contact_stiffness, relaxation, most_push, sweeps)
 
 
@@ -162,7 +163,8 @@ def find_planes(
         last: changed.
         plane: as in `XpbdBlocks`; changed.
     """
-    for strand in prange(len(margin)):
+    for index in prange(len(margin)):
+        strand: Any = np.int64(index)  # one type, as above
         _find_planes_of_strand(strand, positions, roots, margin, surface, last, plane)
 
 

@@ -232,8 +232,10 @@ def test_held_edges_keep_their_posed_directions_and_free_hair_falls() -> None:
     assert float(rotated[::2, HELD + 2 :].mean()) > 0.1
 
 
-def test_the_design_stays(body: BodyModel) -> None:
-    scene = upright_scene(few_strands(body), body)
+@pytest.mark.parametrize("style", ["long_straight", "bowl_cut"])
+def test_the_design_stays(body: BodyModel, style: str) -> None:
+    """Also where hair that has fallen ends lower, as a thin bowl cut."""
+    scene = upright_scene(few_strands(body, style), body)
     draped = StrandNewtonDraper().drape(scene)
     assert float((draped - scene.posed).norm(dim=-1).max()) < 1e-3
 

@@ -42,6 +42,8 @@ class StrandNewtonSetting:
         contact_passes: without other hair.
         rounds: in which the passes with all terms are done from there; hair is pushed out of the body between them.
         tied_factor: how many times as many passes and rounds tied hair takes.
+        rest_distance: mean displacement of vertices from the posed groom, after `rest_passes` with all terms, up to
+            which hair rests there [m].
         control: of the steps.
     """
 
@@ -51,14 +53,17 @@ class StrandNewtonSetting:
     contact_passes: int = 2
     rounds: int = 3
     tied_factor: int = 2
+    rest_distance: float = 1e-3
+    rest_passes: int = 6
     control: StepControl = field(default_factory=StepControl)
 
     def __post_init__(self) -> None:
         """Raises:
         ValueError: fewer passes in all than without contact and without other hair, no round or a factor below 1.
         """
-        if self.rounds < 1 or self.tied_factor < 1:
-            raise ValueError(f"rounds, tied_factor: expected at least 1, found {self.rounds} and {self.tied_factor}")
+        if min(self.rounds, self.tied_factor, self.rest_passes) < 1:
+            found = f"{self.rounds}, {self.tied_factor} and {self.rest_passes}"
+            raise ValueError(f"rounds, tied_factor, rest_passes: expected at least 1, found {found}")
         least = self.free_passes + self.contact_passes
         if self.passes < least:
             raise ValueError(f"passes: expected at least {least}, free and contact passes, found {self.passes}")
@@ -156,16 +161,20 @@ class StrandNewtonDraper:
         return torch.cat(settled)
 
     def descend(self, energy: HairEnergy, scene: HairScene) -> StrandDescent:
-        """The strands of one sample at rest, from the start that ends lowest.
+        """The strands of one sample at rest: where they were posed, or from the start that ends lowest.
 
-        Hair falls from the posed groom. Where the posed groom may have less energy than what comes out, hair settles
-        from it as well: upright it is the design, from which passes without contact push hair into the head. Tied hair
+        Hair that rests where it was posed stays there, as upright in its design: a lower minimum elsewhere is another
+        hairstyle. Other hair falls from the posed groom, and settles from it as well where it may have less energy than
+        what comes out: passes without contact push hair into the head. Tied hair
         also settles from there with contact: falling, a tail would pass through the head and divide. Its strands are so
         dense that after as many passes as other hair takes, neither energy says where it ends.
         """
         setting = self.setting
+        posed = StrandDescent(energy, scene, setting.control)
+        own_energy_posed = posed.own_energy
+        if self._rests(posed, scene):
+            return posed
         fallen = StrandDescent(energy, scene, setting.control)
-        own_energy_posed = fallen.own_energy
         fallen.run_free(setting.free_passes)
         fallen.resolve_contact(setting.resolved_share)
         fallen.run_with_contact(setting.contact_passes)
@@ -182,6 +191,19 @@ class StrandNewtonDraper:
             found[-1].run_with_contact(setting.free_passes + setting.contact_passes)
             self._settle_in_rounds(found[-1], passes, factor * setting.rounds)
         return min(found, key=lambda shape: shape.settled_energy)
+
+    def _rests(self, posed: StrandDescent, scene: HairScene) -> bool:
+        """Settle strands from where they were posed, and whether they rest there; far from it after one pass."""
+        setting = self.setting
+        posed.settle(1)
+        if posed.moved.mean() > 3 * setting.rest_distance:
+            return False
+        posed.settle(setting.rest_passes - 1)
+        moved = (posed.positions - scene.posed)[:, :, 1:].norm(dim=-1).mean()
+        if moved > setting.rest_distance:
+            return False
+        posed.settle(max(setting.passes - setting.rest_passes, 0))
+        return True
 
     def _settle_in_rounds(self, descent: StrandDescent, passes: int, rounds: int) -> None:
         # Hair that other hair has pressed into the body, as on the crown in a bow, would stay there: contact is weaker.

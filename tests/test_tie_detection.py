@@ -57,6 +57,15 @@ def test_strands_that_pass_a_ring_are_tied_there() -> None:
     assert ((held_to >= 7) & (held_to <= 9)).all()  # vertex 7.7 is at 10 cm
 
 
+def test_a_tail_that_narrows_to_its_tips_is_tied_at_its_waist() -> None:
+    strands = through_a_ring(hanging())
+    below = np.clip((-strands[..., 2:] - 0.15) / 0.15, 0, 1)
+    strands[..., :2] *= 1 - 0.97 * below  # at its tips closer together than in the ring
+    held_to, ties = find_ties(groom_of(strands))
+    assert len(ties) == 1
+    assert ((held_to >= 7) & (held_to <= 9)).all()
+
+
 def test_a_half_narrowed_stream_is_no_tie() -> None:
     assert find_ties(groom_of(through_a_ring(hanging(), width=0.5)))[1] == []
 

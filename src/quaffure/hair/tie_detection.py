@@ -42,7 +42,9 @@ MOST_AROUND = 1.2
 """Strands that pass within twice the radius, relative to those of the tie."""
 SIMILAR_COUNT, SIMILAR_DISTANCE = 0.5, 1.25
 """Cells of a tie: those with this share of the strands of the best. Of them the first is taken whose strands pass
-nearly as close together as anywhere, by this factor."""
+nearly as close together as anywhere before or shortly after, by this factor: tails narrow again to their tips."""
+WAIST = 4.0
+"""How far after it [edges]."""
 RADII = (0.010, 0.030)
 """Least and largest radius within which strands belong to a tie [m]; between, `RADIUS` times their median distance."""
 RADIUS = 2.5
@@ -215,7 +217,7 @@ def _cells_of_grid(
 
 
 def _narrowest(cells: _Cells, best: int, samples: _Samples) -> Float[np.ndarray, "3"]:
-    """Centre of the first place where the strands of the best cell are as close together as anywhere."""
+    """Centre of the first waist of the strands of the best cell."""
     near = np.linalg.norm(samples.points - cells.centre[best], axis=1) < 0.5 * CELL
     members = np.unique(samples.strand[near])
     own = samples.select(np.isin(samples.strand, members[:: math.ceil(len(members) / SAMPLED_MEMBERS)]))
@@ -226,7 +228,8 @@ def _narrowest(cells: _Cells, best: int, samples: _Samples) -> Float[np.ndarray,
         centres[place] = np.median(own.points[_closest(own, centres[place])[1]], axis=0)
         nearest, index = _closest(own, centres[place])
         distance[place], reached[place] = np.median(nearest), np.median(own.position[index])
-    tight = distance <= SIMILAR_DISTANCE * distance.min()
+    until = reached <= reached[:, None] + WAIST
+    tight = distance <= SIMILAR_DISTANCE * np.where(until, distance, np.inf).min(axis=1)
     return centres[np.where(tight, reached, np.inf).argmin()]
 
 

@@ -38,7 +38,7 @@ class ViewState:
         frame: index in the clip.
         joint_rotations: rotation vectors about the axes of the rest pose, by joint, applied after the clip [degrees].
         body_shape: beta [standard deviations].
-        loading: stiffness of the hair, gravity and wind; `strand_newton` and the network read them.
+        loading: stiffness of the hair, gravity and wind; drapers that know one hair and one gravity leave them.
 
     Raises:
         InputError: a frame outside of the clip, a joint that the body does not have, or not ten shape coefficients.

@@ -59,7 +59,7 @@ def test_strands_that_pass_a_ring_are_tied_there() -> None:
 
 def test_a_tail_that_narrows_to_its_tips_is_tied_at_its_waist() -> None:
     strands = through_a_ring(hanging())
-    below = np.clip((-strands[..., 2:] - 0.15) / 0.15, 0, 1)
+    below = np.clip((-strands[..., 2:] - 0.15) / 0.1, 0, 1)
     strands[..., :2] *= 1 - 0.97 * below  # at its tips closer together than in the ring
     held_to, ties = find_ties(groom_of(strands))
     assert len(ties) == 1

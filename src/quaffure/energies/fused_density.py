@@ -4,7 +4,6 @@ The second pass visits active vertices alone: most hair is no denser than at res
 side exerts no force. Its torch twin is `quaffure.energies.self_collision`; a test holds the two together.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from numba import get_num_threads, njit, prange
 from quaffure.config import HairMaterial
 from quaffure.energies.known_gradient import with_gradient
 from quaffure.energies.rest_state import RestState
-from quaffure.energies.smoothing_kernel import kernel_slope, kernel_value
+from quaffure.energies.smoothing_kernel import kernel_slope, kernel_value, per_kernel_volume
 from quaffure.geometry.cell_list import cell_columns, check_finite, interleaved, sort_into_cells
 from quaffure.types import Energy, Float, Positions, Tensor
 
@@ -93,7 +92,7 @@ def _excess(
     threads: int, excess: np.ndarray,
 ) -> None:  # fmt: skip
     """Density minus that at rest [kg/m^3] where it is above, in the sorted order; `rest_density` is not."""
-    scale = np.float32(1.0 / (4.0 * math.pi)) / (h * h * h)
+    scale = per_kernel_volume(h)
     inverse = np.float32(1.0) / h
     start = particles.start
     columns, along = shape[0] * shape[1], shape[2]
@@ -131,7 +130,7 @@ def density_gradient(
         threads: that share the work.
         gradient: filled, in the unsorted order [N].
     """
-    scale = np.float32(1.0 / (4.0 * math.pi)) / (h * h * h * h)
+    scale = per_kernel_volume(h) / h
     inverse = np.float32(1.0) / h
     start = particles.start
     columns, along = shape[0] * shape[1], shape[2]

@@ -39,3 +39,9 @@ def kernel_slope(q: float) -> float:
     """dW / dq of Eq. 13 at q = r / h, without a branch."""
     far, near = max(_TWO - q, _ZERO), max(_ONE - q, _ZERO)
     return _THREE * (_FOUR * near * near - far * far)
+
+
+@njit(cache=True, fastmath=True, inline="always")
+def per_kernel_volume(smoothing_length: np.float32) -> np.float32:
+    """1 over `kernel_volume` [1/m^3], in single precision. Kernels inline it."""
+    return np.float32(1.0 / (4.0 * math.pi)) / (smoothing_length * smoothing_length * smoothing_length)

@@ -14,6 +14,7 @@ from quaffure.energies.rod_kernels import RodArrays, rod_of_strand, rod_workspac
 from quaffure.geometry.bvh import search_workspace
 from quaffure.geometry.cell_list import interleaved
 from quaffure.geometry.polyline import integrate_strand
+from quaffure.geometry.rotation_kernel import rotated_by_gibbs
 from quaffure.geometry.surface import SurfaceArrays
 from quaffure.geometry.surface_distance import distance_within
 
@@ -237,10 +238,8 @@ def rotate_edges(
             tx, ty, tz = direction[strand, edge, 0], direction[strand, edge, 1], direction[strand, edge, 2]
             rx, ry, rz = rotation[strand, edge, 0], rotation[strand, edge, 1], rotation[strand, edge, 2]
             angle = np.sqrt(rx * rx + ry * ry + rz * rz)
-            cosine, sine = np.cos(step * angle), np.sin(step * angle) / max(angle, _TINY)
-            vx = cosine * tx + sine * (ry * tz - rz * ty)
-            vy = cosine * ty + sine * (rz * tx - rx * tz)
-            vz = cosine * tz + sine * (rx * ty - ry * tx)
+            half = np.tan(_HALF * step * angle) / max(angle, _TINY)
+            vx, vy, vz = rotated_by_gibbs((half * rx, half * ry, half * rz), (tx, ty, tz))
             inverse = _ONE / max(np.sqrt(vx * vx + vy * vy + vz * vz), _TINY)
             out[strand, edge, 0], out[strand, edge, 1], out[strand, edge, 2] = inverse * vx, inverse * vy, inverse * vz
 

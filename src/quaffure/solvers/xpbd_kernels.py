@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit, prange
 
 from quaffure.energies.fused_density import Particles
-from quaffure.energies.smoothing_kernel import kernel_slope, kernel_value
+from quaffure.energies.smoothing_kernel import kernel_slope, kernel_value, per_kernel_volume
 from quaffure.geometry.bvh import nearest_face, search_workspace
 from quaffure.geometry.cell_list import cell_columns
 from quaffure.geometry.occupancy_grid import FREE_DISTANCE, is_clear
@@ -210,7 +210,7 @@ def excess_and_mobility(
     """Density minus that at rest [kg/m^3], and how fast its own pressure lowers it: the sum over the vertices j near i
     of `inverse`_j times the squared gradient of density i with respect to x_j, all in the sorted order."""
     x, y, z, mass, start = particles
-    scale = np.float32(1.0 / (4.0 * math.pi)) / (h * h * h)
+    scale = per_kernel_volume(h)
     per_metre = scale / h
     for cell in prange(len(start) - 1):
         if start[cell] == start[cell + 1]:

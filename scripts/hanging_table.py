@@ -1,6 +1,7 @@
 """How the styles hang with `strand_newton`: the table in docs/hanging.md.
 
-python scripts/hanging_table.py [STYLE ...]; upright, and bowed in the middle of the bundled clip, each frame alone.
+python scripts/hanging_table.py [STYLE or FILE ...]; upright, and bowed in the middle of the
+bundled clip, each frame alone.
 """
 
 import sys
@@ -15,7 +16,8 @@ from quaffure.energies.body_collision import intersection_percent
 from quaffure.energies.by_name import hair_terms
 from quaffure.energies.sag_free import sag_free_report
 from quaffure.hair import Groom
-from quaffure.procedural import STYLES, make_groom
+from quaffure.io import load_groom
+from quaffure.procedural import STYLES
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import StrandNewtonDraper
 
@@ -34,7 +36,7 @@ def main(names: list[str]) -> None:
     print(f"| {' | '.join(COLUMNS)} |")
     print("|---" * len(COLUMNS) + "|")
     for name in names:
-        print(f"| {' | '.join(_row(make_groom(name, body), body))} |", flush=True)
+        print(f"| {' | '.join(_row(load_groom(name, body), body))} |", flush=True)
 
 
 def _row(groom: Groom, body: BodyModel) -> list[str]:

@@ -68,7 +68,7 @@ class DrapeCache:
         """Digest of the groom in this folder that is the same within `SAME_GROOM`; where there is none, of this one,
         which the folder keeps.
 
-        No groom is the same to the last bit on another processor, with another number of threads or freshly compiled.
+        No groom is the same to the last bit on another processor or freshly compiled.
         """
         strands, root_uv = groom.rest_strands.numpy(), groom.root_uv.numpy()
         folder = made_folder(self.folder / "grooms", "a folder for grooms")

@@ -126,7 +126,8 @@ class DrapeCommand:
     metrics: bool = False
     """Measure and print all metrics (docs/metrics.md), which takes longer than most drapes."""
     strict: bool = False
-    """Exit with 3 where a tip jumps or hair is inside the body; the files are written all the same."""
+    """Exit with 3 where a tip jumps or, in a frame, more than 0.1 % of the vertices are inside the body; the files are
+    written all the same."""
     strands: str | None = None
     """Strands for all files but .npz: a number of them to interpolate between the draped ones, 10,000 to 100,000 make
     a full head of hair; `original`, every strand of a groom file as it was made, driven by the draped ones (see

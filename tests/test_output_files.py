@@ -1,5 +1,6 @@
 """Output files: whole or not at all, checked before the work, and nothing left behind."""
 
+import json
 import os
 import subprocess
 import sys
@@ -198,6 +199,54 @@ def test_an_output_that_is_an_input_is_refused(command: list[str], tmp_path: Pat
     words = [word.replace("IN", names["IN"]).replace("OUT", names["OUT"]) for word in command]
     assert "expected an output that is none of the inputs" in refusal_of(words)
     assert (folder / "file.npz").read_bytes() == b"precious"
+
+
+USD_NAMES = {
+    "sublayer": "(\nsubLayers = [@./OUT.usda@]\n)\n",
+    "sublayer of a sublayer": "(\nsubLayers = [@./between.usda@]\n)\n",
+    "search path": "(\nsubLayers = [@OUT.usda@]\n)\n",
+    "reference": 'def "A" (references = @./OUT.usda@) {}\n',
+    "payload": 'def "A" (payload = @./OUT.usda@</A>) {}\n',
+    "value clip": 'def "A" (clips = {dictionary default = {asset[] assetPaths = [@./OUT.usda@]}}) {}\n',
+    "texture": 'def "A" {\nasset file = @./OUT.png@\n}\n',
+}
+
+
+@pytest.mark.parametrize("text", USD_NAMES.values(), ids=USD_NAMES.keys())
+def test_an_output_that_a_usd_input_names_is_refused(text: str, tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    (tmp_path / "top.usda").write_text(f"#usda 1.0\n{text}")
+    (tmp_path / "between.usda").write_text('#usda 1.0\ndef "A" (payload = @./OUT.usda@) {}\n')
+    for name in ("OUT.usda", "OUT.png"):
+        (tmp_path / name).write_text("#usda 1.0\n")
+    (tmp_path / "link").symlink_to(tmp_path)
+    suffix = ".png" if "png" in text else ".usda"
+    command = ["drape", str(tmp_path / "top.usda"), "--draper", "posed", "--out", f"{tmp_path}/link/OUT{suffix}"]
+    assert f"found a file that the input {tmp_path}/top.usda names" in refusal_of(command)
+    assert (tmp_path / f"OUT{suffix}").read_text() == "#usda 1.0\n"
+    check_output(tmp_path / "between.npz", ".npz", inputs=[tmp_path / "top.usda"])
+
+
+@pytest.mark.parametrize("name", ["walk arm.bin", "skin.png"])
+def test_an_output_that_a_gltf_input_names_is_refused(name: str, tmp_path: Path) -> None:
+    document = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"uri": "data:;base64,AAAA"}, {"uri": "walk%20arm.bin", "byteLength": 8}],
+        "images": [{"uri": "skin.png"}],
+    }
+    (tmp_path / "walk.gltf").write_text(json.dumps(document))
+    (tmp_path / name).write_bytes(b"precious")
+    command = ["drape", "bob", "--motion", f"{tmp_path}/walk.gltf#0", "--out", f"{tmp_path}/{name}"]
+    assert f"found a file that the input {tmp_path}/walk.gltf#0 names" in refusal_of(command)
+    (tmp_path / name).unlink()
+    check_output(tmp_path / name, ".bin", ".png", inputs=[tmp_path / "walk.gltf"])  # a new file replaces nothing
+
+
+def test_a_row_of_a_table_does_not_replace_what_another_reads(tmp_path: Path) -> None:
+    (tmp_path / "table.csv").write_text(
+        f"groom,motion,out\n{tmp_path}/a.npz,nod,{tmp_path}/b.npz\nbob,nod,{tmp_path}/a.npz\n"
+    )
+    assert "found the input" in refusal_of(["crowd", str(tmp_path / "table.csv")])
 
 
 def test_one_file_twice_is_refused(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ FLIP_RETURN_SHARE = 0.3
 MAX_FRAMES = 100_000
 LARGEST_TRANSLATION = 1000.0  # m; farther away, vertices in float32 would be 0.1 mm apart
 
-_FRAMES = re.compile(r"(\d*):(\d*)(?::(\d+))?|(?P<one>\d+)")
+_FRAMES = re.compile(r"(\d{0,9}):(\d{0,9})(?::(\d{1,9}))?|(?P<one>\d{1,9})")
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,8 @@ class Motion:
         """
         match = _FRAMES.fullmatch(spec.strip())
         if match is None:
-            raise InputError(f"frames '{spec}'", "A:B:STEP with whole numbers, such as 300:600:2", f"'{spec}'")
+            expected = "A:B:STEP with whole numbers, such as 300:600:2"
+            raise InputError(f"frames '{spec[:40]}'", expected, f"'{spec[:40]}'")
         first = int(match["one"] or match[1] or 0)
         end = first + 1 if match["one"] else int(match[2]) if match[2] else len(self)
         step = int(match[3] or 1)

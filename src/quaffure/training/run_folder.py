@@ -1,6 +1,7 @@
 """The folder of a training run: its settings, its logs, and the checkpoint to resume from."""
 
 import csv
+import re
 import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
@@ -129,7 +130,7 @@ class RunFolder:
         # Not every .csv of the folder: it may be one that holds tables of the user's.
         for path in (self.path / f"{name}.csv" for name in get_args(Table)):
             columns, rows = _read_table(path)
-            whole = [row for row in rows if None not in row.values() and row.get("step", "").isdigit()]
+            whole = [row for row in rows if None not in row.values() and re.fullmatch(r"\d{1,18}", row.get("step", ""))]
             kept = [row for row in whole if int(row["step"]) <= step]
             if len(kept) < len(rows):
                 _write_table(path, columns, kept)
@@ -158,7 +159,10 @@ def code_version() -> str:
 def _read_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     if not path.is_file():
         return [], []
-    with path.open(newline="", encoding="utf-8") as file:
+    with (
+        refused(path, "a table of a training (.csv)", OSError, UnicodeDecodeError, csv.Error),
+        path.open(newline="", encoding="utf-8") as file,
+    ):
         reader = csv.DictReader(file)
         rows = list(reader)
         return list(reader.fieldnames or []), rows

@@ -14,7 +14,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.motion import Motion
 from quaffure.config import HairMaterial
 from quaffure.draper import ClipDraper, Draper, ResumableDraper
-from quaffure.errors import refused
+from quaffure.errors import InputError, refused
 from quaffure.file_values import material_from
 from quaffure.frame_store import BatchState, Frames, FramesInMemory, FrameStore
 from quaffure.hair.drape_sequence import DrapeSequence
@@ -55,6 +55,8 @@ def drape_motion(
         draper.restart()
         draper.frame_seconds = 1 / motion.fps
     stored = len(store)
+    if stored:
+        _check_stored(store, groom, body)
     for first in range(0, len(motion), FRAMES_AT_ONCE):
         rows = slice(first, min(first + FRAMES_AT_ONCE, len(motion)))
         start = time.perf_counter()
@@ -78,6 +80,14 @@ def drape_motion(
     times = store.milliseconds[1:] or store.milliseconds
     made_by = {"draper": draper.name, "material": asdict(draper.material), "milliseconds": float(np.median(times))}
     return _sequence(store.frames(), groom, motion, body_shape, body.faces.numpy().astype(np.int32), made_by)
+
+
+def _check_stored(store: FrameStore, groom: Groom, body: BodyModel) -> None:
+    strands = tuple(groom.rest_strands.shape)
+    expected = strands, strands, (len(body.rest_vertices), 3)
+    for name, array, shape in zip(Frames._fields, store.frames(), expected):
+        if array.shape[1:] != shape:
+            raise InputError("frames of an interrupted drape", f"{name} of shape {shape}", f"{array.shape[1:]}")
 
 
 def _along_path(draped: Positions, scene: Scene, path: Float32[np.ndarray, "f 3"]) -> Frames:

@@ -29,6 +29,7 @@ from quaffure.energies.rod import RodRest, in_frames, joint_stiffness, previous_
 from quaffure.energies.rod_kernels import rod_arrays, rod_energies_and_gradient
 from quaffure.energies.stability import Design, stable_factors
 from quaffure.energies.support import StrandForces, solve_support, transmitted_moments
+from quaffure.errors import InputError
 from quaffure.geometry.polyline import directors
 from quaffure.hair.clearance import distances_and_normals
 from quaffure.hair.groom import Groom

@@ -88,7 +88,7 @@ def check_not_input(path: Path, inputs: Iterable[str | Path | None]) -> None:
 
 
 def check_no_inputs(paths: Iterable[Path], inputs: Iterable[str | Path | None]) -> None:
-    """`check_not_input` of several outputs, for which every input is looked at once."""
+    """`check_not_input` of several outputs, for which every input is opened once."""
     sources = [*dict.fromkeys(source for source in inputs if source is not None)]
     files = {_identity(file_and_clip(source)[0]): f"the input {source}" for source in reversed(sources)}
     replaced = [path for path in paths if _refuse_known(path, files).exists()]

@@ -5,10 +5,12 @@ import re
 import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from functools import cache
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal, get_args
+from zipfile import ZIP_STORED, ZipFile
 
 import torch
 
@@ -90,6 +92,7 @@ class RunFolder:
             return None
         check_input_file(path, CHECKPOINT_FILE)
         with self.reading():
+            _check_size(path)
             state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
             _ = state["identity"]
         for name, expected in identity.items():
@@ -141,8 +144,9 @@ def body_digest(body: BodyModel) -> str:
     return array_digest(body.rest_vertices)[:8]
 
 
+@cache
 def code_version() -> str:
-    """Version of the package, and in a git checkout of its source also the commit."""
+    """Version of the package, and in a git checkout of its source also the commit, when this process asked first."""
     released = version("quaffure")
     root = Path(__file__).parents[3]
     if not (root / ".git").exists():
@@ -154,6 +158,19 @@ def code_version() -> str:
     except (OSError, subprocess.SubprocessError):
         return released
     return f"{released} ({described})"
+
+
+def _check_size(path: Path) -> None:
+    """Refuse a checkpoint that takes more memory than its size says: torch reads compressed ones, too, and writes none.
+
+    Raises:
+        InputError: compressed parts, or more bytes in them than in the file.
+    """
+    with ZipFile(path) as archive:
+        parts = archive.infolist()
+    total = sum(part.file_size for part in parts)
+    if total > path.stat().st_size or any(part.compress_type != ZIP_STORED for part in parts):
+        raise InputError(path, f"{CHECKPOINT_FILE}, uncompressed as torch.save writes it", f"{total} bytes")
 
 
 def _read_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:

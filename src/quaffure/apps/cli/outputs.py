@@ -165,11 +165,10 @@ def write_output(path: Path, clip: ExportClip, shows_progress: bool = True) -> N
         with _parts_shown(path, len(clip.sequence), shows_progress) as on_frame:
             write_video(path, clip.sequence, clip.interpolation, on_frame)
     elif suffix == ".abc":
-        from quaffure.io.alembic_groom import write_groom_asset, write_groom_cache
+        from quaffure.io.alembic_groom import write_groom_files
 
-        write_groom_asset(asset_path(path), clip)
         with _progress(path, clip) as on_frame:
-            write_groom_cache(path, clip, on_frame)
+            write_groom_files(path, asset_path(path), clip, on_frame)
     elif suffix == ".glb":
         from quaffure.io.glb import write_glb
 

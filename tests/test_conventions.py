@@ -1,6 +1,7 @@
 """The conventions that a linter does not check: sizes of files and functions, weight of the assets, cheap imports."""
 
 import ast
+import builtins
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -115,3 +116,19 @@ def test_the_example_of_the_docstring_runs() -> None:
     names: dict[str, object] = {}
     exec(compile(code, "the docstring of quaffure", "exec"), names)
     assert tuple(names["hair"].shape)[::2] == (1, 24)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(SOURCE)))
+def test_errors_that_are_raised_are_imported(path: Path) -> None:
+    """Neither ruff nor mypy looks names up, because axes of jaxtyping are none."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    known = {
+        alias.asname or alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    known |= {node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)} | {*dir(builtins)}
+    raised = (node.exc for node in ast.walk(tree) if isinstance(node, ast.Raise))
+    names = {each.func.id for each in raised if isinstance(each, ast.Call) and isinstance(each.func, ast.Name)}
+    assert names - known == set()

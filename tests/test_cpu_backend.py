@@ -144,7 +144,9 @@ def test_threads_make_no_difference(model: Quaffure, groom: Groom, bodies: BodyB
 def test_two_vertices_in_one_place_stay_there(model: Quaffure, groom: Groom, bodies: BodyBatch) -> None:
     strands = groom.rest_strands.clone()
     strands[7, 12] = strands[7, 11]
-    draped = model.drape(replace(groom, rest_strands=strands), bodies.body_pose, bodies.body_shape)
+    folded = replace(groom, rest_strands=strands)
+    # Below the checks, which refuse such a groom: kernels may come by such edges of their own.
+    draped = torch.cat(model.draper.drape_grooms([folded] * len(bodies.body_pose), bodies))
     assert draped.isfinite().all()
     torch.testing.assert_close(draped[:, 7, 12], draped[:, 7, 11])
 

@@ -215,6 +215,19 @@ def test_usd_of_another_file_that_ends_the_process_is_refused(tmp_path: Path) ->
         read_usd_strands(tmp_path / "small.usda")
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs on this system")
+@pytest.mark.parametrize("name", ["pipe.usda", "between.usda"])
+def test_usd_of_a_pipe_is_refused_and_not_waited_for(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("quaffure.io.strand_process.WALL_TIME", 100.0)  # or the wait is refused by itself
+    os.mkfifo(tmp_path / "pipe.usda")
+    (tmp_path / "between.usda").write_text('#usda 1.0\ndef "a" (references = @./pipe.usda@) {}\n')
+    (tmp_path / "top.usda").write_text(f"#usda 1.0\n(\nsubLayers = [@./{name}@]\n)\n")
+    with pytest.raises(InputError, match="found a pipe, socket or device"):
+        read_usd_strands(tmp_path / "top.usda")
+
+
 def test_numbers_of_more_digits_than_python_converts(tmp_path: Path) -> None:
     digits = "9" * 5000
     head = "HIERARCHY\nROOT hip\n{\nOFFSET 0 0 0\n"

@@ -6,16 +6,22 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
+import quaffure
 from quaffure.baselines.posed import PosedDraper
 from quaffure.body import BodyModel, Motion
+from quaffure.config import HairMaterial
+from quaffure.energies.by_name import hair_terms
+from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.hair import Groom
-from quaffure.io import read_drape, write_drape, write_groom
+from quaffure.hair.groom_binding import groom_binding
+from quaffure.io import read_drape, read_groom, write_drape, write_groom
 from quaffure.model.quaffure_model import Quaffure, load_model
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers.by_name import solver
@@ -113,38 +119,184 @@ def test_arrays_and_lists_are_poses_too(model: Quaffure, groom: Groom) -> None:
             model.drape(groom, bad, SHAPE)  # type: ignore[arg-type]
 
 
-GROOM_FAULTS: dict[str, Callable[[Groom], Groom]] = {
-    "no strands": lambda groom: groom.select(torch.arange(0)),
-    "NaN in a vertex": lambda groom: replace(groom, rest_strands=_marred(groom.rest_strands, float("nan"))),
-    "a vertex at 1e30": lambda groom: replace(groom, rest_strands=_marred(groom.rest_strands, 1e30)),
-    "NaN in barycentrics": lambda groom: replace(groom, root_barycentric=_marred(groom.root_barycentric, float("nan"))),
-    "infinity in barycentrics": lambda groom: replace(
-        groom, root_barycentric=_marred(groom.root_barycentric, float("inf"))
+def test_motions_bodies_and_clips_take_arrays_and_lists(body: BodyModel, groom: Groom) -> None:
+    few, pose = groom.select(torch.arange(3)), torch.linspace(-0.2, 0.2, 81)[None]
+    motion = Motion(pose, 30.0, "own", torch.ones(1, 3))
+    assert motion.body_pose is pose
+    posed = PosedDraper(HairMaterial())
+    expected = quaffure.drape_clip(few, motion, torch.full((10,), 0.5), posed)
+    for numbers in (
+        lambda tensor: tensor.numpy(),
+        lambda tensor: tensor.double().numpy(),
+        lambda tensor: tensor.tolist(),
+    ):
+        same = Motion(numbers(pose), 30.0, "own", numbers(motion.translation))
+        assert torch.equal(same.body_pose, pose)
+        assert same.translation is not None
+        assert same.translation.dtype is torch.float32
+        drape = quaffure.drape_clip(few, same, numbers(torch.full((10,), 0.5)), posed)
+        np.testing.assert_array_equal(drape.strands, expected.strands)
+        bodies = BodyBatch(body, numbers(pose), numbers(torch.full((1, 10), 0.5)))
+        assert torch.equal(bodies.posed.vertices, BodyBatch(body, pose, torch.full((1, 10), 0.5)).posed.vertices)
+        binding = groom_binding(few, body, numbers(torch.full((10,), 0.5)))
+        assert np.isfinite(binding.strands).all()
+
+
+def test_tensors_of_bodies_keep_their_gradients(body: BodyModel) -> None:
+    pose, shape = torch.zeros(1, 81, requires_grad=True), torch.zeros(1, 10, dtype=torch.float64)
+    bodies = BodyBatch(body, pose, shape)
+    assert bodies.body_pose is pose
+    assert bodies.body_shape is shape
+
+
+@pytest.mark.parametrize("bad", [["a"] * 10, [0.0] * 9, [[0.0] * 10], [[0.0], [0.0, 1.0]], [1e300] * 10])
+def test_numbers_of_another_layout_are_refused(bad: Any, body: BodyModel, groom: Groom) -> None:
+    motion = Motion(POSE, 30.0, "own")
+    for refused in (
+        lambda: quaffure.drape_clip(groom, motion, bad),
+        lambda: groom_binding(groom, body, bad),
+        lambda: BodyBatch(body, bad, SHAPE),
+        lambda: BodyBatch(body, POSE, [bad, bad]),
+        lambda: Motion(bad, 30.0, "own"),
+        lambda: Motion(POSE, 30.0, "own", bad),
+    ):
+        with pytest.raises(InputError):
+            refused()
+
+
+EDGES, TIES = "edges longer than 1e-06", "tie_vertex of -1"
+GROOM_FAULTS: dict[str, tuple[Callable[[Groom], Groom], str]] = {
+    "no strands": (lambda groom: groom.select(torch.arange(0)), "at least one strand"),
+    "NaN in a vertex": (lambda groom: marred(groom, "rest_strands", float("nan")), "finite"),
+    "a vertex at 1e30": (lambda groom: marred(groom, "rest_strands", 1e30), "finite"),
+    "NaN in barycentrics": (lambda groom: marred(groom, "root_barycentric", float("nan")), "finite"),
+    "infinity in barycentrics": (lambda groom: marred(groom, "root_barycentric", float("inf")), "finite"),
+    "other barycentrics": (lambda groom: marred(groom, "root_barycentric", 3.0), "barycentric coordinates that sum"),
+    "NaN in uv": (lambda groom: marred(groom, "root_uv", float("nan")), "finite"),
+    "uv off the chart": (lambda groom: marred(groom, "root_uv", 1.5), "root_uv in the unit square"),
+    "NaN in goals": (lambda groom: held(groom, "goal_weight", float("nan")), "finite"),
+    "goals below 0": (lambda groom: held(groom, "goal_weight", -1.0), "goal_weight from 0"),
+    "goals of 1e30": (lambda groom: held(groom, "goal_weight", 1e30), "goal_weight from 0 to 100"),
+    "stiffness below 0": (lambda groom: held(groom, "stiffness_scale", -1.0), "stiffness_scale from 1"),
+    "stiffness of 1e30": (lambda groom: held(groom, "stiffness_scale", 1e30), "stiffness_scale from 1"),
+    "two vertices in one place": (
+        lambda groom: replace(groom, rest_strands=coinciding(groom)),
+        EDGES,
     ),
-    "NaN in uv": lambda groom: replace(groom, root_uv=_marred(groom.root_uv, float("nan"))),
-    "NaN in goals": lambda groom: replace(groom, goal_weight=torch.full_like(groom.rest_lengths, float("nan"))),
+    "only roots": (
+        lambda groom: replace(groom, rest_strands=groom.rest_strands[:, :1].expand_as(groom.rest_strands)),
+        EDGES,
+    ),
+    "a tie beyond the tip": (
+        lambda groom: replace(groom, tie_vertex=torch.full((len(groom),), 24)),
+        TIES,
+    ),
+    "a tie below -1": (lambda groom: replace(groom, tie_vertex=torch.full((len(groom),), -2)), TIES),
+    "a tie of each vertex": (lambda groom: replace(groom, tie_vertex=torch.full((len(groom), 24), -1)), "of shape"),
+    "ties of another type": (lambda groom: replace(groom, tie_vertex=torch.zeros(len(groom))), "whole numbers as tie"),
+    "faces below 0": (lambda groom: marred(groom, "root_faces", -1), "root_faces that are faces"),
+    "faces of another type": (
+        lambda groom: replace(groom, root_faces=groom.root_faces.double()),
+        "whole numbers as root",
+    ),
+    "fewer faces": (lambda groom: replace(groom, root_faces=groom.root_faces[:-1]), "root_faces of shape"),
+    "one vertex": (lambda groom: replace(groom, rest_strands=groom.rest_strands[:, :1]), "vertices >= 2"),
+    "an array": (lambda groom: replace(groom, root_uv=groom.root_uv.numpy()), "a tensor as root_uv"),
+}
+OF_ANOTHER_BODY: dict[str, tuple[Callable[[Groom], Groom], str]] = {
+    "a face beyond the body's": (lambda groom: marred(groom, "root_faces", 10**6), "root_faces that are faces"),
 }
 
 
-def _marred(values: torch.Tensor, number: float) -> torch.Tensor:
-    marred = values.clone()
-    marred.view(-1)[-1] = number
-    return marred
+def marred(groom: Groom, name: str, number: float) -> Groom:
+    """With another number at the end of an array."""
+    values = getattr(groom, name).clone()
+    values.view(-1)[-1] = number
+    return with_array(groom, name, values)
 
 
-@pytest.mark.parametrize("fault", GROOM_FAULTS.values(), ids=GROOM_FAULTS.keys())
-def test_grooms_that_give_no_hair_are_refused(
-    fault: Callable[[Groom], Groom], model: Quaffure, groom: Groom, tmp_path: Path
-) -> None:
-    bad = fault(groom)
-    for refused in (
+def held(groom: Groom, name: str, number: float) -> Groom:
+    return with_array(groom, name, torch.full_like(groom.rest_lengths, number))
+
+
+def with_array(groom: Groom, name: str, values: torch.Tensor) -> Groom:
+    return replace(groom, **{name: values})  # type: ignore[arg-type]
+
+
+def coinciding(groom: Groom) -> torch.Tensor:
+    strands = groom.rest_strands.clone()
+    strands[1, 7] = strands[1, 6]
+    return strands
+
+
+@pytest.mark.parametrize("fault", [*GROOM_FAULTS, *OF_ANOTHER_BODY])
+def test_grooms_that_give_no_hair_are_refused(fault: str, model: Quaffure, groom: Groom, tmp_path: Path) -> None:
+    spoil, expected = (GROOM_FAULTS | OF_ANOTHER_BODY)[fault]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            Groom, "__init__", getattr(Groom.__init__, "__wrapped__", Groom.__init__)
+        )  # unchecked by beartype
+        bad = spoil(groom)
+    entries: list[Callable[[], object]] = [
         lambda: model.drape(bad, POSE, SHAPE),
         lambda: list(model.drape_many([bad], POSE, SHAPE)),
         lambda: solver("strand_newton").drape(Scene(bad, BodyBatch(model.body, POSE, SHAPE))),
         lambda: write_groom(tmp_path / "groom.npz", bad),
-    ):
-        with pytest.raises(InputError, match=r"expected (finite|at least one strand)"):
+    ]
+    for refused in entries[: 3 if fault in OF_ANOTHER_BODY else 4]:
+        with pytest.raises(InputError, match=f"expected .*{expected}"):
             refused()
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_written_is_read(model: Quaffure, groom: Groom, tmp_path: Path) -> None:
+    """At the limits that both have."""
+    strands = groom.rest_strands.clone()
+    edge = strands[0, 5] - strands[0, 4]
+    strands[0, 5:] += edge * (2e-6 / edge.norm() - 1)
+    short = replace(groom, rest_strands=strands)
+    short = replace(short, stiffness_scale=torch.full_like(short.rest_lengths, 1e6))
+    write_groom(tmp_path / "groom.npz", short)
+    assert torch.equal(read_groom(tmp_path / "groom.npz", model.body).rest_strands, strands)
+    assert model.drape(short, POSE, SHAPE).isfinite().all()
+
+
+def test_a_groom_that_is_spoiled_in_place_is_refused(model: Quaffure, groom: Groom) -> None:
+    model.drape(groom, POSE, SHAPE)
+    groom.rest_strands[1, 7] = groom.rest_strands[1, 6]
+    with pytest.raises(InputError, match="edges longer"):
+        model.drape(groom, POSE, SHAPE)
+
+
+BAD_LOADINGS = {
+    "a wind of 1e30": Loading(acceleration=(1e30, 0.0, 0.0)),
+    "gravity of 1e30": Loading(acceleration=(0.0, 0.0, 1e30)),
+    "gravity of a huge whole number": Loading(acceleration=(0, 0, 10**400)),
+    "gravity that is none": Loading(acceleration=(0.0, 0.0, float("nan"))),
+    "stiffness of 1e30": Loading(1e30),
+    "stiffness of 1e-30": Loading(1e-30),
+    "stiffness below 0": Loading(-1.0),
+    "one edge below 0": Loading(torch.tensor([[1.0, -1.0]])),
+}
+
+
+@pytest.mark.parametrize("loading", BAD_LOADINGS.values(), ids=BAD_LOADINGS.keys())
+def test_loadings_that_give_no_hair_are_refused(loading: Loading, model: Quaffure) -> None:
+    for refused in (
+        lambda: model.with_loading(loading),
+        lambda: solver("strand_newton").with_loading(loading),  # type: ignore[attr-defined]
+        lambda: hair_terms("rod", None, loading.stiffness, loading.acceleration),
+    ):
+        with pytest.raises(InputError, match=r"(stiffness|acceleration): expected"):
+            refused()
+
+
+@pytest.mark.parametrize("loading", [Loading(1e-4), Loading(1e4), Loading(acceleration=(0.0, 2e4, -2e4))])
+def test_loadings_at_the_limits_give_hair(loading: Loading, model: Quaffure, groom: Groom) -> None:
+    few = groom.select(torch.arange(0, 40, 8))
+    for draper in (model.draper, solver("strand_newton")):
+        hair = draper.with_loading(loading).drape(Scene(few, BodyBatch(model.body, POSE, SHAPE)))  # type: ignore[attr-defined]
+        assert hair.isfinite().all()
 
 
 def shortened(groom: Groom) -> None:

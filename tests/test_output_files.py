@@ -1,14 +1,16 @@
 """Output files: whole or not at all, checked before the work, and nothing left behind."""
 
+import json
 import os
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -16,11 +18,13 @@ import torch
 from PIL import Image
 
 from quaffure.apps.cli.main import main
+from quaffure.apps.cli.outputs import write_output
 from quaffure.apps.render.pictures import save_png
 from quaffure.apps.render.video import encode_video
 from quaffure.errors import InputError
-from quaffure.hair.export_clip import ExportClip
+from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.io import atomic, replacing, write_drape, write_usd
+from quaffure.io.atomic import replacing_together
 from quaffure.io.counted_writer import write_ct2hair, write_hairsalon
 from quaffure.io.glb import write_glb
 from quaffure.io.hair_writer import write_hair
@@ -29,17 +33,16 @@ from quaffure.io.ply import write_ply
 from quaffure.io.temporary_file import HOST, OLDEST, PREFIX
 from quaffure.model.weights_file import save_weights
 from quaffure.training import RunFolder
+from quaffure.training.run_folder import code_version
 from tests.synthetic_drape import drape, patch_of_strands
 
 SEQUENCE = drape(patch_of_strands((0.0, 1.0, 0.0)))
+code_version()  # is kept from here on: git would run under the limit of `no_file_above`, too
 NOISE = np.random.default_rng(0).integers(0, 255, (256, 256, 3), dtype=np.uint8)
 
 
 def save_checkpoint(path: Path) -> None:
-    # A folder without the version of the code, for which git would run under the limit too.
-    folder = RunFolder.__new__(RunFolder)
-    folder.path = path.parent
-    folder.save({"identity": "bob", "weights": torch.randn(30_000)})
+    RunFolder(path.parent).save({"identity": "bob", "weights": torch.randn(30_000)})
 
 
 def save_half(path: Path) -> None:
@@ -150,6 +153,7 @@ def test_commands_refuse_a_read_only_folder_before_the_work(monkeypatch: pytest.
         ["train-groomgen", "none", "--out", f"{tmp_path}/run"],
         ["evaluate", "--groom", "none.npz", "--out", f"{tmp_path}/out.json"],
         ["benchmark", "solvers", "--groom", "none.npz", "--out", f"{tmp_path}/out.json"],
+        ["view", "none.npz", "--folder", f"{tmp_path}"],
     ):
         assert "expected a writable folder, found Permission denied" in refusal_of(command)
 
@@ -200,9 +204,60 @@ def test_an_output_that_is_an_input_is_refused(command: list[str], tmp_path: Pat
     assert (folder / "file.npz").read_bytes() == b"precious"
 
 
+USD_NAMES = {
+    "sublayer": "(\nsubLayers = [@./OUT.usda@]\n)\n",
+    "sublayer of a sublayer": "(\nsubLayers = [@./between.usda@]\n)\n",
+    "search path": "(\nsubLayers = [@OUT.usda@]\n)\n",
+    "reference": 'def "A" (references = @./OUT.usda@) {}\n',
+    "payload": 'def "A" (payload = @./OUT.usda@</A>) {}\n',
+    "value clip": 'def "A" (clips = {dictionary default = {asset[] assetPaths = [@./OUT.usda@]}}) {}\n',
+    "texture": 'def "A" {\nasset file = @./OUT.png@\n}\n',
+}
+
+
+@pytest.mark.parametrize("text", USD_NAMES.values(), ids=USD_NAMES.keys())
+def test_an_output_that_a_usd_input_names_is_refused(text: str, tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    (tmp_path / "top.usda").write_text(f"#usda 1.0\n{text}")
+    (tmp_path / "between.usda").write_text('#usda 1.0\ndef "A" (payload = @./OUT.usda@) {}\n')
+    for name in ("OUT.usda", "OUT.png"):
+        (tmp_path / name).write_text("#usda 1.0\n")
+    (tmp_path / "link").symlink_to(tmp_path)
+    suffix = ".png" if "png" in text else ".usda"
+    command = ["drape", str(tmp_path / "top.usda"), "--draper", "posed", "--out", f"{tmp_path}/link/OUT{suffix}"]
+    assert f"found a file that the input {tmp_path}/top.usda names" in refusal_of(command)
+    assert (tmp_path / f"OUT{suffix}").read_text() == "#usda 1.0\n"
+    check_output(tmp_path / "between.npz", ".npz", inputs=[tmp_path / "top.usda"])
+
+
+@pytest.mark.parametrize("name", ["walk arm.bin", "skin.png"])
+def test_an_output_that_a_gltf_input_names_is_refused(name: str, tmp_path: Path) -> None:
+    document = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"uri": "data:;base64,AAAA"}, {"uri": "walk%20arm.bin", "byteLength": 8}],
+        "images": [{"uri": "skin.png"}],
+    }
+    (tmp_path / "walk.gltf").write_text(json.dumps(document))
+    (tmp_path / name).write_bytes(b"precious")
+    command = ["drape", "bob", "--motion", f"{tmp_path}/walk.gltf#0", "--out", f"{tmp_path}/{name}"]
+    assert f"found a file that the input {tmp_path}/walk.gltf#0 names" in refusal_of(command)
+    (tmp_path / name).unlink()
+    check_output(tmp_path / name, ".bin", ".png", inputs=[tmp_path / "walk.gltf"])  # a new file replaces nothing
+
+
+def test_a_row_of_a_table_does_not_replace_what_another_reads(tmp_path: Path) -> None:
+    (tmp_path / "table.csv").write_text(
+        f"groom,motion,out\n{tmp_path}/a.npz,nod,{tmp_path}/b.npz\nbob,nod,{tmp_path}/a.npz\n"
+    )
+    assert "found the input" in refusal_of(["crowd", str(tmp_path / "table.csv")])
+
+
 def test_one_file_twice_is_refused(tmp_path: Path) -> None:
     paths = [f"{tmp_path}/drape.npz", f"{tmp_path}/./drape.npz"]
     assert "the same file twice" in refusal_of(["drape", "bob", "--out", paths[0], "--out", paths[1]])
+
+
+INTERRUPTED = ("replacing", "replacing_together", "_interrupts", "_synchronise")
 
 
 def test_an_interrupt_at_any_line_of_a_write_leaves_nothing(tmp_path: Path) -> None:
@@ -214,7 +269,7 @@ def test_an_interrupt_at_any_line_of_a_write_leaves_nothing(tmp_path: Path) -> N
 
         def trace(frame: FrameType, event: str, _: object) -> Callable | None:
             nonlocal count
-            if frame.f_code.co_filename != atomic.__file__ or frame.f_code.co_name not in ("replacing", "_synchronise"):
+            if frame.f_code.co_filename != atomic.__file__ or frame.f_code.co_name not in INTERRUPTED:
                 return None
             # What Python promises of a `finally` that is itself interrupted is nothing.
             if event == "line" and "unlink" not in source[frame.f_lineno - 1]:
@@ -240,6 +295,70 @@ def test_an_interrupt_at_any_line_of_a_write_leaves_nothing(tmp_path: Path) -> N
             sys.settrace(before)
         assert {path.name for path in tmp_path.iterdir()} <= {"drape.usda"}
     assert lines > 8
+
+
+def test_an_interrupt_of_an_npz_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of which zipfile makes a ValueError, when numpy closes it with a member open."""
+
+    def opened(archive: ZipFile, *arguments: object, **named: object) -> None:
+        held.append(open_member(archive, *arguments, **named))  # type: ignore[arg-type]
+        raise KeyboardInterrupt
+
+    held, open_member = list[object](), ZipFile.open
+    monkeypatch.setattr(ZipFile, "open", opened)
+    with pytest.raises(KeyboardInterrupt):
+        write_drape(tmp_path / "drape.npz", SEQUENCE)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_after_an_interrupt_is_none(tmp_path: Path) -> None:
+    try:
+        raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        with no_file_above(20_000), pytest.raises(InputError, match="can be written"):
+            write_drape(tmp_path / "drape.npz", SEQUENCE)
+
+
+def write_layers(path: Path) -> None:
+    write_usd(path, ExportClip(SEQUENCE, settings=ExportSettings(frames_per_layer=1)))
+
+
+def write_alembic_files(path: Path) -> None:
+    pytest.importorskip("alembic3d")
+    write_output(path, ExportClip(SEQUENCE))
+
+
+def write_networks(path: Path) -> None:
+    with replacing_together(path, path.with_name("other.safetensors")) as (one, other):
+        save_weights(one, torch.nn.Linear(2, 2), {})
+        save_weights(other, torch.nn.Linear(200, 200), {})
+
+
+OF_SEVERAL_FILES = {"drape.usd": write_layers, "drape.abc": write_alembic_files, "best.safetensors": write_networks}
+
+
+@pytest.mark.parametrize(("name", "write"), OF_SEVERAL_FILES.items(), ids=OF_SEVERAL_FILES.keys())
+@pytest.mark.parametrize("at", ["write", "synchronise"])
+def test_files_that_belong_together_appear_together(
+    name: str, write: Callable, at: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a disk that is full at the last of them."""
+    (tmp_path / name).write_bytes(b"before")
+    synchronised, synchronise = 0, os.fsync
+
+    def full(descriptor: int) -> None:
+        nonlocal synchronised
+        synchronised += 1
+        if synchronised == 2:
+            raise OSError(28, "No space left on device")
+        synchronise(descriptor)
+
+    if at == "synchronise":
+        monkeypatch.setattr(os, "fsync", full)
+    with no_file_above(20_000) if at == "write" else nullcontext(), pytest.raises(InputError, match="can be written"):
+        write(tmp_path / name)
+    assert (tmp_path / name).read_bytes() == b"before"
+    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 def test_files_of_a_killed_process_are_swept_and_others_are_not(tmp_path: Path) -> None:

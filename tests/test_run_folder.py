@@ -1,6 +1,7 @@
 import json
 from importlib.metadata import version
 from pathlib import Path
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import pytest
 import torch
@@ -38,6 +39,19 @@ def test_damaged_and_foreign_checkpoints_are_refused(folder: RunFolder) -> None:
     folder.save({"weights": torch.arange(3.0), "identity": "bob"})
     with pytest.raises(InputError, match="checkpoint of this training"), folder.reading():
         torch.nn.Linear(2, 2).load_state_dict({"other": torch.zeros(1)})
+
+
+def test_a_checkpoint_that_unpacks_to_more_than_its_size_is_refused(folder: RunFolder) -> None:
+    path = folder.path / "checkpoint.pt"
+    folder.save({"identity": "bob", "weights": torch.zeros(1_000_000)})
+    with ZipFile(path) as plain:
+        parts = {name: plain.read(name) for name in plain.namelist()}
+    with ZipFile(path, "w", ZIP_DEFLATED) as packed:
+        for name, content in parts.items():
+            packed.writestr(name, content)
+    assert path.stat().st_size < 100_000
+    with pytest.raises(InputError, match=r"uncompressed as torch\.save writes it, found 400"):
+        folder.load({"identity": "bob"})
 
 
 def test_logs_go_back_to_the_step_of_the_checkpoint(folder: RunFolder) -> None:

@@ -1,6 +1,5 @@
 """Physical parameters, one set for every groom, pose and body."""
 
-import math
 from dataclasses import dataclass, fields
 
 STANDARD_GRAVITY = 9.81
@@ -58,7 +57,7 @@ class HairMaterial:
             value, most = getattr(self, name), LARGEST_HAIR_LENGTH if name in LENGTHS else LARGEST_STIFFNESS
             if hasattr(value, "requires_grad"):
                 continue
-            is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
             is_divisor = name in ("linear_density", "smoothing_length")
             if not is_number or not 0 <= value <= most or (is_divisor and value == 0):
                 raise ValueError(f"expected {name} from 0 to {most:g}, found {value!r:.60}")

@@ -12,9 +12,10 @@ from jaxtyping import Float32, Int32
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.motion import Motion
+from quaffure.body.pose_limits import Rows, shape_of
 from quaffure.config import HairMaterial
 from quaffure.draper import ClipDraper, Draper, ResumableDraper
-from quaffure.errors import refused
+from quaffure.errors import InputError, refused
 from quaffure.file_values import material_from
 from quaffure.frame_store import BatchState, Frames, FramesInMemory, FrameStore
 from quaffure.hair.drape_sequence import DrapeSequence
@@ -31,7 +32,7 @@ def drape_motion(
     groom: Groom,
     body: BodyModel,
     motion: Motion,
-    body_shape: Float[Tensor, "10"],
+    body_shape: Rows,
     on_frames: Callable[[Positions, Scene], None] = lambda draped, scene: None,
     follows: bool = False,
     store: FrameStore | None = None,
@@ -41,26 +42,32 @@ def drape_motion(
     Frames are draped in place, where float32 is finest, and then moved along the path of the motion.
 
     Args:
+        body_shape: beta [10], a tensor, an array or a list [standard deviations].
         on_frames: called with each batch of frames' drapes and scene, in place.
         follows: the frames follow those that the draper draped last, at its rate; otherwise the first is settled anew.
         store: keeps the frames, along the path of the motion; those that it holds already are not draped again, but
             passed to `on_frames`. In memory, where none is given.
 
+    Raises:
+        InputError: a groom, a motion or a shape that cannot be draped, or a store that holds other frames.
+
     Returns:
         The drapes. `meta` says what made them, and `milliseconds`, the median wall time of one drape, from pose in to
         strands out, in batches of `FRAMES_AT_ONCE`, the first batch left out where there are others.
     """
-    store = FramesInMemory() if store is None else store
+    store, shape = FramesInMemory() if store is None else store, shape_of(body_shape)
     if isinstance(draper, ClipDraper) and not follows:
         draper.restart()
         draper.frame_seconds = 1 / motion.fps
     stored = len(store)
+    if stored:
+        _check_stored(store, groom, body)
     for first in range(0, len(motion), FRAMES_AT_ONCE):
         rows = slice(first, min(first + FRAMES_AT_ONCE, len(motion)))
         start = time.perf_counter()
         body_pose = motion.body_pose[rows]
         offsets = None if motion.morphs is None else motion.morphs.offsets(rows)
-        scene = Scene(groom, BodyBatch(body, body_pose, body_shape.expand(len(body_pose), -1), offsets))
+        scene = Scene(groom, BodyBatch(body, body_pose, shape.expand(len(body_pose), -1), offsets))
         path = _path(motion, rows)
         if rows.stop <= stored:
             draped = torch.from_numpy(store.frames().strands[rows] - path[:, None, None])
@@ -77,7 +84,15 @@ def drape_motion(
         on_frames(draped, scene)
     times = store.milliseconds[1:] or store.milliseconds
     made_by = {"draper": draper.name, "material": asdict(draper.material), "milliseconds": float(np.median(times))}
-    return _sequence(store.frames(), groom, motion, body_shape, body.faces.numpy().astype(np.int32), made_by)
+    return _sequence(store.frames(), groom, motion, shape, body.faces.numpy().astype(np.int32), made_by)
+
+
+def _check_stored(store: FrameStore, groom: Groom, body: BodyModel) -> None:
+    strands = tuple(groom.rest_strands.shape)
+    expected = strands, strands, (len(body.rest_vertices), 3)
+    for name, array, shape in zip(Frames._fields, store.frames(), expected):
+        if array.shape[1:] != shape:
+            raise InputError("frames of an interrupted drape", f"{name} of shape {shape}", f"{array.shape[1:]}")
 
 
 def _along_path(draped: Positions, scene: Scene, path: Float32[np.ndarray, "f 3"]) -> Frames:

@@ -24,8 +24,19 @@ def check_input_file(path: Path, expected: str) -> None:
     """
     with refused(path, expected, OSError, ValueError):  # ValueError: a NUL in the name
         mode = path.stat().st_mode
-    if not stat.S_ISREG(mode):
-        raise InputError(path, expected, "a folder" if stat.S_ISDIR(mode) else "a pipe, socket or device")
+    if stat.S_ISDIR(mode):
+        raise InputError(path, expected, "a folder")
+    check_no_stream(path, expected)
+
+
+def check_no_stream(path: Path, expected: str) -> None:
+    """Refuse a name that a library may open, as `check_input_file` does; nothing or a folder of that name is not ours.
+
+    Raises:
+        InputError: a FIFO, socket or device.
+    """
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise InputError(path, expected, "a pipe, socket or device")
 
 
 def read_text(path: Path, expected: str, encoding: str = "utf-8", errors: str = "strict") -> str:

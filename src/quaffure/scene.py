@@ -6,15 +6,17 @@ from functools import cached_property
 from quaffure.body.body_model import BodyModel, PosedBody
 from quaffure.body.kinematics import PosedJoints, pose_joints
 from quaffure.body.pose_features import HEAD
-from quaffure.body.pose_limits import check_body_pose, check_body_shape
+from quaffure.body.pose_limits import JOINT_COUNT, SHAPE_COUNT, Rows, check_body_pose, check_body_shape, tensor_of
+from quaffure.errors import InputError
 from quaffure.geometry.polyline import directors
 from quaffure.geometry.surface import Surface, posed_surface
-from quaffure.hair.groom import Groom, check_groom
+from quaffure.hair.groom import Groom
+from quaffure.hair.groom_checks import check_groom
 from quaffure.hair.posing import posed_strands, rigid_rotations, root_rotations
 from quaffure.types import BodyPose, BodyShape, EdgeVectors, Float, MeshVertices, Positions, Tensor
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class BodyBatch:
     """A batch of poses and shapes of one body, which several grooms may share. Properties are computed once, when read.
 
@@ -23,6 +25,11 @@ class BodyBatch:
         body_shape: beta [standard deviations].
         offsets: change of the surface at rest, before it is posed [m] (`quaffure.body.surface_morphs`); none without.
         vertices: of the posed surfaces, where they are known otherwise, as from the file of a drape [m, world].
+
+    Poses and shapes may be arrays or lists, which become tensors; tensors are kept as they are.
+
+    Raises:
+        InputError: no numbers, or poses and shapes of another width or that no body has (`quaffure.body.pose_limits`).
     """
 
     body: BodyModel
@@ -30,6 +37,28 @@ class BodyBatch:
     body_shape: BodyShape
     offsets: Float[Tensor, "b v 3"] | None = None
     vertices: MeshVertices | None = None
+
+    def __init__(
+        self,
+        body: BodyModel,
+        body_pose: Rows,
+        body_shape: Rows,
+        offsets: Float[Tensor, "b v 3"] | None = None,
+        vertices: MeshVertices | None = None,
+    ) -> None:
+        pose, shape = body_pose, body_shape
+        if not isinstance(pose, Tensor):
+            pose = tensor_of(pose, "body_pose").to(body.rest_vertices)
+        if not isinstance(shape, Tensor):
+            shape = tensor_of(shape, "body_shape").to(body.rest_vertices)
+        batch = pose.shape[0] if pose.ndim else 0
+        expected = [batch, 3 * JOINT_COUNT], [batch, SHAPE_COUNT]
+        if (list(pose.shape), list(shape.shape)) != expected:
+            found = f"{list(pose.shape)} and {list(shape.shape)}"
+            raise InputError("body_pose and body_shape", f"numbers {expected[0]} and {expected[1]}", found)
+        check_body_pose(pose, "body_pose")
+        check_body_shape(shape, "body_shape")
+        vars(self).update(body=body, body_pose=pose, body_shape=shape, offsets=offsets, vertices=vertices)
 
     @cached_property
     def joints(self) -> PosedJoints:
@@ -94,17 +123,14 @@ class Scene:
     """A groom on a batch of bodies. Properties are computed once, when read, and differentiable in pose and shape.
 
     Raises:
-        InputError: a groom without strands, or NaN, infinity or a size of no groom, pose or shape in them
-            (`quaffure.hair.groom.check_groom`, `quaffure.body.pose_limits`).
+        InputError: a groom that no hair can be computed of (`quaffure.hair.groom_checks.check_groom`).
     """
 
     groom: Groom
     bodies: BodyBatch
 
     def __post_init__(self) -> None:
-        check_groom(self.groom)
-        check_body_pose(self.bodies.body_pose, "body_pose")
-        check_body_shape(self.bodies.body_shape, "body_shape")
+        check_groom(self.groom, len(self.bodies.body.faces))
 
     @cached_property
     def posed(self) -> Positions:

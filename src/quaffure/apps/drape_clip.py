@@ -7,6 +7,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.motion import Motion
+from quaffure.body.pose_limits import SHAPE_COUNT, Rows
 from quaffure.drape_motion import drape_motion
 from quaffure.draper import Draper
 from quaffure.errors import InputError
@@ -15,7 +16,6 @@ from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import groom_of_drape, interpolation_of, shown_between
 from quaffure.solvers.coherent_clip import CoherentDraper
-from quaffure.types import Float, Tensor
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -24,18 +24,21 @@ if TYPE_CHECKING:
 def drape_clip(
     groom: Groom,
     motion: Motion,
-    body_shape: Float[Tensor, "10"] | None = None,
+    body_shape: Rows | None = None,
     draper: Draper | None = None,
     body: BodyModel | None = None,
 ) -> DrapeSequence:
     """A groom on a body in every frame of a motion.
 
     Args:
-        body_shape: beta [standard deviations]; the mean body by default.
+        body_shape: beta [10], a tensor, an array or a list [standard deviations]; the mean body by default.
         draper: `CoherentDraper()` by default, which lets hair follow from frame to frame.
         body: that groom and motion were loaded for; the shipped one by default.
+
+    Raises:
+        InputError: a groom or a shape that cannot be draped.
     """
-    shape = torch.zeros(10) if body_shape is None else body_shape
+    shape = torch.zeros(SHAPE_COUNT) if body_shape is None else body_shape
     return drape_motion(draper or CoherentDraper(), groom, body or load_body(), motion, shape)
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from quaffure.body.body_origin import BodyOrigin
-from quaffure.body.pose_limits import Rows, check_body_pose, check_body_shape, rows_of
+from quaffure.body.pose_limits import JOINT_COUNT, SHAPE_COUNT, Rows, check_body_pose, check_body_shape, rows_of
 from quaffure.body.scalp import ScalpChart
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import matrix_from_axis_angle
@@ -20,7 +20,6 @@ from quaffure.geometry.surface import Surface, SurfaceTopology, posed_surface, s
 from quaffure.npz import INTEGER, REAL, TEXT, Spec, read_arrays
 from quaffure.types import BodyPose, BodyShape, MeshFaces
 
-JOINT_COUNT, SHAPE_COUNT = 27, 10
 CHARACTERS = (".glb", ".gltf", ".fbx")
 """Files that a body is often mistaken for."""
 

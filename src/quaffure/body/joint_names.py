@@ -145,7 +145,7 @@ def _side_and_stem(name: str) -> tuple[str, str]:
             side = SIDE_WORDS[tokens.pop(place)]
     if not side and tokens and (match := re.match(r"(left|right)(.+)", tokens[0])):
         side, tokens[0] = SIDE_WORDS[match[1]], match[2]
-    return side, "".join(str(int(token)) if token.isdecimal() else token for token in tokens)
+    return side, "".join(str(int(token)) if re.fullmatch(r"\d{1,9}", token) else token for token in tokens)
 
 
 def _spine(clip: BvhClip, named: _Named, stems: list[str], taken: dict[str, int]) -> JointMap:

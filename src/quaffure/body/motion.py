@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from quaffure.body.pose_limits import check_body_pose
+from quaffure.body.pose_limits import Rows, check_body_pose, tensor_of
 from quaffure.body.surface_morphs import SurfaceMorphs
 from quaffure.errors import InputError
 from quaffure.geometry.rotation import axis_angle_from_matrix, interpolate_rotations, matrix_from_axis_angle
@@ -28,10 +28,10 @@ FLIP_RETURN_SHARE = 0.3
 MAX_FRAMES = 100_000
 LARGEST_TRANSLATION = 1000.0  # m; farther away, vertices in float32 would be 0.1 mm apart
 
-_FRAMES = re.compile(r"(\d*):(\d*)(?::(\d+))?|(?P<one>\d+)")
+_FRAMES = re.compile(r"(\d{0,9}):(\d{0,9})(?::(\d{1,9}))?|(?P<one>\d{1,9})")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Motion:
     """Body poses at a constant rate.
 
@@ -44,6 +44,8 @@ class Motion:
         notes: what its reader guessed, in words.
         start: time of the first frame in its file [s].
         morphs: of the surface of the body that the motion was read for; None where it does not change.
+
+    Poses and translations may be arrays or lists, which become tensors; tensors are kept as they are.
 
     Raises:
         InputError: no frames, another width than three numbers a joint, a value or a rate that is not finite, a
@@ -58,7 +60,22 @@ class Motion:
     start: float = 0.0
     morphs: SurfaceMorphs | None = None
 
-    def __post_init__(self) -> None:
+    def __init__(
+        self,
+        body_pose: Rows,
+        fps: float,
+        name: str,
+        translation: Rows | None = None,
+        notes: tuple[str, ...] = (),
+        start: float = 0.0,
+        morphs: SurfaceMorphs | None = None,
+    ) -> None:
+        pose = tensor_of(body_pose, name)
+        path = None if translation is None else tensor_of(translation, f"translation of {name}")
+        vars(self).update(body_pose=pose, translation=path, fps=fps, name=name, notes=notes, start=start, morphs=morphs)
+        self._check()
+
+    def _check(self) -> None:
         if self.body_pose.ndim != 2 or self.body_pose.shape[0] < 1 or self.body_pose.shape[1] != 81:
             raise InputError(self.name, "body poses [frames >= 1, 81]", f"{list(self.body_pose.shape)}")
         check_body_pose(self.body_pose, self.name)
@@ -109,7 +126,8 @@ class Motion:
         """
         match = _FRAMES.fullmatch(spec.strip())
         if match is None:
-            raise InputError(f"frames '{spec}'", "A:B:STEP with whole numbers, such as 300:600:2", f"'{spec}'")
+            expected = "A:B:STEP with whole numbers, such as 300:600:2"
+            raise InputError(f"frames '{spec[:40]}'", expected, f"'{spec[:40]}'")
         first = int(match["one"] or match[1] or 0)
         end = first + 1 if match["one"] else int(match[2]) if match[2] else len(self)
         step = int(match[3] or 1)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from quaffure.config import STANDARD_GRAVITY
 from quaffure.energies.energy_term import EnergyTerm, HairState
+from quaffure.errors import InputError
 from quaffure.scene import HairScene
 from quaffure.types import Energy, Float, Positions, Tensor
 
@@ -12,6 +13,18 @@ Acceleration = tuple[float, float, float]
 GRAVITY: Acceleration = (0.0, 0.0, -STANDARD_GRAVITY)
 """Gravitational acceleration g; z is up."""
 NO_ACCELERATION: Acceleration = (0.0, 0.0, 0.0)
+LARGEST_ACCELERATION = 2e4
+"""Limit of each component [m/s^2], 2,000 times that of gravity; float32 no longer does at 100 times as much."""
+
+
+def check_acceleration(acceleration: Acceleration) -> None:
+    """Refuse an acceleration that is not three numbers [m/s^2] within `LARGEST_ACCELERATION`.
+
+    Raises:
+        InputError: it is one.
+    """
+    if len(acceleration) != 3 or not all(abs(part) <= LARGEST_ACCELERATION for part in acceleration):
+        raise InputError("acceleration", f"three numbers within +-{LARGEST_ACCELERATION:g} m/s^2", f"{acceleration}")
 
 
 def energy_gravity(positions: Positions, mass: Float[Tensor, "s n"], acceleration: Acceleration = GRAVITY) -> Energy:
@@ -42,6 +55,9 @@ class Gravity(EnergyTerm):
     equation = "Eq. 9"
     metric_unit = "mm"
     acceleration: Acceleration = GRAVITY
+
+    def __post_init__(self) -> None:
+        check_acceleration(self.acceleration)
 
     def energy(self, hair: HairState, scene: HairScene) -> Energy:
         return energy_gravity_above_root(hair.positions, hair.rest.mass, self.acceleration)

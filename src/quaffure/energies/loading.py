@@ -1,14 +1,13 @@
 """What the shape of hair depends on besides groom, pose and body: its stiffness, gravity and wind."""
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import torch
 
 from quaffure.config import STANDARD_GRAVITY
-from quaffure.energies.gravity import GRAVITY, Acceleration
-from quaffure.errors import InputError
+from quaffure.energies.gravity import GRAVITY, Acceleration, check_acceleration
+from quaffure.energies.rod import check_stiffness
 from quaffure.types import Float, Tensor
 
 
@@ -37,13 +36,10 @@ class Loading:
         """Refuse what no hair has.
 
         Raises:
-            InputError: a stiffness that is not above 0, or an acceleration that is not finite.
+            InputError: what `check_stiffness` or `check_acceleration` refuses.
         """
-        stiffness = torch.as_tensor(self.stiffness)
-        if not bool((stiffness.isfinite() & (stiffness > 0)).all()):
-            raise InputError("stiffness", "factors above 0", f"{float(stiffness.min()):g}")
-        if len(self.acceleration) != 3 or not all(map(math.isfinite, self.acceleration)):
-            raise InputError("acceleration", "three finite numbers", f"{self.acceleration}")
+        check_stiffness(self.stiffness)
+        check_acceleration(self.acceleration)
 
     @cached_property
     def mean_stiffness(self) -> float:

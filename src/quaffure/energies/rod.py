@@ -18,6 +18,7 @@ This module is the torch form; `quaffure.energies.rod_kernels` is the compiled o
 """
 
 from dataclasses import dataclass, fields, replace
+from numbers import Real
 
 import torch
 
@@ -43,8 +44,25 @@ EXACT_BELOW = 0.3
 LEAST_PIVOT = 1e-2
 """Least pivot of an elimination with exact curvatures, in twisting stiffnesses of the joint."""
 
+STIFFNESS_FACTORS = 1e-4, 1e4
+"""Limits of a factor of the stiffness; human hair is within 0.3 and 3."""
+
 Twist = Float[Tensor, "b s e"]
 RootRotations = Float[Tensor, "b s 3 3"]
+
+
+def check_stiffness(stiffness: float | Float[Tensor, "s e"]) -> None:
+    """Refuse factors of the stiffness that are not within `STIFFNESS_FACTORS`.
+
+    Raises:
+        InputError: there is one.
+    """
+    least, most = STIFFNESS_FACTORS
+    low = high = stiffness
+    if isinstance(stiffness, Tensor):
+        low, high = map(float, stiffness.detach().aminmax())
+    if not (isinstance(low, Real) and least <= low and high <= most):
+        raise InputError("stiffness", f"factors above 0, from {least:g} to {most:g}", f"{low!s:.20} to {high!s:.20}")
 
 
 @dataclass(frozen=True, eq=False)

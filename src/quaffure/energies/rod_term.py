@@ -10,6 +10,7 @@ from quaffure.energies.rest_state import RestState
 from quaffure.energies.rod import (
     RodRest,
     RootRotations,
+    check_stiffness,
     energy_rod,
     equilibrium_twist,
     rest_targets,
@@ -55,6 +56,9 @@ class Rod(EnergyTerm):
     metric_unit = "deg"
     design: SagFreeRest | None = None
     stiffness: float | Float[Tensor, "s e"] = 1.0
+
+    def __post_init__(self) -> None:
+        check_stiffness(self.stiffness)
 
     def adapt_rest(self, rest: RestState) -> RestState:
         """With the collision margins of the design, and with `RestState.held`.

@@ -1,24 +1,16 @@
 """A hairstyle at rest on the body's scalp."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import torch
 
 from quaffure.body.scalp import texel_index
 from quaffure.config import TEXTURE_SIZE
-from quaffure.errors import InputError
 from quaffure.hair.strands import HELD_PARTS
 from quaffure.types import Bool, Float, Int, Tensor
-
-LARGEST_COORDINATE = 10.0
-"""Limit of the vertices of a groom, which is on a body at the origin [m], and of the coordinates of its roots [-]."""
-LONGEST_STRAND = 3.0
-"""Limit of a strand's length [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,33 +99,3 @@ class Groom:
     def _map_tensors(self, function: Callable[[Tensor], Tensor]) -> "Groom":
         changes: dict[str, Any] = {name: function(values) for name, values in self.arrays().items()}
         return replace(self, **changes)
-
-
-def check_groom(groom: Groom) -> None:
-    """Refuse a groom that no hair can be computed of.
-
-    Raises:
-        InputError: no strands, or NaN, infinity or a size of no groom [m] in its arrays.
-    """
-    if not groom.rest_strands.shape[0]:
-        raise InputError(groom.name, "at least one strand", "none")
-    for name, values in groom.arrays().items():
-        if not values.is_floating_point():
-            continue
-        least, most = map(float, values.detach().aminmax())  # NaN where there is one
-        limit = LARGEST_COORDINATE if name not in HELD_PARTS else math.inf
-        if not (-limit <= least and most <= limit and math.isfinite(most - least)):
-            expected = f"finite {name}" if limit == math.inf else f"finite {name} within +-{limit:g}"
-            raise InputError(groom.name, expected, f"{least:.3g} to {most:.3g}")
-
-
-def check_strand_lengths(groom: Groom, source: str | Path) -> None:
-    """Refuse strands that are no hair.
-
-    Raises:
-        InputError: one as long as `LONGEST_STRAND`, or an edge without a length.
-    """
-    shortest, longest = float(groom.rest_lengths.min()), float(groom.strand_lengths.max())
-    if not (shortest > 0 and longest < LONGEST_STRAND):
-        expected = f"edges longer than 0 and strands under {LONGEST_STRAND:g} m"
-        raise InputError(source, expected, f"{shortest:.3g} m and {longest:.3g} m")

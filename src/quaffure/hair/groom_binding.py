@@ -8,9 +8,9 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from quaffure.body.body_model import BodyModel
+from quaffure.body.pose_limits import Rows, shape_of
 from quaffure.hair.groom import Groom
 from quaffure.hair.posing import posed_strands
-from quaffure.types import Tensor
 
 BODY_TILE = 1.0
 """First u of the tile (UDIM 1002) of the skin off the scalp, whose own chart fills the tile from 0 to 1 (1001)."""
@@ -69,13 +69,18 @@ class GroomBinding:
     skeleton: Skeleton
 
 
-def groom_binding(groom: Groom, body: BodyModel, body_shape: Float[Tensor, "10"]) -> GroomBinding:
+def groom_binding(groom: Groom, body: BodyModel, body_shape: Rows) -> GroomBinding:
     """The groom on the body of a shape, in the rest pose.
 
     Args:
         groom: registered to `body`.
+        body_shape: beta [10], a tensor, an array or a list [standard deviations].
+
+    Raises:
+        InputError: no such shape.
     """
-    rest = body.pose(torch.zeros(1, 3 * len(body.joint_names)), body_shape[None].to(body.rest_vertices))
+    shape = shape_of(body_shape)[None].to(body.rest_vertices)
+    rest = body.pose(torch.zeros(1, 3 * len(body.joint_names)), shape)
     return GroomBinding(
         strands=posed_strands(groom, rest, body)[0].numpy(),
         body_vertices=rest.vertices[0].numpy(),
@@ -84,7 +89,7 @@ def groom_binding(groom: Groom, body: BodyModel, body_shape: Float[Tensor, "10"]
         skeleton=Skeleton(
             body.joint_names,
             body.joint_parents,
-            body.shaped_joints(body_shape[None].to(body.rest_joints))[0].double().numpy(),
+            body.shaped_joints(shape)[0].double().numpy(),
             body.skin_joints.numpy(),
             body.skin_weights.numpy(),
         ),

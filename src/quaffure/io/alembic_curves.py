@@ -25,7 +25,7 @@ from quaffure.hair.curve_bases import (
 from quaffure.hair.resample import concatenate_strands
 from quaffure.hair.strand_attributes import StrandAttributes, groups_of, per_point, per_strand
 from quaffure.hair.strands import Strands, checked_strands
-from quaffure.io.strand_process import serve
+from quaffure.io.strand_process import serve, write_strands
 
 BASES = {
     AbcGeom.BasisType.kBezierBasis: BEZIER,
@@ -52,7 +52,7 @@ class _Object(NamedTuple):
 
 def main(path: Path) -> int:
     """Read an archive for the process that started this one."""
-    return serve(path, _read_archive)
+    return serve(path, _read_archive, write_strands)
 
 
 def _read_archive(path: Path) -> Strands:

@@ -19,7 +19,7 @@ from jaxtyping import Float32, Int32
 
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import HAIR_COLOUR, MOST_POINTS, ExportClip
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import replacing, replacing_together
 from quaffure.io.library_process import library_environment
 from quaffure.io.output_path import check_suffix
 
@@ -32,6 +32,7 @@ TOOL = f"quaffure {version('quaffure')}"
 CENTIMETRES = 100.0
 UNREAL_FROM_WORLD = np.array([CENTIMETRES, -CENTIMETRES, CENTIMETRES], dtype=np.float32)
 CONVENTIONS = "centimetres, left-handed axes, z up, as in Unreal: (x, y, z) m of the drape is (100 x, -100 y, 100 z)"
+CACHE, ASSET = "groom cache", "groom asset"
 TOP, STRANDS, GUIDES = "groom", "strands", "guides"
 
 
@@ -40,6 +41,23 @@ class _Attribute(NamedTuple):
     kind: str
     scope: str
     values: np.ndarray
+
+
+def write_groom_files(path: Path, asset: Path, clip: ExportClip, on_frame: Callable[[], object] = lambda: None) -> None:
+    """Write a groom cache with its groom asset: both or none.
+
+    Args:
+        path: of the cache.
+        asset: of the asset.
+        on_frame: as of `write_groom_cache`.
+
+    Raises:
+        InputError: as `write_groom_cache`.
+    """
+    _check(path, clip)
+    with replacing_together(path, asset) as (cache_file, asset_file):
+        _write(asset_file, clip, _at_rest(clip), ASSET)
+        _write(cache_file, clip, _animated(clip, on_frame), CACHE)
 
 
 def write_groom_cache(path: Path, clip: ExportClip, on_frame: Callable[[], object] = lambda: None) -> None:
@@ -53,13 +71,9 @@ def write_groom_cache(path: Path, clip: ExportClip, on_frame: Callable[[], objec
     Raises:
         InputError: another suffix than .abc, strands of more than 255 vertices, or not writable.
     """
-
-    def frames() -> Iterator[tuple[np.ndarray, ...]]:
-        for frame in clip.frames:
-            yield clip.guides(frame), clip.points(frame)
-            on_frame()
-
-    _write(path, clip, frames(), "groom cache")
+    _check(path, clip)
+    with replacing(path) as temporary:
+        _write(temporary, clip, _animated(clip, on_frame), CACHE)
 
 
 def write_groom_asset(path: Path, clip: ExportClip) -> None:
@@ -68,37 +82,51 @@ def write_groom_asset(path: Path, clip: ExportClip) -> None:
     Raises:
         InputError: as `write_groom_cache`.
     """
-    _write(path, clip, [(clip.rest_guides, clip.rest_points)], "groom asset")
+    _check(path, clip)
+    with replacing(path) as temporary:
+        _write(temporary, clip, _at_rest(clip), ASSET)
 
 
-def _write(path: Path, clip: ExportClip, frames: Iterable[tuple[np.ndarray, ...]], what: str) -> None:
+def _animated(clip: ExportClip, on_frame: Callable[[], object]) -> Iterator[tuple[np.ndarray, ...]]:
+    for frame in clip.frames:
+        yield clip.guides(frame), clip.points(frame)
+        on_frame()
+
+
+def _at_rest(clip: ExportClip) -> list[tuple[np.ndarray, ...]]:
+    return [(clip.rest_guides, clip.rest_points)]
+
+
+def _check(path: Path, clip: ExportClip) -> None:
     check_suffix(path, ALEMBIC_SUFFIX)
     most = max(int(clip.counts.max()), clip.point_count)
     if most > MOST_POINTS:
         raise InputError(path, f"at most {MOST_POINTS} vertices a strand (--points)", f"{most}")
+
+
+def _write(path: Path, clip: ExportClip, frames: Iterable[tuple[np.ndarray, ...]], what: str) -> None:
     attributes = {GUIDES: _guide_attributes(clip), STRANDS: _strand_attributes(clip)}
-    with replacing(path) as temporary:
-        command = [sys.executable, "-P", "-m", "quaffure.io.alembic_archive", str(temporary.absolute())]
-        streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
-        with subprocess.Popen(command, **streams, env=library_environment()) as process:
-            assert process.stdin is not None
-            try:
-                _send(process.stdin, np.array(json.dumps(_description(clip, attributes, what))))
-                for name, own in attributes.items():
-                    _send(process.stdin, _counts(clip, name))
-                    for attribute in own:
-                        _send(process.stdin, attribute.values)
-                for curves in (one for frame in frames for one in frame):
-                    _send(process.stdin, _in_unreal(curves))
-            except BrokenPipeError:  # it has ended, which its exit code explains
-                pass
-            except BaseException:
-                process.kill()
-                raise
-            _, said = process.communicate()
-        if process.returncode:
-            last = said.decode(errors="replace").strip().splitlines()[-1:] or [f"exit code {process.returncode}"]
-            raise OSError(f"the disk may be full: the Alembic library ended ({last[0]})")
+    command = [sys.executable, "-P", "-m", "quaffure.io.alembic_archive", str(path.absolute())]
+    streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, **streams, env=library_environment()) as process:
+        assert process.stdin is not None
+        try:
+            _send(process.stdin, np.array(json.dumps(_description(clip, attributes, what))))
+            for name, own in attributes.items():
+                _send(process.stdin, _counts(clip, name))
+                for attribute in own:
+                    _send(process.stdin, attribute.values)
+            for curves in (one for frame in frames for one in frame):
+                _send(process.stdin, _in_unreal(curves))
+        except BrokenPipeError:  # it has ended, which its exit code explains
+            pass
+        except BaseException:
+            process.kill()
+            raise
+        _, said = process.communicate()
+    if process.returncode:
+        last = said.decode(errors="replace").strip().splitlines()[-1:] or [f"exit code {process.returncode}"]
+        raise OSError(f"the disk may be full: the Alembic library ended ({last[0]})")
 
 
 class _Writer(NamedTuple):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -22,21 +23,56 @@ def replacing(path: Path) -> Iterator[Path]:
         InputError: the folder of `path` does not exist or is not writable, or the block raises an `OSError`, on a full
             disk for instance. Libraries that write by themselves and raise something else need a translation.
     """
-    target = check_place(path)
-    sweep_temporary_files(target.parent)
-    temporary = temporary_in(target.parent, path.suffix)
-    # The name is known before the file exists: an interrupt at any moment leads to the removal.
+    with replacing_together(path) as (temporary,):
+        yield temporary
+
+
+@contextmanager
+def replacing_together(path: Path, *others: Path) -> Iterator[list[Path]]:
+    """`replacing` of files that belong together: none is replaced before the bytes of all are on the disk.
+
+    Args:
+        path: which errors of the block name.
+
+    Raises:
+        InputError: as `replacing`.
+    """
+    targets = {each: check_place(each) for each in (path, *others)}
+    for folder in {target.parent for target in targets.values()}:
+        sweep_temporary_files(folder)
+    temporaries = {each: temporary_in(target.parent, each.suffix) for each, target in targets.items()}
+    # The names are known before the files exist: an interrupt at any moment leads to the removal.
     try:
-        with refused(path, WRITABLE, OSError):
-            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-        with refused(path, "a file that can be written", OSError):
-            yield temporary
-            _synchronise(temporary, os.O_RDWR)
-            temporary.replace(target)
-        with suppress(OSError):  # not every system synchronises folders
-            _synchronise(target.parent, os.O_RDONLY)
+        for each, temporary in temporaries.items():
+            with refused(each, WRITABLE, OSError):
+                os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        with refused(path, "a file that can be written", OSError), _interrupts():
+            yield [*temporaries.values()]
+            for temporary in temporaries.values():
+                _synchronise(temporary, os.O_RDWR)
+            for each, temporary in temporaries.items():
+                temporary.replace(targets[each])
+        for folder in {target.parent for target in targets.values()}:
+            with suppress(OSError):  # not every system synchronises folders
+                _synchronise(folder, os.O_RDONLY)
     finally:
-        temporary.unlink(missing_ok=True)
+        for temporary in temporaries.values():
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _interrupts() -> Iterator[None]:
+    """Raise an interrupt as such where a library raises another error while it ends: zipfile cannot be closed then."""
+    before = sys.exception()
+    try:
+        yield
+    except Exception as error:
+        cause: BaseException | None = error
+        while cause is not None and cause is not before:
+            if isinstance(cause, KeyboardInterrupt):
+                raise cause from None
+            cause = cause.__context__
+        raise
 
 
 def write_json(path: Path, value: object) -> None:

@@ -13,36 +13,9 @@ from jaxtyping import Float32
 from quaffure.errors import InputError, refused
 from quaffure.frame_store import BatchState, Frames
 from quaffure.io.atomic import write_json
+from quaffure.io.kept_folder import KEPT, SETTINGS, WRITABLE, holds_batch, locked, read_settings
 
-SETTINGS = "settings.json"
-WRITABLE = "a folder for frames that can be written"
 FORMAT_VERSION = 2
-
-
-def frames_path(output: Path) -> Path:
-    """The folder for the frames of an output."""
-    return output.with_name(f".{output.name}.frames")
-
-
-def _locked(path: Path) -> int | None:
-    """Make a folder and lock it; the descriptor that holds the lock, where the system has such locks.
-
-    Raises:
-        InputError: another process holds it, or it cannot be made.
-    """
-    with refused(path, WRITABLE, OSError):
-        path.mkdir(exist_ok=True)
-        try:
-            import fcntl
-        except ImportError:
-            return None
-        descriptor = os.open(path, os.O_RDONLY)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            os.close(descriptor)
-            raise InputError(path, "an output that no other run is making", "one that is being made") from error
-        return descriptor
 
 
 class FrameFolder:
@@ -64,15 +37,12 @@ class FrameFolder:
         self._shapes: dict[str, list[int]] = {}
         self._count = 0
         self.milliseconds: list[float] = []
-        self._lock = _locked(path)
-        self.holds_frames = (path / SETTINGS).exists()
-        """Whether there are frames, of an earlier run or of this one."""
-        if resume and self.holds_frames:
+        self._lock = locked(path)
+        self.holds_frames = holds_batch(path)
+        """Whether there is a whole batch, of an earlier run or of this one."""
+        if resume and (self.holds_frames or (path / SETTINGS).exists()):
             try:
-                with refused(
-                    path, "frames of an interrupted drape (remove the folder to start anew)", OSError, ValueError
-                ):
-                    self._continue()
+                self._continue()
             except InputError:
                 self.close()
                 raise
@@ -84,7 +54,16 @@ class FrameFolder:
     def follows(self) -> Float32[np.ndarray, "s k"] | None:
         """What the frame after the last batch follows from, where frames follow each other."""
         path = self._state_path(self._count)
-        return np.load(path, allow_pickle=False) if path.exists() else None
+        if not path.exists():
+            return None
+        with refused(self.path, KEPT, Exception):  # numpy's header parser raises many types on damaged bytes
+            # Mapped, so that no memory is taken for what the file does not hold.
+            state = np.load(path, mmap_mode="r", allow_pickle=False)
+            if state.dtype != np.float32 or state.shape[:1] != (self._shapes["strands"][0],) or state.ndim != 2:
+                raise ValueError(f"{path.name} of {state.dtype} {list(state.shape)}")
+            if not np.isfinite(state).all():
+                raise ValueError(f"NaN or infinity in {path.name}")
+            return np.array(state)
 
     def append(self, frames: Frames, state: BatchState) -> None:
         """Keep the next batch.
@@ -103,7 +82,7 @@ class FrameFolder:
                 self._extend(name, np.ascontiguousarray(array, dtype="<f4"))
             self._extend("milliseconds", np.array([state.milliseconds], dtype="<f4"))
             self._state_path(self._count).unlink(missing_ok=True)
-        self._count = count
+        self._count, self.holds_frames = count, True
         self.milliseconds.append(state.milliseconds)
 
     def frames(self) -> Frames:
@@ -125,31 +104,43 @@ class FrameFolder:
             self._lock = None
 
     def _start(self, frames: Frames) -> None:
+        self.holds_frames = False
         for file in self.path.iterdir():
             file.unlink()
-        self.holds_frames = True
         self._shapes = {name: list(array.shape[1:]) for name, array in frames._asdict().items()}
         write_json(self.path / SETTINGS, {"settings": self._settings, "shapes": self._shapes})
 
     def _continue(self) -> None:
         """Raises:
-        InputError: other settings.
+        InputError: damaged files, or other settings.
         """
-        found = json.loads((self.path / SETTINGS).read_text(encoding="utf-8"))
-        before, now = found["settings"], json.loads(json.dumps(self._settings))
+        before, shapes = read_settings(self.path)
+        if not self.holds_frames:
+            return
+        now = json.loads(json.dumps(self._settings))
         if before != now:
             other = ", ".join(sorted(key for key in before.keys() | now.keys() if before.get(key) != now.get(key)))
             raise InputError("--resume", f"the settings of the interrupted run in {self.path}", f"other {other}")
-        self._shapes = {name: list(map(int, found["shapes"][name])) for name in Frames._fields}
+        self._shapes = shapes
+        with refused(self.path, KEPT, OSError, ValueError):
+            self._cut_off()
+
+    def _cut_off(self) -> None:
+        """Find the whole batches, and remove what comes after them."""
         whole = min(self._file(name).stat().st_size // self._frame_bytes(name) for name in Frames._fields)
         batches = self._file("milliseconds").stat().st_size // 4
         total = int(self._settings["frames"])
-        self._count = min(batches * self._batch, total if whole >= total else whole // self._batch * self._batch)
+        count = min(batches * self._batch, total if whole >= total else whole // self._batch * self._batch)
+        if not count:
+            raise ValueError("fewer bytes than those of a batch")
         for name in Frames._fields:
-            os.truncate(self._file(name), self._count * self._frame_bytes(name))
-        batches = math.ceil(self._count / self._batch)
-        os.truncate(self._file("milliseconds"), 4 * batches)
+            os.truncate(self._file(name), count * self._frame_bytes(name))
+        os.truncate(self._file("milliseconds"), 4 * math.ceil(count / self._batch))
         self.milliseconds = np.fromfile(self._file("milliseconds"), "<f4").tolist()
+        if not all(0 <= time < math.inf for time in self.milliseconds):
+            raise ValueError("times that are none")
+        self._count = count
+        _ = self.follows  # damage of which is found now
 
     def _frame_bytes(self, name: str) -> int:
         return 4 * math.prod(self._shapes[name])

@@ -7,7 +7,9 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.errors import InputError
-from quaffure.hair.groom import LARGEST_COORDINATE, Groom, check_groom, check_strand_lengths
+from quaffure.hair.groom import Groom
+from quaffure.hair.groom_checks import LARGEST_COORDINATE, check_groom, check_values
+from quaffure.hair.posing import rest_roots
 from quaffure.hair.source_strands import PlacedStrands
 from quaffure.hair.strand_attributes import POINT_ATTRIBUTES, StrandAttributes
 from quaffure.hair.strands import held_parts_of
@@ -40,7 +42,6 @@ ATTRIBUTE_SPEC: Spec = {
 FORMAT_VERSION = 2
 """Version 1 had no `format_version` and no held parts."""
 ROOT_SLACK = 2e-3  # m: between a strand's first vertex and its root on the scalp
-BARYCENTRIC_SLACK = 1e-3
 
 
 def write_groom(path: Path, groom: Groom, source: PlacedStrands | None = None) -> None:
@@ -119,12 +120,14 @@ def read_groom(path: Path, body: BodyModel) -> Groom:
     held_parts = checked_held_parts(
         {name: arrays[name] for name in HELD_PARTS_SPEC if name in arrays}, sizes["N"], path
     )
-    _check_roots(arrays, path, body)
+    if not np.isin(arrays["root_faces"], body.scalp.faces.cpu().numpy()).all():
+        raise InputError(path, "roots on the scalp of this body", "faces off it")
     tensors = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in NUMBERS if name != "root_faces"}
     faces = torch.from_numpy(arrays["root_faces"].astype(np.int64))
     tensors |= {name: torch.from_numpy(values) for name, values in held_parts.items()}
     groom = Groom(name=str(arrays["name"]), licence=str(arrays["licence"]), root_faces=faces, **tensors)
-    check_strand_lengths(groom, path)
+    check_values(groom, path)
+    _check_roots(groom, path, body)
     return groom
 
 
@@ -138,16 +141,7 @@ def _check_sizes(arrays: dict[str, np.ndarray], sizes: dict[str, int], path: Pat
         raise InputError(path, f"{sizes['N'] - 1} edges a strand in its held parts", f"{sizes['E']}")
 
 
-def _check_roots(arrays: dict[str, np.ndarray], path: Path, body: BodyModel) -> None:
-    if not np.isin(arrays["root_faces"], body.scalp.faces.cpu().numpy()).all():
-        raise InputError(path, "roots on the scalp of this body", "faces off it")
-    weights, uv = arrays["root_barycentric"], arrays["root_uv"]
-    if weights.min() < -BARYCENTRIC_SLACK or np.abs(weights.sum(1) - 1).max() > BARYCENTRIC_SLACK:
-        raise InputError(path, "barycentric coordinates that sum to 1", f"{weights.min():.3g}..{weights.max():.3g}")
-    vertices, faces = body.rest_vertices.cpu().numpy(), body.faces.cpu().numpy()
-    roots = (weights[..., None] * vertices[faces[arrays["root_faces"]]]).sum(1)
-    apart = float(np.abs(arrays["rest_strands"][:, 0] - roots).max())
+def _check_roots(groom: Groom, path: Path, body: BodyModel) -> None:
+    apart = float((groom.rest_strands[:, 0] - rest_roots(groom, body.to("cpu"))).abs().max())
     if apart > ROOT_SLACK:
         raise InputError(path, f"strands that begin at their roots to {ROOT_SLACK} m", f"{apart:.3g} m apart")
-    if uv.min() < 0 or uv.max() > 1:
-        raise InputError(path, "root_uv in the unit square", f"{uv.min():.3g}..{uv.max():.3g}")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from quaffure.errors import InputError
+from quaffure.hair.groom_checks import SCALE_SLACK
 from quaffure.hair.strands import GOAL_WEIGHT, STIFFNESS_SCALE, TIE_VERTEX
 from quaffure.npz import INTEGER, NUMBER, Spec
 
@@ -15,8 +16,6 @@ HELD_PARTS_SPEC: Spec = {
     GOAL_WEIGHT: (("S", "E"), NUMBER),
     TIE_VERTEX: (("S",), INTEGER),
 }
-SCALE_SLACK = 1e-5
-"""float32 rounds; a scale this much below 1 is taken as 1."""
 
 
 def checked_held_parts(

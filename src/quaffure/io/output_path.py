@@ -3,12 +3,13 @@
 import os
 import stat
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from quaffure.errors import InputError, refused
 from quaffure.input_file import file_and_clip
+from quaffure.io.named_files import named_files
 from quaffure.io.temporary_file import sweep_temporary_files
 
 WRITABLE = "a writable folder"
@@ -45,7 +46,8 @@ def check_output(path: Path, *suffixes: str, inputs: Iterable[str | Path | None]
         inputs: files that the command reads, and names that may be files.
 
     Raises:
-        InputError: another suffix, no folder to write into, a folder or a pipe of that name, or an input.
+        InputError: another suffix, no folder to write into, a folder or a pipe of that name, or an input or a file that
+            one names.
     """
     if path.suffix.lower() not in suffixes:
         raise InputError(path, f"an output of suffix {', '.join(suffixes)}", f"suffix '{path.suffix}'")
@@ -77,14 +79,33 @@ def check_one_frame(path: Path, frames: int) -> None:
 
 
 def check_not_input(path: Path, inputs: Iterable[str | Path | None]) -> None:
-    """Refuse an output that would replace an input.
+    """Refuse an output that would replace an input, or a file that an input names.
 
     Raises:
         InputError: it is one of them, by whatever name.
     """
-    for source in inputs:
-        if source is not None and _is_same_file(path, file_and_clip(source)[0]):
-            raise InputError(path, "an output that is none of the inputs", f"the input {source}")
+    check_no_inputs((path,), inputs)
+
+
+def check_no_inputs(paths: Iterable[Path], inputs: Iterable[str | Path | None]) -> None:
+    """`check_not_input` of several outputs, for which every input is opened once."""
+    sources = [*dict.fromkeys(source for source in inputs if source is not None)]
+    files = {_identity(file_and_clip(source)[0]): f"the input {source}" for source in reversed(sources)}
+    replaced = [path for path in paths if _refuse_known(path, files).exists()]
+    if not replaced:
+        return
+    for source in sources:
+        for file in named_files(file_and_clip(source)[0]):
+            files.setdefault(_identity(file), f"a file that the input {source} names")
+    for path in replaced:
+        _refuse_known(path, files)
+
+
+def _refuse_known(path: Path, files: Mapping[object, str]) -> Path:
+    found = files.get(_identity(path))
+    if found is not None:
+        raise InputError(path, "an output that is none of the inputs", found)
+    return path
 
 
 def check_distinct(paths: Iterable[Path]) -> None:
@@ -146,12 +167,7 @@ def check_output_folder(path: Path, what: str, replaced: Iterable[str] = (), inp
         if not existing.is_dir():
             raise InputError(path, what, f"a file {existing}")
     check_writable(existing, path)
-    for name in replaced:
-        check_not_input(path / name, inputs)
-
-
-def _is_same_file(one: Path, other: Path) -> bool:
-    return _identity(one) == _identity(other)
+    check_no_inputs([path / name for name in replaced], inputs)
 
 
 def _identity(path: Path) -> object:

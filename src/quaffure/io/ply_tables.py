@@ -85,7 +85,7 @@ def _read_header(cursor: BinaryCursor) -> tuple[str, list[_Element]]:
         match line.split():
             case ["format", name, _] if name in BYTE_ORDERS:
                 form = name
-            case ["element", name, count] if count.isdecimal() and int(count) < MOST_VERTICES:
+            case ["element", name, count] if count.isdecimal() and len(count) < 12 and int(count) < MOST_VERTICES:
                 elements.append(_Element(name, int(count), []))
             case ["property", "list", count_type, kind, name] if {count_type, kind} <= {*TYPES} and elements:
                 elements[-1].properties.append(_Property(name, TYPES[kind], TYPES[count_type]))

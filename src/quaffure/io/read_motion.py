@@ -86,9 +86,9 @@ def read_joint_map(path: Path) -> JointMap:
     Raises:
         InputError: it cannot be read, is no TOML, or names joints that the body lacks.
     """
-    with refused(path, "a joint map (.toml)", tomllib.TOMLDecodeError, RecursionError):
-        table = tomllib.loads(read_text(path, "a joint map (.toml)"))
-    return joint_map_from(table, str(path))
+    # ValueError: TOML that is none, and numbers of thousands of digits, which Python neither reads nor writes.
+    with refused(path, "a joint map (.toml)", ValueError, RecursionError):
+        return joint_map_from(tomllib.loads(read_text(path, "a joint map (.toml)")), str(path))
 
 
 def _read_npz_motion(path: Path, body: BodyModel) -> Motion:

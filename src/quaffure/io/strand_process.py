@@ -1,7 +1,7 @@
 """Strands of a file that a library of another language reads, in a process of its own.
 
 Such libraries end the process, or fill its memory, on damaged files of a few kilobytes. The process is a module of this
-package: `serve` writes what it has read to the standard output, and `read_in_process` starts it and takes that.
+package: `serve` writes what it has read to the standard output, and `output_of_process` starts it and takes that.
 """
 
 import json
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
@@ -37,10 +37,27 @@ ATTRIBUTE = "attribute_"
 """Prefix of attributes of the strands."""
 REFUSED = 3
 """Exit code of the process with an error of the file's."""
+Value = TypeVar("Value")
 
 
 def read_in_process(module: str, path: Path, extra: str, expected: str) -> Strands:
-    """Strands that a module reads from a file.
+    """Strands that a module reads from a file, and writes with `write_strands`.
+
+    Args:
+        module, extra, expected: as of `output_of_process`.
+
+    Raises:
+        InputError: as `output_of_process`.
+    """
+    with np.load(BytesIO(output_of_process(module, path, extra, expected)), allow_pickle=False) as arrays:
+        found: dict[str, Any] = dict(arrays)
+    more = {name.removeprefix(ATTRIBUTE): found.pop(name) for name in [*found] if name.startswith(ATTRIBUTE)}
+    found["dropped"] = int(found["dropped"])
+    return Strands(source=str(path), attributes=StrandAttributes.of_arrays(more), **found)
+
+
+def output_of_process(module: str, path: Path, extra: str, expected: str) -> bytes:
+    """What a module writes of a file.
 
     Args:
         module: run as `python -m module FILE`; ends with `serve`.
@@ -65,11 +82,7 @@ def read_in_process(module: str, path: Path, extra: str, expected: str) -> Stran
         raise InputError(path, *json.loads(ended.stdout))
     if ended.returncode:
         raise InputError(path, expected, _how_it_ended(ended.returncode, ended.stderr, LIBRARIES[extra]))
-    with np.load(BytesIO(ended.stdout), allow_pickle=False) as arrays:
-        found: dict[str, Any] = dict(arrays)
-    more = {name.removeprefix(ATTRIBUTE): found.pop(name) for name in [*found] if name.startswith(ATTRIBUTE)}
-    found["dropped"] = int(found["dropped"])
-    return Strands(source=str(path), attributes=StrandAttributes.of_arrays(more), **found)
+    return ended.stdout
 
 
 def _how_it_ended(code: int, said: bytes, library: str) -> str:
@@ -84,8 +97,8 @@ def _how_it_ended(code: int, said: bytes, library: str) -> str:
     return f"one that could not be read: {lines[-1] if lines else code}"
 
 
-def serve(path: Path, read: Callable[[Path], Strands]) -> int:
-    """Write strands to the standard output as `.npz`, or as JSON what was expected and what was found.
+def serve(path: Path, read: Callable[[Path], Value], write: Callable[[Value, BinaryIO], object]) -> int:
+    """Write what is read to the standard output, or as JSON what was expected and what was found.
 
     Returns:
         The exit code: 0, or `REFUSED`.
@@ -93,16 +106,21 @@ def serve(path: Path, read: Callable[[Path], Strands]) -> int:
     with _results() as output:
         _limit_this_process(path.stat().st_size)
         try:
-            strands = read(path)
+            value = read(path)
         except InputError as error:
             output.write(json.dumps([error.expected, error.found]).encode())
             return REFUSED
-        numbers = {"points": strands.points, "counts": strands.counts, "dropped": np.array(strands.dropped)}
-        if strands.times is not None:
-            numbers["times"] = strands.times
-        more = {f"{ATTRIBUTE}{name}": values for name, values in strands.attributes.arrays().items()}
-        np.savez(output, **numbers, **more, **held_parts_of(strands))  # type: ignore[arg-type]  # taken for allow_pickle
+        write(value, output)
     return 0
+
+
+def write_strands(strands: Strands, output: BinaryIO) -> None:
+    """Write strands as `.npz`."""
+    numbers = {"points": strands.points, "counts": strands.counts, "dropped": np.array(strands.dropped)}
+    if strands.times is not None:
+        numbers["times"] = strands.times
+    more = {f"{ATTRIBUTE}{name}": values for name, values in strands.attributes.arrays().items()}
+    np.savez(output, **numbers, **more, **held_parts_of(strands))  # type: ignore[arg-type]  # taken for allow_pickle
 
 
 @contextmanager

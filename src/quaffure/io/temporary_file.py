@@ -1,4 +1,4 @@
-"""Names of temporary files, and the removal of those whose process was killed."""
+"""Names of temporary files, and the removal of what killed processes left of them."""
 
 import os
 import re
@@ -7,6 +7,9 @@ import socket
 import time
 from functools import cache
 from pathlib import Path
+
+from quaffure.io.kept_folder import PATTERN as FRAMES
+from quaffure.io.kept_folder import remove_abandoned
 
 PREFIX = ".quaffure-"
 HOST = re.sub(r"\W", "_", socket.gethostname())[:40]
@@ -22,11 +25,14 @@ def temporary_in(folder: Path, suffix: str) -> Path:
 
 @cache
 def sweep_temporary_files(folder: Path) -> None:
-    """Remove temporary files of processes that have ended; once for a folder, as some hold thousands of files."""
+    """Remove temporary files of processes that have ended, and folders of frames that they left without a whole batch;
+    once for a folder, as some hold thousands of files."""
     try:
         leftovers = [path for path in folder.glob(f"{PREFIX}*") if _is_leftover(path)]
         for path in leftovers:
             path.unlink(missing_ok=True)
+        for path in [*folder.glob(FRAMES)]:
+            remove_abandoned(path)
     except OSError:
         pass  # not ours to remove, or gone by now
 

@@ -9,7 +9,7 @@ that viewers hide.
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +18,9 @@ from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.export_clip import BODY_COLOUR, HAIR_COLOUR, ExportClip
 from quaffure.hair.strands import TIE_VERTEX
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import replacing_together
 from quaffure.io.output_path import check_suffix
-from quaffure.io.usd_layers import frame_layers
+from quaffure.io.usd_layers import FrameLayer, frame_layers
 from quaffure.io.usd_materials import add_materials, bind_material
 from quaffure.io.usd_process import PREFIX
 
@@ -48,7 +48,9 @@ def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[
     """
     check_suffix(path, *USD_SUFFIXES)
     clip = drape if isinstance(drape, ExportClip) else ExportClip(drape)
-    with replacing(path) as temporary, _system_errors():
+    per_layer = clip.settings.frames_per_layer
+    layers = [] if per_layer is None else frame_layers(path, clip.frames, per_layer)
+    with replacing_together(path, *(layer.path for layer in layers)) as (temporary, *parts), _system_errors():
         stage = _new_stage(temporary)
         _set_stage(stage, clip, clip.frames)
         root = UsdGeom.Xform.Define(stage, ROOT).GetPrim()
@@ -60,10 +62,10 @@ def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[
         _Curves(stage, STRANDS, clip, is_guide=False).describe()
         if clip.settings.guides:
             _Curves(stage, GUIDES, clip, is_guide=True).describe()
-        if clip.settings.frames_per_layer is None:
-            _animate(stage, clip, clip.frames, on_frame)
+        if layers:
+            _animate_layers(stage, clip, dict(zip(parts, layers)), on_frame)
         else:
-            _animate_layers(stage, path, clip, on_frame)
+            _animate(stage, clip, clip.frames, on_frame)
 
 
 @contextmanager
@@ -207,24 +209,27 @@ def _new_stage(path: Path) -> Usd.Stage:
     return Usd.Stage.Open(Sdf.Layer.CreateNew(str(path.absolute())))
 
 
-def _animate_layers(stage: Usd.Stage, path: Path, clip: ExportClip, on_frame: Callable[[], object]) -> None:
-    """Write points and extents to layers, and name these as value clips."""
-    assert clip.settings.frames_per_layer is not None
-    layers = frame_layers(path, clip.frames, clip.settings.frames_per_layer)
-    with ExitStack() as written:
-        for each in layers:
-            part = _new_stage(written.enter_context(replacing(each.path)))
-            _set_stage(part, clip, each.frames)
-            _animate(part, clip, each.frames, on_frame)
-        clips = Usd.ClipsAPI(stage.GetDefaultPrim())
-        clips.SetClipPrimPath(ROOT)
-        names = [Sdf.AssetPath(f"./{each.path.name}") for each in layers]
-        clips.SetClipAssetPaths(Sdf.AssetPathArray(names))
-        # It declares what the others hold.
-        clips.SetClipManifestAssetPath(names[0])
-        active = [(_time_code(clip, each.frames[0]), index) for index, each in enumerate(layers)]
-        clips.SetClipActive(Vt.Vec2dArray(active))
-        _save(stage.GetRootLayer())
+def _animate_layers(
+    stage: Usd.Stage, clip: ExportClip, layers: dict[Path, FrameLayer], on_frame: Callable[[], object]
+) -> None:
+    """Write points and extents to layers, and name these as value clips.
+
+    Args:
+        layers: by the temporary file of each.
+    """
+    for temporary, each in layers.items():
+        part = _new_stage(temporary)
+        _set_stage(part, clip, each.frames)
+        _animate(part, clip, each.frames, on_frame)
+    clips = Usd.ClipsAPI(stage.GetDefaultPrim())
+    clips.SetClipPrimPath(ROOT)
+    names = [Sdf.AssetPath(f"./{each.path.name}") for each in layers.values()]
+    clips.SetClipAssetPaths(Sdf.AssetPathArray(names))
+    # It declares what the others hold.
+    clips.SetClipManifestAssetPath(names[0])
+    active = [(_time_code(clip, each.frames[0]), index) for index, each in enumerate(layers.values())]
+    clips.SetClipActive(Vt.Vec2dArray(active))
+    _save(stage.GetRootLayer())
 
 
 def _animate(stage: Usd.Stage, clip: ExportClip, frames: Sequence[int], on_frame: Callable[[], object]) -> None:

@@ -31,7 +31,8 @@ from quaffure.hair.resample import concatenate_strands
 from quaffure.hair.strand_attributes import groups_of, per_point, per_strand
 from quaffure.hair.strands import HELD_PARTS, TIE_VERTEX, Strands, checked_strands, held_parts_of
 from quaffure.io.held_parts import checked_held_parts
-from quaffure.io.strand_process import serve
+from quaffure.io.strand_process import serve, write_strands
+from quaffure.io.usd_files import named_files
 from quaffure.io.usd_process import PREFIX
 
 COLOURS = ("groom_color", "displayColor")
@@ -42,13 +43,15 @@ ROOT_UVS = ("groom_root_uv", "st", "uv")
 def main(path: Path) -> int:
     """Read a stage for the process that started this one."""
     Work.SetConcurrencyLimit(1)
-    return serve(path, _read_stage)
+    return serve(path, _read_stage, write_strands)
 
 
 def _read_stage(path: Path) -> Strands:
     # On damaged files the USD library raises its own error, and returns values of unexpected types.
     with refused(path, "a USD file", Exception), _first_message():
+        layers = named_files(path)  # none of which is a FIFO, and which stay open until the stage is
         stage = Usd.Stage.Open(str(path))
+        layers.clear()
         curves, others = list[UsdGeom.Curves](), set[str]()
         for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
             if prim.IsA(UsdGeom.BasisCurves) or _is_nurbs(prim):

@@ -1,5 +1,6 @@
 """The frozen groom encoder and the code of a groom; files of encoder and autoencoder."""
 
+import re
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -71,9 +72,10 @@ def save_autoencoder(path: Path, network: GroomAutoencoder, notes: dict[str, str
 
 
 def _widths(path: Path, text: str) -> Widths:
-    widths = [int(word) for word in text.split(",") if word.isdecimal()]
-    if len(widths) != 4 or not all(0 < width <= MAX_WIDTH for width in widths):
-        raise InputError(path, "the four widths of a groom decoder", repr(text))
+    words = text.split(",")
+    widths = [int(word) for word in words if re.fullmatch(r"\d{1,4}", word)]
+    if len(widths) != len(words) or len(words) != 4 or not all(0 < width <= MAX_WIDTH for width in widths):
+        raise InputError(path, "the four widths of a groom decoder", f"{text[:40]!r}")
     return widths[0], widths[1], widths[2], widths[3]
 
 

@@ -29,7 +29,7 @@ from torch import nn
 
 from quaffure.config import EDGES_PER_STRAND, TEXTURE_SIZE
 from quaffure.errors import InputError
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import replacing_together
 from quaffure.model.groom_encoder import CODE_SIZE
 from quaffure.model.inference_network import NetworkInputs, no_features
 from quaffure.model.pose_code import code_size
@@ -64,7 +64,8 @@ def write_onnx(path: Path, network: QuaffureNetwork) -> tuple[list[Path], float]
         raise InputError("--weights", "a network of edge directions", "the paper's configuration")
     graphs = graphs_of(network)
     paths = [path, *(refinement_path(path, number) for number in range(1, len(graphs)))]
-    return paths, max(_write(*file) for file in zip(paths, graphs))
+    with replacing_together(*paths) as temporaries:
+        return paths, max(_write(*file) for file in zip(paths, temporaries, graphs))
 
 
 class Graph(NamedTuple):
@@ -99,8 +100,8 @@ def graphs_of(network: DirectionNetwork) -> list[Graph]:
     return [first, *refinements]
 
 
-def _write(path: Path, graph: Graph) -> float:
-    with replacing(path) as temporary, torch.no_grad(), warnings.catch_warnings():
+def _write(path: Path, temporary: Path, graph: Graph) -> float:
+    with torch.no_grad(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the exporter, about torch itself
         program = torch.onnx.export(
             graph.module.eval(),

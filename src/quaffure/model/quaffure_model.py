@@ -9,14 +9,15 @@ import torch
 
 from quaffure.backend import Backend, choose_backend
 from quaffure.body.body_model import BodyModel, load_body
-from quaffure.body.pose_limits import Rows
+from quaffure.body.pose_limits import Rows, rows_of
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
-from quaffure.hair.groom import Groom, check_groom
+from quaffure.hair.groom import Groom
+from quaffure.hair.groom_checks import check_groom
 from quaffure.model.checkpoint import load_network
 from quaffure.model.cpu_backend import BATCH
 from quaffure.model.inference_network import fast_bfloat16
-from quaffure.model.network_config import SHAPE_SIZE
+from quaffure.model.network_config import POSE_SIZE, SHAPE_SIZE
 from quaffure.model.neural import NeuralDraper
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions, Tensor
@@ -75,7 +76,8 @@ class Quaffure:
                 without strands, with NaN, or not laid out for the network.
         """
         given_shape = [[0.0] * SHAPE_SIZE] if body_shape is None else body_shape
-        poses, shapes = self.body.checked_pose_and_shape(body_pose, given_shape)
+        poses = rows_of(body_pose, POSE_SIZE, self.body.rest_vertices, "body_pose")
+        shapes = rows_of(given_shape, SHAPE_SIZE, self.body.rest_vertices, "body_shape")
         if body_shape is None:
             shapes = shapes.expand(len(poses), -1)
         if not 0 < len(shapes) == len(poses):
@@ -120,7 +122,7 @@ class Quaffure:
         expected, found = self.body.rest_vertices, groom.rest_strands
         if found.dtype is not expected.dtype:
             raise InputError(groom.name, f"vertices in {expected.dtype}", f"{found.dtype}")
-        check_groom(groom)
+        check_groom(groom, len(self.body.faces))
         return groom if found.device == expected.device else groom.to(expected.device)
 
 

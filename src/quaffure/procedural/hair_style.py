@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 from quaffure.errors import InputError, refused
+from quaffure.input_file import read_text
 
 ASSETS = Path(str(files("quaffure") / "assets"))
 
@@ -156,9 +157,10 @@ def read_styles(path: Path) -> dict[str, HairStyle]:
     Raises:
         InputError: the file is not TOML, or has an unknown control or a value of the wrong type.
     """
-    with refused(path, "a TOML file", tomllib.TOMLDecodeError):
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    return {name: _style_part(HairStyle, table, f"{path.name}: {name}") for name, table in tables.items()}
+    # ValueError: TOML that is none, and numbers of thousands of digits, which Python neither reads nor writes.
+    with refused(path, "a TOML file", ValueError, RecursionError):
+        tables = tomllib.loads(read_text(path, "a TOML file"))
+        return {name: _style_part(HairStyle, table, f"{path.name}: {name}") for name, table in tables.items()}
 
 
 def style_sizes() -> dict[str, dict[str, float]]:
@@ -169,8 +171,10 @@ def style_sizes() -> dict[str, dict[str, float]]:
     return sizes
 
 
-def _style_part(kind: Any, table: dict[str, Any], source: str) -> Any:
+def _style_part(kind: Any, table: Any, source: str) -> Any:
     """A `HairStyle`, or one of its parts, from a table of the file."""
+    if not isinstance(table, dict):
+        raise InputError(source, "a table of controls", repr(table))
     hints = get_type_hints(kind)
     for name in table.keys() - hints.keys():
         raise InputError(source, f"one of the controls {', '.join(hints)}", repr(name))

@@ -11,6 +11,7 @@ import torch
 
 from quaffure.config import HairMaterial
 from quaffure.energies.hair_energy import HairEnergy
+from quaffure.errors import InputError
 from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from quaffure.hair.groom_cache import GroomCopy
 from quaffure.scene import PosedScene, Scene
@@ -112,7 +113,14 @@ class CoherentDraper:
         return torch.cat([last.direction.flatten(1), torch.from_numpy(last.damping)[:, None]], dim=1)
 
     def follow(self, scene: Scene, state: Float[Tensor, "s k"]) -> None:
-        """Continue from the last of these frames, after which `state` was this, as if it had been draped here."""
+        """Continue from the last of these frames, after which `state` was this, as if it had been draped here.
+
+        Raises:
+            InputError: a state of other strands.
+        """
+        strands, vertices, _ = scene.groom.rest_strands.shape
+        if state.shape != (strands, 3 * (vertices - 1) + 1):
+            raise InputError("state", f"numbers [{strands}, {3 * (vertices - 1) + 1}]", f"{list(state.shape)}")
         last = scene.sample(len(scene.posed) - 1)
         direction = state[:, :-1].reshape(len(state), -1, 3)
         self._last = replace(_frame(last, direction), damping=state[:, -1].numpy().astype(np.float32))

@@ -103,8 +103,10 @@ class StrandNewtonDraper:
         """The same solver under another loading.
 
         Raises:
-            InputError: the draper has terms of its own, which say what loads hair.
+            InputError: what no hair has (`Loading.check`), or the draper has terms of its own, which say what loads
+                hair.
         """
+        loading.check()
         if self._terms is not None:
             raise InputError(f"solver {self.name}", "no energy terms, to drape under another loading", "terms")
         other = StrandNewtonDraper(self.material, self.setting)

@@ -4,6 +4,7 @@ Each draws poses of its own. Gradients are averaged, so all take the same step a
 """
 
 import os
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -108,9 +109,9 @@ def joined_workers(device: Device = "auto") -> Iterator[Worker]:
 
 def _whole_number(variable: str, allowed: range) -> int:
     text = os.environ[variable]
-    if not text.isdecimal() or int(text) not in allowed:
+    if not re.fullmatch(r"\d{1,5}", text) or int(text) not in allowed:
         expected = f"a whole number from {allowed.start} to {allowed.stop - 1}"
-        raise InputError(f"environment variable {variable}", expected, repr(text))
+        raise InputError(f"environment variable {variable}", expected, f"{text[:40]!r}")
     return int(text)
 
 

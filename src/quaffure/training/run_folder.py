@@ -1,13 +1,16 @@
 """The folder of a training run: its settings, its logs, and the checkpoint to resume from."""
 
 import csv
+import re
 import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from functools import cache
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal, get_args
+from zipfile import ZIP_STORED, ZipFile
 
 import torch
 
@@ -89,6 +92,7 @@ class RunFolder:
             return None
         check_input_file(path, CHECKPOINT_FILE)
         with self.reading():
+            _check_size(path)
             state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
             _ = state["identity"]
         for name, expected in identity.items():
@@ -129,7 +133,7 @@ class RunFolder:
         # Not every .csv of the folder: it may be one that holds tables of the user's.
         for path in (self.path / f"{name}.csv" for name in get_args(Table)):
             columns, rows = _read_table(path)
-            whole = [row for row in rows if None not in row.values() and row.get("step", "").isdigit()]
+            whole = [row for row in rows if None not in row.values() and re.fullmatch(r"\d{1,18}", row.get("step", ""))]
             kept = [row for row in whole if int(row["step"]) <= step]
             if len(kept) < len(rows):
                 _write_table(path, columns, kept)
@@ -140,8 +144,9 @@ def body_digest(body: BodyModel) -> str:
     return array_digest(body.rest_vertices)[:8]
 
 
+@cache
 def code_version() -> str:
-    """Version of the package, and in a git checkout of its source also the commit."""
+    """Version of the package, and in a git checkout of its source also the commit, when this process asked first."""
     released = version("quaffure")
     root = Path(__file__).parents[3]
     if not (root / ".git").exists():
@@ -155,10 +160,26 @@ def code_version() -> str:
     return f"{released} ({described})"
 
 
+def _check_size(path: Path) -> None:
+    """Refuse a checkpoint that takes more memory than its size says: torch reads compressed ones, too, and writes none.
+
+    Raises:
+        InputError: compressed parts, or more bytes in them than in the file.
+    """
+    with ZipFile(path) as archive:
+        parts = archive.infolist()
+    total = sum(part.file_size for part in parts)
+    if total > path.stat().st_size or any(part.compress_type != ZIP_STORED for part in parts):
+        raise InputError(path, f"{CHECKPOINT_FILE}, uncompressed as torch.save writes it", f"{total} bytes")
+
+
 def _read_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     if not path.is_file():
         return [], []
-    with path.open(newline="", encoding="utf-8") as file:
+    with (
+        refused(path, "a table of a training (.csv)", OSError, UnicodeDecodeError, csv.Error),
+        path.open(newline="", encoding="utf-8") as file,
+    ):
         reader = csv.DictReader(file)
         rows = list(reader)
         return list(reader.fieldnames or []), rows

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 import torch
 
 from quaffure.errors import InputError
-from quaffure.io.atomic import replacing
+from quaffure.io.atomic import replacing_together
 from quaffure.model.groom_autoencoder import GroomAutoencoder, Widths, relative_distance
 from quaffure.model.groom_code import save_autoencoder, save_encoder
 from quaffure.model.groom_texture import SHAPE_CHANNELS, GroomSample
@@ -185,10 +185,9 @@ def finish(training: Training[GroomCodeRecipe]) -> GroomAutoencoder:
         network.standardise(torch.cat(codes))
     styles = ", ".join(recipe.styles)
     notes = {"step": str(training.step), "grooms": f"{styles}; {len(recipe.family)} of the family"}
-    with replacing(folder / AUTOENCODER) as path:
-        save_autoencoder(path, network, notes)
-    with replacing(folder / ENCODER) as path:
-        save_encoder(path, network, notes)
+    with replacing_together(folder / AUTOENCODER, folder / ENCODER) as (autoencoder, encoder):
+        save_autoencoder(autoencoder, network, notes)
+        save_encoder(encoder, network, notes)
     return network
 
 

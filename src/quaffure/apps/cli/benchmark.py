@@ -167,7 +167,7 @@ def _check_files(out: Path, inputs: Sequence[str | Path | None]) -> None:
         InputError: another suffix, no folder to write into, a folder of one of these names, or an input.
     """
     check_output(out, ".json", inputs=inputs)
-    check_output(out.with_suffix(".png"), ".png")
+    check_output(out.with_suffix(".png"), ".png", inputs=inputs)
 
 
 def _write_files(out: Path, content: dict[str, object], plot: Callable[[Any, Path], None]) -> str:

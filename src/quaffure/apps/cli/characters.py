@@ -11,11 +11,11 @@ import tyro
 
 from quaffure.apps.character_table import CLIP_DRAPERS, read_table
 from quaffure.apps.cli.console import console, counted, print_json, progress_bar
-from quaffure.apps.cli.outputs import check_outputs
+from quaffure.apps.cli.outputs import check_outputs, files_of
 from quaffure.apps.row_workers import LocalProcesses, RayCluster, RowWorkers, drape_rows
 from quaffure.drapers import NEURAL
 from quaffure.errors import InputError
-from quaffure.io.output_path import made_folder
+from quaffure.io.output_path import check_no_inputs, made_folder
 
 ROWS_FAILED = 4
 """Exit code where rows have failed; all others are written."""
@@ -57,6 +57,8 @@ class CharactersCommand:
             made_folder(folder, "a folder for drapes")
         check_outputs([Path(row.out) for row in rows], (self.table,))
         left = [row for row in rows if not Path(row.out).exists()]
+        read = (source for row in rows for source in (row.groom, row.motion, row.body) if source)
+        check_no_inputs(files_of(Path(row.out) for row in left), read)
         begin, failed = time.perf_counter(), {}
         workers, where = self._workers(len(left))
         console.print(f"{counted(len(rows), 'row')}, {len(rows) - len(left)} of them finished before; {where}")

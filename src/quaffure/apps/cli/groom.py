@@ -18,7 +18,8 @@ from quaffure.config import VERTICES_PER_STRAND
 from quaffure.energies.held_parts import with_ties
 from quaffure.errors import InputError
 from quaffure.hair.file_frame import FileFrame
-from quaffure.hair.groom import Groom, check_strand_lengths
+from quaffure.hair.groom import Groom
+from quaffure.hair.groom_checks import check_values
 from quaffure.hair.registration import HeadMesh, register_groom
 from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.resample import concatenate_strands, resample_by_arc_length, without_degenerate
@@ -86,7 +87,7 @@ class NewGroom:
             groom = make_groom(style, load_body(), self.seed)
         if not len(groom):
             raise InputError("--set", "controls that make hair", "no strands")
-        check_strand_lengths(groom, "--set")
+        check_values(groom, "--set")
         write_groom(self.out, replace(groom, name=self.out.stem, licence=LICENCE))
         console.print(f"{self.out}: {_summary(groom)}")
 

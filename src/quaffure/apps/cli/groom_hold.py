@@ -11,7 +11,8 @@ from quaffure.apps.cli.console import console
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.energies.held_parts import held_up_to, released, tied_at
 from quaffure.errors import InputError
-from quaffure.hair.groom import LONGEST_STRAND, Groom
+from quaffure.hair.groom import Groom
+from quaffure.hair.groom_checks import LONGEST_STRAND
 from quaffure.io.groom_file import write_groom
 from quaffure.io.load_groom import load_groom
 from quaffure.io.output_path import check_output

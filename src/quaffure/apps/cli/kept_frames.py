@@ -8,7 +8,8 @@ from typing import Any
 
 from quaffure.apps.cli.console import console
 from quaffure.drape_motion import FRAMES_AT_ONCE
-from quaffure.io.frame_folder import FrameFolder, frames_path
+from quaffure.io.frame_folder import FrameFolder
+from quaffure.io.kept_folder import frames_path
 
 KEPT_SECONDS = 20.0
 """An interrupted run that took less is made anew."""

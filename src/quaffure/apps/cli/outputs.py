@@ -16,7 +16,7 @@ from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.groom import Groom
 from quaffure.hair.guide_interpolation import groom_of_drape
 from quaffure.hair.placed_clip import PlacedClip
-from quaffure.io.output_path import check_distinct, check_not_input, check_one_frame, check_output
+from quaffure.io.output_path import check_distinct, check_no_inputs, check_one_frame, check_output
 from quaffure.io.usd_layers import frame_layers
 
 VIDEO = ".mp4"
@@ -45,10 +45,10 @@ def check_outputs(paths: Sequence[Path], inputs: Iterable[str | Path | None]) ->
     """
     if not paths:
         raise InputError("--out", "at least one file to write", "none")
-    inputs = [*inputs]
     for path in files_of(paths):
-        check_output(path, *SUFFIXES, inputs=inputs)
+        check_output(path, *SUFFIXES)
         check_packages(path)
+    check_no_inputs(files_of(paths), inputs)
     check_distinct(files_of(paths))
 
 
@@ -71,9 +71,8 @@ def check_frames(
     for path in paths:
         if path.suffix.lower() in ONE_FRAME:
             check_one_frame(path, len(frames))
-    layers, inputs = layers_of(paths, frames, settings or ExportSettings()), [*inputs]
-    for layer in layers:
-        check_not_input(layer, inputs)
+    layers = layers_of(paths, frames, settings or ExportSettings())
+    check_no_inputs(layers, inputs)
     check_distinct([*files_of(paths), *layers])
 
 
@@ -166,11 +165,10 @@ def write_output(path: Path, clip: ExportClip, shows_progress: bool = True) -> N
         with _parts_shown(path, len(clip.sequence), shows_progress) as on_frame:
             write_video(path, clip.sequence, clip.interpolation, on_frame)
     elif suffix == ".abc":
-        from quaffure.io.alembic_groom import write_groom_asset, write_groom_cache
+        from quaffure.io.alembic_groom import write_groom_files
 
-        write_groom_asset(asset_path(path), clip)
         with _progress(path, clip) as on_frame:
-            write_groom_cache(path, clip, on_frame)
+            write_groom_files(path, asset_path(path), clip, on_frame)
     elif suffix == ".glb":
         from quaffure.io.glb import write_glb
 

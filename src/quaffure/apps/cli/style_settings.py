@@ -1,6 +1,6 @@
 """Controls of a hairstyle from what a user types: `length=0.3`, `length_map=1,1,0.8,0.5`, `fringe.sweep=0.5`."""
 
-import math
+import re
 from dataclasses import fields, is_dataclass, replace
 from types import NoneType
 from typing import Any, get_args, get_type_hints
@@ -49,7 +49,7 @@ def _changed(part: Any, path: list[str], text: str, source: str) -> Any:
         return replace(part, **{name: _value(hints[name], text, name, source)})
     inner = getattr(part, name)
     if isinstance(inner, tuple) and inner and is_dataclass(inner[0]):
-        place = int(rest[0]) if rest[0].isdecimal() else len(inner)
+        place = int(rest[0]) if re.fullmatch(r"\d{1,4}", rest[0]) else len(inner)
         if place >= len(inner) or not rest[1:]:
             raise InputError(source, f"{name}.0.CONTROL to {name}.{len(inner) - 1}.CONTROL", ".".join(path))
         changed = _changed(inner[place], rest[1:], text, source)
@@ -89,7 +89,7 @@ def _number(kind: type, text: str, name: str, source: str) -> float:
     except ValueError as error:
         raise InputError(source, "a whole number" if kind is int else "a number", repr(text)) from error
     least = 0.0 if name in ABOVE_ZERO else -LARGEST
-    if not (math.isfinite(number) and least <= number <= LARGEST) or (number == 0 and name in ABOVE_ZERO):
+    if not least <= number <= LARGEST or (number == 0 and name in ABOVE_ZERO):
         raise InputError(source, f"{'above 0 and ' if least == 0 else ''}within +-{LARGEST:g}", text)
     if name in HAIR_LENGTHS and number > LONGEST:
         raise InputError(source, f"at most {LONGEST:g} m", text)

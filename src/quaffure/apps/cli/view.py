@@ -17,6 +17,7 @@ from quaffure.hair.drape_sequence import DrapeSequence
 from quaffure.hair.export_clip import ExportClip
 from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.io.load_groom import load_groom
+from quaffure.io.output_path import check_writable
 from quaffure.model.quaffure_model import load_model
 from quaffure.procedural.hair_style import STYLES
 
@@ -69,6 +70,7 @@ class ViewCommand:
 
         if not self.folder.is_dir():
             raise InputError("--folder", "an existing folder", f"{self.folder}")
+        check_writable(self.folder, self.folder)
         model = load_model(self.weights).on(load_body(self.body))
         motion = (
             None

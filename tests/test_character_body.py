@@ -245,8 +245,8 @@ def with_hair_and_eye(of: Character, body: BodyModel) -> Character:
 def test_scalp_of_a_hair_mesh(body: BodyModel) -> None:
     haired = with_hair_and_eye(character(body), body)
     settings = replace(COARSE, hair_mesh="Hair_Long", cell=0.012)
-    with pytest.raises(InputError, match="--hair-mesh Hair_Long: expected a scalp of at least"):
-        import_body(haired, "", body, settings)  # 4 cm above the skin
+    with pytest.raises(InputError, match="--hair-mesh LeftEye: expected a scalp of at least"):
+        import_body(haired, "", body, replace(settings, hair_mesh="LeftEye"))
     mesh = haired.meshes[2]
     near = mesh.vertices.mean(0) + 0.68 * (mesh.vertices - mesh.vertices.mean(0))
     fitting = mesh_of("Wig", near, mesh.faces, haired.nodes, mesh.joints, torch.from_numpy(mesh.weights))

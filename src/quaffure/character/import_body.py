@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from quaffure.body.body_model import SHAPE_COUNT, BodyModel
 from quaffure.body.body_origin import BodyOrigin
@@ -18,17 +18,8 @@ from quaffure.body.scalp import ScalpChart
 from quaffure.character.collision_surface import CELL, Triangles, check_extent, closed_surface, closest_on, distance_to
 from quaffure.character.head_fit import HeadFit, fit_head
 from quaffure.character.parts import Part, Parts, choose_parts, joined, parts_of
-from quaffure.character.scalp import (
-    Scalp,
-    TransferredScalp,
-    around_roots,
-    ears_of,
-    scalp_of_faces,
-    scalp_of_transferred,
-    transferred_scalp,
-    under_hair,
-    where_large,
-)
+from quaffure.character.scalp import Scalp, ears_of, transferred_scalp
+from quaffure.character.scalp_source import HeadSurface, ScalpWish, scalp_of
 from quaffure.character.skeleton import FittedSkeleton, fit_skeleton
 from quaffure.errors import InputError
 
@@ -114,12 +105,18 @@ def import_body(
     on_head = dense[:, template.joint_names.index(HEAD)] > 0.5
     fit = fit_head(template, at_rest, on_head, character.source)
     ears = ears_of(at_rest, on_head, template, fit)
-    # Parts and roots are compared with the surface in the file's pose, in which they are.
-    transferred = transferred_scalp(template, at_rest, ears, fit)
-    scalp, scalp_note = _scalp(transferred, at_rest, surface, ears, all_parts, skeleton, settings, character.source)
+    head = HeadSurface(at_rest, surface, ears, transferred_scalp(template, at_rest, ears, fit))
+    scalp, scalp_note = scalp_of(head, all_parts, _wish(settings, skeleton), character.source)
     notes = (*_notes(skeleton, fit, surface, skin, middle), *parts.notes, scalp_note)
     body = _body(template, at_rest, (joints, shares), skeleton, ears, scalp, _origin(skeleton, character, digest))
     return ImportedBody(body, skeleton.joint_map, notes)
+
+
+def _wish(settings: ImportSettings, skeleton: FittedSkeleton) -> ScalpWish:
+    if settings.roots is None:
+        return ScalpWish(settings.scalp, settings.hair_mesh)
+    roots, name = settings.roots
+    return ScalpWish(roots=(skeleton.in_body_space(roots), name))
 
 
 def _middle_of_head(parts: Parts, template: BodyModel) -> Float[np.ndarray, "3"]:
@@ -132,52 +129,6 @@ def _strongest(weights: Float[np.ndarray, "v 27"]) -> tuple[Int[np.ndarray, "v 8
     order = np.argsort(-weights, axis=1, kind="stable")[:, :MOST_JOINTS]
     shares = np.take_along_axis(weights, order, axis=1)
     return order, shares / shares.sum(1, keepdims=True)
-
-
-def _scalp(
-    transferred: TransferredScalp,
-    at_rest: Triangles,
-    in_file: Triangles,
-    ears: Int[np.ndarray, " e"],
-    parts: list[Part],
-    skeleton: FittedSkeleton,
-    settings: ImportSettings,
-    source: str,
-) -> tuple[Scalp, str]:
-    """The scalp, and where it comes from."""
-    if settings.scalp:
-        wanted = _named_faces(in_file, parts, settings.scalp)
-        scalp = scalp_of_faces(
-            wanted & (transferred.distance(at_rest.vertices[at_rest.faces].mean(1)) < 0.1),
-            at_rest,
-            ears,
-            f"--scalp {settings.scalp}",
-        )
-        return scalp, f"scalp: {settings.scalp}"
-    if settings.hair_mesh:
-        hair = _mesh([part for part in parts if part.is_called(settings.hair_mesh)])
-        wanted = under_hair(in_file, hair, transferred)
-        return scalp_of_faces(wanted, at_rest, ears, f"--hair-mesh {settings.hair_mesh}"), (
-            f"scalp: the footprint of {settings.hair_mesh}"
-        )
-    if settings.roots is not None:
-        roots, name = settings.roots
-        wanted = around_roots(in_file, skeleton.in_body_space(roots), transferred, name)
-        return scalp_of_faces(wanted, at_rest, ears, name), f"scalp: around the roots of {name}"
-    return scalp_of_transferred(transferred, at_rest, ears, source), "scalp: that of the shipped body, transferred"
-
-
-def _named_faces(surface: Triangles, parts: list[Part], name: str) -> Bool[np.ndarray, " k"]:
-    """Faces of a surface where a mesh or material of a name is nearest, or an attribute of that name is large."""
-    middles = surface.vertices[surface.faces].mean(1)
-    named = [part for part in parts if part.is_called(name)]
-    if named:
-        others = [part for part in parts if part not in named]
-        return distance_to(middles, _mesh(named)) <= (distance_to(middles, _mesh(others)) if others else np.inf)
-    # Hair that is on the scalp would be nearer than it.
-    bald = [part for part in parts if part.attribute(name) is not None or not part.is_hair]
-    values = [np.zeros(len(part.vertices)) if (own := part.attribute(name)) is None else own for part in bald]
-    return where_large(middles, _mesh(bald), np.concatenate(values))
 
 
 def _check_names(parts: list[Part], settings: ImportSettings, source: str) -> None:
@@ -194,11 +145,6 @@ def _check_names(parts: list[Part], settings: ImportSettings, source: str) -> No
         known = ", ".join(dict.fromkeys(attribute for part in parts for attribute in part.attributes)) or "none"
         expected = f"a mesh or material of {source} ({meshes}) or an attribute of its vertices ({known})"
         raise InputError("--scalp", expected, repr(name))
-
-
-def _mesh(parts: list[Part]) -> Triangles:
-    vertices, faces, _ = joined(tuple(parts))
-    return Triangles(vertices, faces)
 
 
 def _notes(

@@ -17,7 +17,7 @@ from quaffure.body.joint_map import JointSource
 from quaffure.body.joint_names import automatic_joint_map
 from quaffure.character.collision_surface import Triangles, closed_surface
 from quaffure.character.import_body import ImportedBody, ImportSettings, import_body
-from quaffure.character.parts import parts_of
+from quaffure.character.parts import choose_parts, parts_of
 from quaffure.character.skeleton import fit_skeleton, rest_clip
 from quaffure.energies.body_collision import intersection_percent
 from quaffure.errors import InputError
@@ -252,6 +252,35 @@ def test_scalp_of_a_hair_mesh(body: BodyModel) -> None:
     fitting = mesh_of("Wig", near, mesh.faces, haired.nodes, mesh.joints, torch.from_numpy(mesh.weights))
     imported = import_body(with_mesh(character(body), fitting), "", body, replace(settings, hair_mesh="wig"))
     assert len(imported.body.scalp.faces) > 200
+
+
+@pytest.mark.slow
+def test_what_is_worn_on_the_head_is_no_part_of_it(body: BodyModel) -> None:
+    """A hat of twice the width made the head 1.3 times as wide, and its scalp and its grooms with it."""
+    of, settings = with_hair_and_eye(character(body), body), replace(COARSE, cell=0.012)
+    hat = of.meshes[2]
+    high = hat.vertices[hat.faces].mean(1)[:, 1] > hat.vertices[:, 1].mean()
+    felt = replace(hat, name="Hat", materials=("Felt",), faces=hat.faces[high], face_materials=hat.face_materials[high])
+    hatted = replace(of, meshes=(*of.meshes[:2], felt))
+    bare, worn = (import_body(hatted, "", body, replace(settings, collide=names)) for names in ((), ("hat",)))
+    assert worn.notes[0].split("; ")[1] == bare.notes[0].split("; ")[1]
+    assert "hair collides with: Hat (Felt)" in worn.notes
+    assert worn.notes[-1] == "hair grows on the outside of Hat (Felt)"
+    assert float(worn.body.rest_vertices[:, 2].max() - bare.body.rest_vertices[:, 2].max()) > 0.01
+
+
+def test_teeth_of_any_depth_are_in_the_head(body: BodyModel) -> None:
+    """Upper teeth with a palate are 10 cm deep; what is worn is not in the head."""
+    of = character(body)
+    mesh, node = of.meshes[0], of.nodes.names.index("mixamorig:Head")
+    scalp = mesh.vertices[np.unique(body.faces[body.scalp.faces].numpy())]
+    for name, place in (("Teeth", -3.0), ("Ball", 30.0)):
+        box = scalp.mean(0) + [0.0, place, 0.0] + [6.5, 4.6, 10.2] * (np.random.default_rng(3).random((20, 3)) - 0.5)
+        joints, weights = np.full((20, 1), node), torch.ones(20, 1)
+        of = with_mesh(of, mesh_of(name, box, np.arange(18).reshape(-1, 3), of.nodes, joints, weights))
+    chosen = choose_parts(parts_of(of, fit_skeleton(of, body)), body.joint_names, "", ("ball",))
+    groups = chosen.skin, chosen.inner, chosen.worn
+    assert [[part.mesh for part in group] for group in groups] == [["Body"], ["Teeth"], ["Ball"]]
 
 
 def test_scalp_of_an_attribute(body: BodyModel) -> None:

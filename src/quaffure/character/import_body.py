@@ -90,25 +90,29 @@ def import_body(
     all_parts = parts_of(character, skeleton)
     parts = choose_parts(all_parts, template.joint_names, character.source, settings.collide)
     _check_names(all_parts, settings, character.source)
-    for part in (*parts.skin, *parts.inner):
+    for part in (*parts.skin, *parts.inner, *parts.worn):
         check_extent(part.name, part.vertices, skeleton.file_joints, character.source)
     on_step("making one closed surface of the skin")
-    vertices, faces, weights = joined((*parts.skin, *parts.inner))
-    skin, middle = Triangles(vertices, faces), _middle_of_head(parts, template)
-    surface = closed_surface(skin, middle, settings.cell)
-    face, barycentric, _ = closest_on(surface.vertices, skin)
-    joints, shares = _strongest((barycentric[..., None] * weights[skin.faces[face]]).sum(1))
-    dense = np.zeros((len(joints), len(template.joint_names)))
-    np.put_along_axis(dense, joints, shares, axis=1)
+    middle, head_joint = _middle_of_head(parts, template), template.joint_names.index(HEAD)
+    bare = (*parts.skin, *parts.inner)
+    skin, surface, dense = _surface((*bare, *parts.worn), middle, settings.cell)
     on_step("placing the scalp")
     at_rest = Triangles(skeleton.to_rest_pose(surface.vertices, dense), surface.faces)
-    on_head = dense[:, template.joint_names.index(HEAD)] > 0.5
-    fit = fit_head(template, at_rest, on_head, character.source)
+    on_head = dense[:, head_joint] > 0.5
+    head_at_rest, of_head = at_rest, on_head
+    hats = [part.name for part in parts.worn if (part.weights[:, head_joint] > 0.5).any()]
+    if hats:
+        # The size of a hat is not the head's.
+        _, bald, moved_by = _surface(bare, middle, settings.cell)
+        head_at_rest = Triangles(skeleton.to_rest_pose(bald.vertices, moved_by), bald.faces)
+        of_head = moved_by[:, head_joint] > 0.5
+    fit = fit_head(template, head_at_rest, of_head, character.source)
     ears = ears_of(at_rest, on_head, template, fit)
     head = HeadSurface(at_rest, surface, ears, transferred_scalp(template, at_rest, ears, fit))
     scalp, scalp_note = scalp_of(head, all_parts, _wish(settings, skeleton), character.source)
-    notes = (*_notes(skeleton, fit, surface, skin, middle), *parts.notes, scalp_note)
-    body = _body(template, at_rest, (joints, shares), skeleton, ears, scalp, _origin(skeleton, character, digest))
+    hat_notes = [f"hair grows on the outside of {', '.join(hats)}"] if hats else []
+    notes = (*_notes(skeleton, fit, surface, skin, middle), *parts.notes, scalp_note, *hat_notes)
+    body = _body(template, at_rest, _strongest(dense), skeleton, ears, scalp, _origin(skeleton, character, digest))
     return ImportedBody(body, skeleton.joint_map, notes)
 
 
@@ -117,6 +121,20 @@ def _wish(settings: ImportSettings, skeleton: FittedSkeleton) -> ScalpWish:
         return ScalpWish(settings.scalp, settings.hair_mesh)
     roots, name = settings.roots
     return ScalpWish(roots=(skeleton.in_body_space(roots), name))
+
+
+def _surface(
+    parts: tuple[Part, ...], middle: Float[np.ndarray, "3"], cell: float
+) -> tuple[Triangles, Triangles, Float[np.ndarray, "v 27"]]:
+    """Parts as one mesh, one closed surface of it, and the share of each joint in its vertices."""
+    vertices, faces, weights = joined(parts)
+    mesh = Triangles(vertices, faces)
+    surface = closed_surface(mesh, middle, cell)
+    face, barycentric, _ = closest_on(surface.vertices, mesh)
+    joints, shares = _strongest((barycentric[..., None] * weights[faces[face]]).sum(1))
+    dense = np.zeros((len(joints), weights.shape[1]))
+    np.put_along_axis(dense, joints, shares, axis=1)
+    return mesh, surface, dense
 
 
 def _middle_of_head(parts: Parts, template: BodyModel) -> Float[np.ndarray, "3"]:

@@ -206,18 +206,13 @@ def _patch(
 
 def _extended_uv(points: Float[np.ndarray, "p 3"], transferred: TransferredScalp) -> Float[np.ndarray, "p 2"]:
     """Chart of the transferred scalp at points near it; linear beyond its rim."""
-    face, _, _ = closest_on(points, transferred.mesh)
+    face, clamped, _ = closest_on(points, transferred.mesh)
     corners = transferred.mesh.faces[face]
     first, second, third = (transferred.mesh.vertices[corners[:, k]] for k in range(3))
     normal = np.cross(second - first, third - first)
-    weights = (
-        np.stack(
-            [
-                (np.cross(b - points, c - points) * normal).sum(1)
-                for b, c in ((second, third), (third, first), (first, second))
-            ],
-            axis=1,
-        )
-        / (normal**2).sum(1)[:, None]
-    )
+    opposite = (second, third), (third, first), (first, second)
+    weights = np.stack([(np.cross(b - points, c - points) * normal).sum(1) for b, c in opposite], axis=1)
+    squared = (normal**2).sum(1)[:, None]
+    # Triangles that are drawn over a sharp edge, of a hat for instance, may have no area.
+    weights = np.where(squared > 0, weights / np.where(squared > 0, squared, 1.0), clamped)
     return (weights[..., None] * transferred.uv[corners]).sum(1)

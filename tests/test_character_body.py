@@ -26,7 +26,7 @@ from quaffure.hair.clearance import distances_and_normals
 from quaffure.io.body_file import write_body
 from quaffure.model.neural import NeuralDraper
 from quaffure.scene import BodyBatch, Scene
-from tests.characters import MIXAMO, REFERENCE_GRID, character, mesh_of, with_mesh
+from tests.characters import MIXAMO, REFERENCE_GRID, character, mesh_of, nodes_at, with_mesh
 
 pytest.importorskip("igl")
 WIDE_HEAD = (1.3, 1.2, 1.25)
@@ -222,6 +222,34 @@ def test_names_of_hair(name: str) -> None:
     assert is_hair_name(name)
 
 
+def test_two_figures_are_refused_whatever_their_joints_are_called(body: BodyModel) -> None:
+    """Readers tell equal names apart by numbers; the copy of a skeleton that a mesh has for itself is no figure."""
+    of = character(body)
+    beside, copy = (twice(of, aside) for aside in (80.0, 0.0))
+    expected = r"character.glb: expected a file of one figure, or --joints .*, found 2 heads: .*:Head and .*:Head#2 for"
+    with pytest.raises(InputError, match=expected):
+        fit_skeleton(beside, body)
+    one = fit_skeleton(of, body)
+    for other in (fit_skeleton(beside, body, one.joint_map), fit_skeleton(copy, body)):
+        np.testing.assert_allclose(other.rest_joints, one.rest_joints, atol=1e-9)
+
+
+def twice(of: Character, aside: float) -> Character:
+    """The figure and another one of the same joints."""
+    nodes, (mesh,) = of.nodes, of.meshes
+    count, places = len(nodes), nodes.world[:, :3, 3]
+    names = [*nodes.names, *(f"{name}#2" for name in nodes.names)]
+    parents = np.concatenate([nodes.parents, np.where(nodes.parents < 0, -1, nodes.parents + count)])
+    turns = np.random.default_rng(1).normal(size=(2 * count, 4))
+    shift = np.array([aside, 0.0, 0.0])
+    both = nodes_at(names, parents, np.concatenate([places, places + shift]), turns)
+    meshes = (
+        mesh_of(mesh.name, mesh.vertices, mesh.faces, both, mesh.joints, torch.from_numpy(mesh.weights)),
+        mesh_of("Twin", mesh.vertices + shift, mesh.faces, both, mesh.joints + count, torch.from_numpy(mesh.weights)),
+    )
+    return Character(both, meshes, (), of.source)
+
+
 def test_a_brown_skin_is_skin(body: BodyModel) -> None:
     of = character(body)
     brown = replace(of, meshes=(replace(of.meshes[0], name="Ludwig_Body", materials=("Skin_Brown",)),))
@@ -336,7 +364,7 @@ def test_errors_say_what_was_expected(body: BodyModel) -> None:
     with pytest.raises(InputError, match=r"none for .*Head"):
         import_body(headless, "", body, COARSE)
     second = {**MIXAMO, "head": "LeftHand"}
-    with pytest.raises(InputError, match="mixamorig:Head and mixamorig:head for Head"):
+    with pytest.raises(InputError, match="2 heads: mixamorig:Head and mixamorig:head for Head"):
         import_body(character(body, second), "", body, COARSE)
     mesh = of.meshes[0]
     bald = replace(of, meshes=(replace(mesh, name="Hair"),))

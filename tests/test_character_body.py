@@ -142,6 +142,29 @@ def test_bob_on_it_drapes_as_on_ours(body: BodyModel, twin: ImportedBody) -> Non
     assert inside[1] <= 0.1
 
 
+def test_groom_and_network_of_different_bodies_are_refused(body: BodyModel, twin: ImportedBody) -> None:
+    """Roots on faces that are scalp on both bodies, too, which drape was silent about."""
+    model, pose = qf.load_model(), torch.zeros(1, 81)
+    shipped, own = qf.load_groom("bob").thinned(50), qf.load_groom("bob", twin.body).thinned(50)
+    for on, groom in ((model, own), (model.on(twin.body), shipped)):
+        with pytest.raises(InputError, match=r"bob: expected roots on the scalp .*load_model\(\).on\(body\) take"):
+            on.drape(groom, pose)
+    turned = replace(shipped, root_faces=body.scalp.faces[torch.arange(50)])
+    with pytest.raises(InputError, match=r"found strands that begin \d+\.\d cm from theirs"):
+        model.drape(turned, pose)
+    assert model.on(twin.body).drape(own, pose).shape == (1, 50, 24, 3)
+
+
+def test_drape_refuses_a_gradient_that_it_does_not_have(body: BodyModel) -> None:
+    model, groom, pose = qf.load_model(), qf.load_groom("bob").thinned(8), torch.zeros(1, 81, requires_grad=True)
+    with pytest.raises(InputError, match=r"body_pose: expected values without gradient.*TORCH\)\.deform has it"):
+        model.drape(groom, pose)
+    with pytest.raises(InputError, match="body_shape: expected values without gradient"):
+        model.drape_many([groom], torch.zeros(1, 81), torch.zeros(1, 10, requires_grad=True))
+    with torch.no_grad():
+        assert model.drape(groom, pose).isfinite().all()
+
+
 def test_gradient_through_the_pose_of_an_imported_body(twin: ImportedBody) -> None:
     model, imported = qf.load_model(), twin.body.to("cpu", torch.float64)
     groom = qf.load_groom("bob", twin.body).thinned(40).to(torch.float64)

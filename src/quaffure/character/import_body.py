@@ -16,6 +16,7 @@ from quaffure.body.joint_map import JointMap
 from quaffure.body.pose_features import HEAD
 from quaffure.body.scalp import ScalpChart
 from quaffure.character.collision_surface import CELL, Triangles, check_extent, closed_surface, closest_on, distance_to
+from quaffure.character.groom_roots import roots_on
 from quaffure.character.head_fit import HeadFit, fit_head
 from quaffure.character.parts import Part, Parts, choose_parts, joined, parts_of
 from quaffure.character.scalp import Scalp, ears_of, transferred_scalp
@@ -40,7 +41,7 @@ class ImportSettings:
         scalp: name of a mesh or material that is the scalp, or of an attribute of vertices that is above
             `scalp.LEAST_VALUE` there.
         hair_mesh: name of a mesh or material of hair, whose footprint is the scalp.
-        roots: of a groom that was made on the character [file units], and its file.
+        roots: of a groom that was made on the character, in the axes and unit of either file, and its file.
         collide: names of meshes or materials that hair collides with, besides the skin.
         cell: of the grid on which the surface is made [m].
     """
@@ -109,18 +110,20 @@ def import_body(
     fit = fit_head(template, head_at_rest, of_head, character.source)
     ears = ears_of(at_rest, on_head, template, fit)
     head = HeadSurface(at_rest, surface, ears, transferred_scalp(template, at_rest, ears, fit))
-    scalp, scalp_note = scalp_of(head, all_parts, _wish(settings, skeleton), character.source)
+    wish = _wish(settings, skeleton, Triangles(surface.vertices, surface.faces[on_head[surface.faces].all(1)]))
+    scalp, scalp_note = scalp_of(head, all_parts, wish, character.source)
     hat_notes = [f"hair grows on the outside of {', '.join(hats)}"] if hats else []
     notes = (*_notes(skeleton, fit, surface, skin, middle), *parts.notes, scalp_note, *hat_notes)
     body = _body(template, at_rest, _strongest(dense), skeleton, ears, scalp, _origin(skeleton, character, digest))
     return ImportedBody(body, skeleton.joint_map, notes)
 
 
-def _wish(settings: ImportSettings, skeleton: FittedSkeleton) -> ScalpWish:
+def _wish(settings: ImportSettings, skeleton: FittedSkeleton, head: Triangles) -> ScalpWish:
     if settings.roots is None:
         return ScalpWish(settings.scalp, settings.hair_mesh)
     roots, name = settings.roots
-    return ScalpWish(roots=(skeleton.in_body_space(roots), name))
+    placed, how = roots_on(head, roots, skeleton.in_body_space, name)
+    return ScalpWish(roots=(placed, name, how))
 
 
 def _surface(

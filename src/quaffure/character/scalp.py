@@ -12,7 +12,6 @@ from quaffure.character.collision_surface import Triangles, closest_on, distance
 from quaffure.character.head_fit import HeadFit, head_mesh
 from quaffure.character.scalp_chart import check_disc, continued, disc, fitted_to_square, without_flips
 from quaffure.character.scalp_check import check_scalp
-from quaffure.errors import InputError
 
 SUBDIVISIONS = 2
 """How often the shipped scalp's triangles, a centimetre wide, are divided into four."""
@@ -31,8 +30,6 @@ ROOT_DISTANCE = 0.012
 """Distance of the scalp from the nearest root of a groom [m]."""
 LEAST_VALUE = 0.5
 """Value of an attribute above which vertices are scalp."""
-LARGEST_ROOT_DISTANCE = 0.02
-"""Median distance of a groom's roots from the head beyond which it was made on another one [m]."""
 
 
 class Scalp(NamedTuple):
@@ -176,19 +173,13 @@ def under_hair(
 
 
 def around_roots(
-    surface: Triangles, roots: Float[np.ndarray, "s 3"], apart: Float[np.ndarray, " k"], source: str
+    surface: Triangles, roots: Float[np.ndarray, "s 3"], apart: Float[np.ndarray, " k"]
 ) -> Bool[np.ndarray, " k"]:
     """Faces near roots of a groom, not far outside of the transferred scalp.
 
     Args:
         apart: distance of each face from that scalp [m].
-
-    Raises:
-        InputError: a groom that was made on another head.
     """
-    away = float(np.median(np.linalg.norm(closest_on(roots, surface)[2] - roots, axis=1)))
-    if away > LARGEST_ROOT_DISTANCE:
-        raise InputError(source, "roots on the head of the character, in the file's space", f"{away:.3g} m apart")
     tree = cKDTree(roots)
     # Few strands: what is between them is scalp, too.
     spacing = float(np.median(tree.query(roots, 2)[0][:, 1])) if len(roots) > 1 else 0.0

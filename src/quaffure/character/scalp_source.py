@@ -29,12 +29,12 @@ class ScalpWish(NamedTuple):
     Attributes:
         name: of a mesh, a material, or an attribute of vertices.
         hair_mesh: name of a mesh or material of hair.
-        roots: of a groom, in the body's space and the file's pose [m], and its file.
+        roots: of a groom, in the body's space and the file's pose [m], its file, and how it was read.
     """
 
     name: str = ""
     hair_mesh: str = ""
-    roots: tuple[Float[np.ndarray, "s 3"], str] | None = None
+    roots: tuple[Float[np.ndarray, "s 3"], str, str] | None = None
 
 
 class HeadSurface(NamedTuple):
@@ -65,9 +65,9 @@ def scalp_of(head: HeadSurface, parts: list[Part], wish: ScalpWish, source: str)
         wanted = within_reach(_named_faces(head.in_file, parts, wish.name), apart, head.at_rest, option)
         return _asked_for(head, wanted, option, wish.name)
     if wish.roots is not None:
-        roots, name = wish.roots
-        wanted = around_roots(head.in_file, roots, apart, name)
-        return _asked_for(head, wanted, name, f"around the roots of {name}")
+        roots, name, how = wish.roots
+        wanted = around_roots(head.in_file, roots, apart)
+        return _asked_for(head, wanted, name, f"around the roots of {name}{how}")
     shipped = scalp_of_transferred(head.transferred, head.at_rest, head.ears, source)
     hair = [part for part in parts if (part.is_called(wish.hair_mesh) if wish.hair_mesh else part.is_hair)]
     if not hair:

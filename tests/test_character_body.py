@@ -99,6 +99,11 @@ def test_characters_without_a_figure_are_refused(body: BodyModel) -> None:
     of = character(body)
     with pytest.raises(InputError, match="a character with meshes of triangles, found none"):
         fit_skeleton(replace(of, meshes=()), body)
+    statue = nodes_at(["Statue"], np.array([-1]), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
+    joints, weights = np.zeros((len(of.meshes[0].vertices), 1), dtype=int), torch.ones(len(of.meshes[0].vertices), 1)
+    bare = mesh_of("Statue", of.meshes[0].vertices, of.meshes[0].faces, statue, joints, weights)
+    with pytest.raises(InputError, match=r"expected a skinned mesh, with joints .* found none that is: Statue"):
+        fit_skeleton(Character(statue, (replace(bare, is_rigid=True),), (), "statue.glb"), body)
     flat = replace(of.meshes[0], vertices=of.meshes[0].vertices * [1.0, 0.0, 1.0])
     with pytest.raises(InputError, match="found a height of 0"):
         fit_skeleton(replace(of, meshes=(flat,)), body)

@@ -104,6 +104,21 @@ def test_the_scalp_is_where_the_file_has_it(imported: tuple[BodyModel, Character
     assert millimetres.max() < 0.1
 
 
+@pytest.mark.parametrize(("scale", "said"), [(1.5, True), (1.005, False)])
+def test_an_animated_scale_is_said(imported: tuple[BodyModel, Character], scale: float, said: bool) -> None:
+    own, moved = imported
+    (animation,) = moved.animations
+    node = moved.nodes.names.index("mixamorig:Head")
+    values = np.stack([np.ones((1, 3)), np.full((1, 3), scale)])
+    grown = AnimationChannel(node, "scale", "LINEAR", np.array([0.5, 0.7]), values)
+    animation = replace(animation, channels=(*animation.channels, grown))
+    notes = own_motion(replace(moved, animations=(animation,)), animation, own, FPS).notes
+    assert notes == (
+        ("scale of Head is animated, by up to 50 %: hair collides with the body at its size at rest",) * said
+    )
+    assert own_motion(moved, moved.animations[0], own, FPS).notes == ()
+
+
 def drape_of(own: BodyModel, motion: Motion, roots: np.ndarray) -> DrapeSequence:
     """Straight strands on vertices of the body, moved with them."""
     posed = own.pose(motion.body_pose, torch.zeros(len(motion), 10)).vertices + motion.translation[:, None]

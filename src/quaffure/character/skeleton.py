@@ -91,7 +91,7 @@ def fit_skeleton(character: Character, template: BodyModel, joint_map: JointMap 
     clip = rest_clip(character)
     if joint_map is None:
         _check_one_head(clip)
-        joint_map = automatic_joint_map(clip)
+        joint_map = _map_by_names(character, clip)
     else:
         check_joint_map(joint_map, clip)
     between = [f"{joint} = {joint_map[joint]}" for joint in ENDS if joint_map[joint].second is not None]
@@ -132,6 +132,18 @@ def _check_one_head(clip: BvhClip) -> None:
             "table to edit)"
         )
         raise InputError(clip.source, expected, f"{len(apart) + 1} heads: {names} for Head")
+
+
+def _map_by_names(character: Character, clip: BvhClip) -> JointMap:
+    """`automatic_joint_map`; where there is none and no mesh is skinned, that is what is wrong."""
+    meshes = _figure(character)
+    try:
+        return automatic_joint_map(clip)
+    except InputError as error:
+        if not all(mesh.is_rigid for mesh in meshes):
+            raise
+        found = f"none that is: {', '.join(dict.fromkeys(mesh.name for mesh in meshes))}"
+        raise InputError(character.source, "a skinned mesh, with joints and weights", found) from error
 
 
 def rest_clip(character: Character) -> BvhClip:

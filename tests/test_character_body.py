@@ -17,7 +17,7 @@ from quaffure.body.joint_map import JointSource
 from quaffure.body.joint_names import automatic_joint_map
 from quaffure.character.collision_surface import Triangles, closed_surface
 from quaffure.character.import_body import ImportedBody, ImportSettings, import_body
-from quaffure.character.parts import parts_of
+from quaffure.character.parts import choose_parts, parts_of
 from quaffure.character.skeleton import fit_skeleton, rest_clip
 from quaffure.energies.body_collision import intersection_percent
 from quaffure.errors import InputError
@@ -26,7 +26,7 @@ from quaffure.hair.clearance import distances_and_normals
 from quaffure.io.body_file import write_body
 from quaffure.model.neural import NeuralDraper
 from quaffure.scene import BodyBatch, Scene
-from tests.characters import MIXAMO, REFERENCE_GRID, character, mesh_of, with_mesh
+from tests.characters import MIXAMO, REFERENCE_GRID, character, mesh_of, nodes_at, with_mesh
 
 pytest.importorskip("igl")
 WIDE_HEAD = (1.3, 1.2, 1.25)
@@ -99,6 +99,11 @@ def test_characters_without_a_figure_are_refused(body: BodyModel) -> None:
     of = character(body)
     with pytest.raises(InputError, match="a character with meshes of triangles, found none"):
         fit_skeleton(replace(of, meshes=()), body)
+    statue = nodes_at(["Statue"], np.array([-1]), np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
+    joints, weights = np.zeros((len(of.meshes[0].vertices), 1), dtype=int), torch.ones(len(of.meshes[0].vertices), 1)
+    bare = mesh_of("Statue", of.meshes[0].vertices, of.meshes[0].faces, statue, joints, weights)
+    with pytest.raises(InputError, match=r"expected a skinned mesh, with joints .* found none that is: Statue"):
+        fit_skeleton(Character(statue, (replace(bare, is_rigid=True),), (), "statue.glb"), body)
     flat = replace(of.meshes[0], vertices=of.meshes[0].vertices * [1.0, 0.0, 1.0])
     with pytest.raises(InputError, match="found a height of 0"):
         fit_skeleton(replace(of, meshes=(flat,)), body)
@@ -140,6 +145,29 @@ def test_bob_on_it_drapes_as_on_ours(body: BodyModel, twin: ImportedBody) -> Non
     assert len(shared[0]) > 0.95 * len(texels[0])
     assert float(apart.mean()) < 6e-3
     assert inside[1] <= 0.1
+
+
+def test_groom_and_network_of_different_bodies_are_refused(body: BodyModel, twin: ImportedBody) -> None:
+    """Roots on faces that are scalp on both bodies, too, which drape was silent about."""
+    model, pose = qf.load_model(), torch.zeros(1, 81)
+    shipped, own = qf.load_groom("bob").thinned(50), qf.load_groom("bob", twin.body).thinned(50)
+    for on, groom in ((model, own), (model.on(twin.body), shipped)):
+        with pytest.raises(InputError, match=r"bob: expected roots on the scalp .*load_model\(\).on\(body\) take"):
+            on.drape(groom, pose)
+    turned = replace(shipped, root_faces=body.scalp.faces[torch.arange(50)])
+    with pytest.raises(InputError, match=r"found strands that begin \d+\.\d cm from theirs"):
+        model.drape(turned, pose)
+    assert model.on(twin.body).drape(own, pose).shape == (1, 50, 24, 3)
+
+
+def test_drape_refuses_a_gradient_that_it_does_not_have(body: BodyModel) -> None:
+    model, groom, pose = qf.load_model(), qf.load_groom("bob").thinned(8), torch.zeros(1, 81, requires_grad=True)
+    with pytest.raises(InputError, match=r"body_pose: expected values without gradient.*TORCH\)\.deform has it"):
+        model.drape(groom, pose)
+    with pytest.raises(InputError, match="body_shape: expected values without gradient"):
+        model.drape_many([groom], torch.zeros(1, 81), torch.zeros(1, 10, requires_grad=True))
+    with torch.no_grad():
+        assert model.drape(groom, pose).isfinite().all()
 
 
 def test_gradient_through_the_pose_of_an_imported_body(twin: ImportedBody) -> None:
@@ -222,6 +250,34 @@ def test_names_of_hair(name: str) -> None:
     assert is_hair_name(name)
 
 
+def test_two_figures_are_refused_whatever_their_joints_are_called(body: BodyModel) -> None:
+    """Readers tell equal names apart by numbers; the copy of a skeleton that a mesh has for itself is no figure."""
+    of = character(body)
+    beside, copy = (twice(of, aside) for aside in (80.0, 0.0))
+    expected = r"character.glb: expected a file of one figure, or --joints .*, found 2 heads: .*:Head and .*:Head#2 for"
+    with pytest.raises(InputError, match=expected):
+        fit_skeleton(beside, body)
+    one = fit_skeleton(of, body)
+    for other in (fit_skeleton(beside, body, one.joint_map), fit_skeleton(copy, body)):
+        np.testing.assert_allclose(other.rest_joints, one.rest_joints, atol=1e-9)
+
+
+def twice(of: Character, aside: float) -> Character:
+    """The figure and another one of the same joints."""
+    nodes, (mesh,) = of.nodes, of.meshes
+    count, places = len(nodes), nodes.world[:, :3, 3]
+    names = [*nodes.names, *(f"{name}#2" for name in nodes.names)]
+    parents = np.concatenate([nodes.parents, np.where(nodes.parents < 0, -1, nodes.parents + count)])
+    turns = np.random.default_rng(1).normal(size=(2 * count, 4))
+    shift = np.array([aside, 0.0, 0.0])
+    both = nodes_at(names, parents, np.concatenate([places, places + shift]), turns)
+    meshes = (
+        mesh_of(mesh.name, mesh.vertices, mesh.faces, both, mesh.joints, torch.from_numpy(mesh.weights)),
+        mesh_of("Twin", mesh.vertices + shift, mesh.faces, both, mesh.joints + count, torch.from_numpy(mesh.weights)),
+    )
+    return Character(both, meshes, (), of.source)
+
+
 def test_a_brown_skin_is_skin(body: BodyModel) -> None:
     of = character(body)
     brown = replace(of, meshes=(replace(of.meshes[0], name="Ludwig_Body", materials=("Skin_Brown",)),))
@@ -245,13 +301,42 @@ def with_hair_and_eye(of: Character, body: BodyModel) -> Character:
 def test_scalp_of_a_hair_mesh(body: BodyModel) -> None:
     haired = with_hair_and_eye(character(body), body)
     settings = replace(COARSE, hair_mesh="Hair_Long", cell=0.012)
-    with pytest.raises(InputError, match="--hair-mesh Hair_Long: expected a scalp of at least"):
-        import_body(haired, "", body, settings)  # 4 cm above the skin
+    with pytest.raises(InputError, match="--hair-mesh LeftEye: expected a scalp of at least"):
+        import_body(haired, "", body, replace(settings, hair_mesh="LeftEye"))
     mesh = haired.meshes[2]
     near = mesh.vertices.mean(0) + 0.68 * (mesh.vertices - mesh.vertices.mean(0))
     fitting = mesh_of("Wig", near, mesh.faces, haired.nodes, mesh.joints, torch.from_numpy(mesh.weights))
     imported = import_body(with_mesh(character(body), fitting), "", body, replace(settings, hair_mesh="wig"))
     assert len(imported.body.scalp.faces) > 200
+
+
+@pytest.mark.slow
+def test_what_is_worn_on_the_head_is_no_part_of_it(body: BodyModel) -> None:
+    """A hat of twice the width made the head 1.3 times as wide, and its scalp and its grooms with it."""
+    of, settings = with_hair_and_eye(character(body), body), replace(COARSE, cell=0.012)
+    hat = of.meshes[2]
+    high = hat.vertices[hat.faces].mean(1)[:, 1] > hat.vertices[:, 1].mean()
+    felt = replace(hat, name="Hat", materials=("Felt",), faces=hat.faces[high], face_materials=hat.face_materials[high])
+    hatted = replace(of, meshes=(*of.meshes[:2], felt))
+    bare, worn = (import_body(hatted, "", body, replace(settings, collide=names)) for names in ((), ("hat",)))
+    assert worn.notes[0].split("; ")[1] == bare.notes[0].split("; ")[1]
+    assert "hair collides with: Hat (Felt)" in worn.notes
+    assert worn.notes[-1] == "hair grows on the outside of Hat (Felt)"
+    assert float(worn.body.rest_vertices[:, 2].max() - bare.body.rest_vertices[:, 2].max()) > 0.01
+
+
+def test_teeth_of_any_depth_are_in_the_head(body: BodyModel) -> None:
+    """Upper teeth with a palate are 10 cm deep; what is worn is not in the head."""
+    of = character(body)
+    mesh, node = of.meshes[0], of.nodes.names.index("mixamorig:Head")
+    scalp = mesh.vertices[np.unique(body.faces[body.scalp.faces].numpy())]
+    for name, place in (("Teeth", -3.0), ("Ball", 30.0)):
+        box = scalp.mean(0) + [0.0, place, 0.0] + [6.5, 4.6, 10.2] * (np.random.default_rng(3).random((20, 3)) - 0.5)
+        joints, weights = np.full((20, 1), node), torch.ones(20, 1)
+        of = with_mesh(of, mesh_of(name, box, np.arange(18).reshape(-1, 3), of.nodes, joints, weights))
+    chosen = choose_parts(parts_of(of, fit_skeleton(of, body)), body.joint_names, "", ("ball",))
+    groups = chosen.skin, chosen.inner, chosen.worn
+    assert [[part.mesh for part in group] for group in groups] == [["Body"], ["Teeth"], ["Ball"]]
 
 
 def test_scalp_of_an_attribute(body: BodyModel) -> None:
@@ -307,7 +392,7 @@ def test_errors_say_what_was_expected(body: BodyModel) -> None:
     with pytest.raises(InputError, match=r"none for .*Head"):
         import_body(headless, "", body, COARSE)
     second = {**MIXAMO, "head": "LeftHand"}
-    with pytest.raises(InputError, match="mixamorig:Head and mixamorig:head for Head"):
+    with pytest.raises(InputError, match="2 heads: mixamorig:Head and mixamorig:head for Head"):
         import_body(character(body, second), "", body, COARSE)
     mesh = of.meshes[0]
     bald = replace(of, meshes=(replace(mesh, name="Hair"),))

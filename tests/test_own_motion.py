@@ -15,6 +15,8 @@ from quaffure.body.body_origin import BodyOrigin
 from quaffure.body.character import AnimationChannel, Character, CharacterAnimation
 from quaffure.body.character_animation import frame_times, poses_at
 from quaffure.body.own_motion import is_own, own_motion
+from quaffure.character.collision_surface import Triangles, closest_on, distance_to
+from quaffure.character.import_body import ImportSettings, import_body
 from quaffure.character.skeleton import fit_skeleton
 from quaffure.errors import InputError
 from quaffure.hair import DrapeSequence
@@ -22,12 +24,13 @@ from quaffure.hair.character_space import AnimatedSkin, CharacterSpace, bind_poi
 from quaffure.hair.export_clip import ExportClip
 from quaffure.hair.groom_binding import GroomBinding, Skeleton
 from quaffure.hair.placed_clip import placed_clip
+from quaffure.hair.posing import root_positions
 from quaffure.hair.source_strands import PlacedStrands
 from quaffure.hair.strand_attributes import StrandAttributes
 from quaffure.hair.strands import Strands
 from quaffure.io import load_source, write_groom
 from quaffure.io.load_groom import load_groom
-from tests.characters import character
+from tests.characters import REFERENCE_GRID, character
 
 FPS = 30.0
 
@@ -102,6 +105,21 @@ def test_the_scalp_is_where_the_file_has_it(imported: tuple[BodyModel, Character
     millimetres = np.linalg.norm(found - expected, axis=2) * 1000 / own.origin.scale
     assert np.ptp(expected, axis=0).max() > 20  # centimetres
     assert millimetres.max() < 0.1
+
+
+@pytest.mark.parametrize(("scale", "said"), [(1.5, True), (1.005, False)])
+def test_an_animated_scale_is_said(imported: tuple[BodyModel, Character], scale: float, said: bool) -> None:
+    own, moved = imported
+    (animation,) = moved.animations
+    node = moved.nodes.names.index("mixamorig:Head")
+    values = np.stack([np.ones((1, 3)), np.full((1, 3), scale)])
+    grown = AnimationChannel(node, "scale", "LINEAR", np.array([0.5, 0.7]), values)
+    animation = replace(animation, channels=(*animation.channels, grown))
+    notes = own_motion(replace(moved, animations=(animation,)), animation, own, FPS).notes
+    assert notes == (
+        ("scale of Head is animated, by up to 50 %: hair collides with the body at its size at rest",) * said
+    )
+    assert own_motion(moved, moved.animations[0], own, FPS).notes == ()
 
 
 def drape_of(own: BodyModel, motion: Motion, roots: np.ndarray) -> DrapeSequence:
@@ -190,6 +208,53 @@ def test_one_root_is_where_the_file_has_its_vertex(
     np.testing.assert_allclose(turned, clip.points(3)[:, [0, 2, 1]] * [1, -1, 1])
     np.testing.assert_allclose(clip.widths, 100 * clip.inner.widths, rtol=1e-5)
     np.testing.assert_array_equal(clip.body_faces, mesh.faces)
+
+
+def test_roots_beside_the_skin_are_bound_onto_it(imported: tuple[BodyModel, Character]) -> None:
+    """The surface of an import is up to 0.6 mm off the file's skin; roots that float 3 mm above it were made so."""
+    own, moved = imported
+    (animation,), (mesh,) = moved.animations, moved.meshes
+    assert own.origin is not None
+    chosen = scalp_vertices(own)[::60]
+    outwards = torch.nn.functional.normalize(own.rest_vertices[chosen] - own.rest_vertices[chosen].mean(0), dim=1)
+    times = frame_times(animation, FPS, 100)
+    space = CharacterSpace(own.origin, 0.5, AnimatedSkin(moved, animation, mesh, times))
+    (poses,) = poses_at(moved, animation, times)
+    for metres, expected in ((0.0005, 0.0), (0.003, 3.0)):
+        roots = (own.rest_vertices[chosen] + metres * outwards).double().numpy()
+        bound = space.bound(roots)
+        assert bound is not None
+        for frame in range(len(times)):
+            skin = Triangles(mesh.posed(poses.world[frame]), mesh.faces)
+            placed = space.placed(roots, np.ones(len(roots), int), bound, frame)
+            millimetres = 1000 / own.origin.scale * distance_to(placed, skin)
+            assert np.median(millimetres) == pytest.approx(expected, abs=0.5 if expected else 0.02)
+            assert millimetres.max() < (3.2 if expected else 0.1)
+
+
+@pytest.mark.slow
+def test_roots_of_an_import_are_where_the_skin_of_its_file_is(body: BodyModel) -> None:
+    """A body by `import_body`, whose surface is another mesh than the file's: within 0.1 mm in every frame."""
+    rest = character(body)
+    moved = moving(rest)
+    own = import_body(rest, "", body, ImportSettings(cell=2 * REFERENCE_GRID)).body
+    (animation,), (mesh,) = moved.animations, moved.meshes
+    assert own.origin is not None
+    motion = own_motion(moved, animation, own, FPS)
+    groom = load_groom("bob", own).thinned(80)
+    at_rest = own.origin.file_from_body(groom.rest_strands[:, 0].double().numpy())
+    faces, weights, places = closest_on(at_rest, Triangles(mesh.vertices, mesh.faces))
+    near = np.linalg.norm(places - at_rest, axis=1) < 0.1  # centimetres
+    assert near.mean() > 0.9
+    space = CharacterSpace(own.origin, motion.start, AnimatedSkin(moved, animation, mesh, motion.times))
+    bound = space.bound(groom.rest_strands[:, 0].double().numpy())
+    posed = own.pose(motion.body_pose, torch.zeros(len(motion), 10)).vertices + motion.translation[:, None]
+    roots = root_positions(groom, posed, own).double().numpy()
+    (poses,) = poses_at(moved, animation, motion.times)
+    for frame in range(len(motion)):
+        found = space.placed(roots[frame], np.ones(len(groom), int), bound, frame)
+        expected = (weights[..., None] * mesh.posed(poses.world[frame])[mesh.faces[faces]]).sum(1)
+        assert 10 * np.linalg.norm(found - expected, axis=1)[near].max() < 0.1  # millimetres
 
 
 def test_every_strand_of_a_source_is_where_its_groom_is(

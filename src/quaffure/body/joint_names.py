@@ -8,6 +8,7 @@ another as in a body.
 import re
 import tomllib
 from collections import Counter
+from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from itertools import pairwise
@@ -74,6 +75,14 @@ def guess_joint_map(clip: BvhClip) -> tuple[JointMap, list[str]]:
     if "Spine1" in joint_map and "Head" in joint_map:
         joint_map |= _neck(clip, named, stems["centre"]["neck"], taken, joint_map["Spine1"].first)
     return joint_map, doubts
+
+
+def heads(clip: BvhClip) -> list[int]:
+    """Joints that are called as a head is, whatever number (`#2`) tells equal names apart; in order."""
+    stem = _stems()["centre"]["head"]
+    numberless = replace(clip, joint_names=tuple(re.sub(r"#\d+$", "", name) for name in clip.joint_names))
+    named = _named_joints(numberless)
+    return sorted(next((named["", each] for each in stem if ("", each) in named), []))
 
 
 def check_joint_map(joint_map: JointMap, clip: BvhClip, doubts: list[str] | None = None) -> None:

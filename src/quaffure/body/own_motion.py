@@ -5,15 +5,18 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.character import Character, CharacterAnimation
+from quaffure.body.character_animation import frame_times, poses_at
 from quaffure.body.character_clip import character_clip
 from quaffure.body.joint_map import JointSource
-from quaffure.body.motion import Motion
+from quaffure.body.motion import MAX_FRAMES, Motion
 from quaffure.body.retargeting import aligned_pose
 from quaffure.body.source_skeleton import source_skeleton
 
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
 """Joints whose place at rest is the same in the file and in the body."""
 SAME_PLACE = 1e-3  # m
+STRETCH = 0.01
+"""Change of a joint's scale that is said."""
 
 
 def is_own(body: BodyModel, character: Character) -> bool:
@@ -37,7 +40,8 @@ def own_motion(character: Character, animation: CharacterAnimation, body: BodyMo
     """An animation of a body's own character, from its first key on.
 
     Every joint of the body that is a node of the file has that node's rotation, others follow their parents, and the
-    hips are where the file has them. What nodes stretch is left out; `quaffure.hair.character_space` moves hair by it.
+    hips are where the file has them. What nodes stretch is left out, and the motion's notes say so;
+    `quaffure.hair.character_space` moves hair by it.
 
     Args:
         body: imported from the character (`is_own`).
@@ -58,4 +62,24 @@ def own_motion(character: Character, animation: CharacterAnimation, body: BodyMo
     hips = clip.world_positions(clip.joint_names.index(joint_map["Hips"].first), world)
     path = origin.body_from_file(hips) - body.rest_joints[0].double().numpy()
     pose = aligned_pose(turned, at_rest, body)
-    return Motion(pose, fps, clip.source, torch.from_numpy(path).float(), start=animation.span[0])
+    notes = _stretched(character, animation, fps, {name: joint_map[name].first for name in joint_map})
+    return Motion(pose, fps, clip.source, torch.from_numpy(path).float(), notes, animation.span[0])
+
+
+def _stretched(character: Character, animation: CharacterAnimation, fps: float, own: dict[str, str]) -> tuple[str, ...]:
+    """Which joints of the body an animation stretches, which the surface that hair collides with does not follow.
+
+    Args:
+        own: node of each joint.
+    """
+    if not any(channel.path == "scale" for channel in animation.channels):
+        return ()
+    nodes = [character.nodes.names.index(node) for node in own.values()]
+    rest = np.linalg.norm(character.nodes.world[nodes, :3, :3], axis=1)
+    largest = np.zeros(len(nodes))
+    for poses in poses_at(character, animation, frame_times(animation, fps, MAX_FRAMES)):
+        scale = np.linalg.norm(poses.world[:, nodes, :3, :3], axis=2) / np.maximum(rest, 1e-12)
+        largest = np.maximum(largest, np.abs(scale - 1).max((0, 2)))
+    joints = [joint for joint, change in zip(own, largest) if change > STRETCH]
+    size = f"by up to {100 * largest.max():.0f} %: hair collides with the body at its size at rest"
+    return (f"scale of {', '.join(joints)} is animated, {size}",) if joints else ()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from quaffure.body.body_model import SHAPE_COUNT, BodyModel
 from quaffure.body.body_origin import BodyOrigin
@@ -16,19 +16,11 @@ from quaffure.body.joint_map import JointMap
 from quaffure.body.pose_features import HEAD
 from quaffure.body.scalp import ScalpChart
 from quaffure.character.collision_surface import CELL, Triangles, check_extent, closed_surface, closest_on, distance_to
+from quaffure.character.groom_roots import roots_on
 from quaffure.character.head_fit import HeadFit, fit_head
 from quaffure.character.parts import Part, Parts, choose_parts, joined, parts_of
-from quaffure.character.scalp import (
-    Scalp,
-    TransferredScalp,
-    around_roots,
-    ears_of,
-    scalp_of_faces,
-    scalp_of_transferred,
-    transferred_scalp,
-    under_hair,
-    where_large,
-)
+from quaffure.character.scalp import Scalp, ears_of, transferred_scalp
+from quaffure.character.scalp_source import HeadSurface, ScalpWish, scalp_of
 from quaffure.character.skeleton import FittedSkeleton, fit_skeleton
 from quaffure.errors import InputError
 
@@ -49,7 +41,7 @@ class ImportSettings:
         scalp: name of a mesh or material that is the scalp, or of an attribute of vertices that is above
             `scalp.LEAST_VALUE` there.
         hair_mesh: name of a mesh or material of hair, whose footprint is the scalp.
-        roots: of a groom that was made on the character [file units], and its file.
+        roots: of a groom that was made on the character, in the axes and unit of either file, and its file.
         collide: names of meshes or materials that hair collides with, besides the skin.
         cell: of the grid on which the surface is made [m].
     """
@@ -99,27 +91,53 @@ def import_body(
     all_parts = parts_of(character, skeleton)
     parts = choose_parts(all_parts, template.joint_names, character.source, settings.collide)
     _check_names(all_parts, settings, character.source)
-    for part in (*parts.skin, *parts.inner):
+    for part in (*parts.skin, *parts.inner, *parts.worn):
         check_extent(part.name, part.vertices, skeleton.file_joints, character.source)
     on_step("making one closed surface of the skin")
-    vertices, faces, weights = joined((*parts.skin, *parts.inner))
-    skin, middle = Triangles(vertices, faces), _middle_of_head(parts, template)
-    surface = closed_surface(skin, middle, settings.cell)
-    face, barycentric, _ = closest_on(surface.vertices, skin)
-    joints, shares = _strongest((barycentric[..., None] * weights[skin.faces[face]]).sum(1))
-    dense = np.zeros((len(joints), len(template.joint_names)))
-    np.put_along_axis(dense, joints, shares, axis=1)
+    middle, head_joint = _middle_of_head(parts, template), template.joint_names.index(HEAD)
+    bare = (*parts.skin, *parts.inner)
+    skin, surface, dense = _surface((*bare, *parts.worn), middle, settings.cell)
     on_step("placing the scalp")
     at_rest = Triangles(skeleton.to_rest_pose(surface.vertices, dense), surface.faces)
-    on_head = dense[:, template.joint_names.index(HEAD)] > 0.5
-    fit = fit_head(template, at_rest, on_head, character.source)
+    on_head = dense[:, head_joint] > 0.5
+    head_at_rest, of_head = at_rest, on_head
+    hats = [part.name for part in parts.worn if (part.weights[:, head_joint] > 0.5).any()]
+    if hats:
+        # The size of a hat is not the head's.
+        _, bald, moved_by = _surface(bare, middle, settings.cell)
+        head_at_rest = Triangles(skeleton.to_rest_pose(bald.vertices, moved_by), bald.faces)
+        of_head = moved_by[:, head_joint] > 0.5
+    fit = fit_head(template, head_at_rest, of_head, character.source)
     ears = ears_of(at_rest, on_head, template, fit)
-    # Parts and roots are compared with the surface in the file's pose, in which they are.
-    transferred = transferred_scalp(template, at_rest, ears, fit)
-    scalp, scalp_note = _scalp(transferred, at_rest, surface, ears, all_parts, skeleton, settings, character.source)
-    notes = (*_notes(skeleton, fit, surface, skin, middle), *parts.notes, scalp_note)
-    body = _body(template, at_rest, (joints, shares), skeleton, ears, scalp, _origin(skeleton, character, digest))
+    head = HeadSurface(at_rest, surface, ears, transferred_scalp(template, at_rest, ears, fit))
+    wish = _wish(settings, skeleton, Triangles(surface.vertices, surface.faces[on_head[surface.faces].all(1)]))
+    scalp, scalp_note = scalp_of(head, all_parts, wish, character.source)
+    hat_notes = [f"hair grows on the outside of {', '.join(hats)}"] if hats else []
+    notes = (*_notes(skeleton, fit, surface, skin, middle), *parts.notes, scalp_note, *hat_notes)
+    body = _body(template, at_rest, _strongest(dense), skeleton, ears, scalp, _origin(skeleton, character, digest))
     return ImportedBody(body, skeleton.joint_map, notes)
+
+
+def _wish(settings: ImportSettings, skeleton: FittedSkeleton, head: Triangles) -> ScalpWish:
+    if settings.roots is None:
+        return ScalpWish(settings.scalp, settings.hair_mesh)
+    roots, name = settings.roots
+    placed, how = roots_on(head, roots, skeleton.in_body_space, name)
+    return ScalpWish(roots=(placed, name, how))
+
+
+def _surface(
+    parts: tuple[Part, ...], middle: Float[np.ndarray, "3"], cell: float
+) -> tuple[Triangles, Triangles, Float[np.ndarray, "v 27"]]:
+    """Parts as one mesh, one closed surface of it, and the share of each joint in its vertices."""
+    vertices, faces, weights = joined(parts)
+    mesh = Triangles(vertices, faces)
+    surface = closed_surface(mesh, middle, cell)
+    face, barycentric, _ = closest_on(surface.vertices, mesh)
+    joints, shares = _strongest((barycentric[..., None] * weights[faces[face]]).sum(1))
+    dense = np.zeros((len(joints), weights.shape[1]))
+    np.put_along_axis(dense, joints, shares, axis=1)
+    return mesh, surface, dense
 
 
 def _middle_of_head(parts: Parts, template: BodyModel) -> Float[np.ndarray, "3"]:
@@ -132,52 +150,6 @@ def _strongest(weights: Float[np.ndarray, "v 27"]) -> tuple[Int[np.ndarray, "v 8
     order = np.argsort(-weights, axis=1, kind="stable")[:, :MOST_JOINTS]
     shares = np.take_along_axis(weights, order, axis=1)
     return order, shares / shares.sum(1, keepdims=True)
-
-
-def _scalp(
-    transferred: TransferredScalp,
-    at_rest: Triangles,
-    in_file: Triangles,
-    ears: Int[np.ndarray, " e"],
-    parts: list[Part],
-    skeleton: FittedSkeleton,
-    settings: ImportSettings,
-    source: str,
-) -> tuple[Scalp, str]:
-    """The scalp, and where it comes from."""
-    if settings.scalp:
-        wanted = _named_faces(in_file, parts, settings.scalp)
-        scalp = scalp_of_faces(
-            wanted & (transferred.distance(at_rest.vertices[at_rest.faces].mean(1)) < 0.1),
-            at_rest,
-            ears,
-            f"--scalp {settings.scalp}",
-        )
-        return scalp, f"scalp: {settings.scalp}"
-    if settings.hair_mesh:
-        hair = _mesh([part for part in parts if part.is_called(settings.hair_mesh)])
-        wanted = under_hair(in_file, hair, transferred)
-        return scalp_of_faces(wanted, at_rest, ears, f"--hair-mesh {settings.hair_mesh}"), (
-            f"scalp: the footprint of {settings.hair_mesh}"
-        )
-    if settings.roots is not None:
-        roots, name = settings.roots
-        wanted = around_roots(in_file, skeleton.in_body_space(roots), transferred, name)
-        return scalp_of_faces(wanted, at_rest, ears, name), f"scalp: around the roots of {name}"
-    return scalp_of_transferred(transferred, at_rest, ears, source), "scalp: that of the shipped body, transferred"
-
-
-def _named_faces(surface: Triangles, parts: list[Part], name: str) -> Bool[np.ndarray, " k"]:
-    """Faces of a surface where a mesh or material of a name is nearest, or an attribute of that name is large."""
-    middles = surface.vertices[surface.faces].mean(1)
-    named = [part for part in parts if part.is_called(name)]
-    if named:
-        others = [part for part in parts if part not in named]
-        return distance_to(middles, _mesh(named)) <= (distance_to(middles, _mesh(others)) if others else np.inf)
-    # Hair that is on the scalp would be nearer than it.
-    bald = [part for part in parts if part.attribute(name) is not None or not part.is_hair]
-    values = [np.zeros(len(part.vertices)) if (own := part.attribute(name)) is None else own for part in bald]
-    return where_large(middles, _mesh(bald), np.concatenate(values))
 
 
 def _check_names(parts: list[Part], settings: ImportSettings, source: str) -> None:
@@ -194,11 +166,6 @@ def _check_names(parts: list[Part], settings: ImportSettings, source: str) -> No
         known = ", ".join(dict.fromkeys(attribute for part in parts for attribute in part.attributes)) or "none"
         expected = f"a mesh or material of {source} ({meshes}) or an attribute of its vertices ({known})"
         raise InputError("--scalp", expected, repr(name))
-
-
-def _mesh(parts: list[Part]) -> Triangles:
-    vertices, faces, _ = joined(tuple(parts))
-    return Triangles(vertices, faces)
 
 
 def _notes(

@@ -25,8 +25,9 @@ LEAST_AREA = 0.02
 """Least area of skin on a head [m^2]."""
 ENOUGH = 0.5
 """Share of the area of the part that covers most of a region, from which a part that is skin already is enough."""
-LARGEST_INNER, INNER_SHARE = 0.09, 0.6
-"""Extent of eyes, teeth and tongues [m], and the share of their vertices in the convex hull of the head's skin."""
+LARGEST_INNER, INNER_SHARE = 0.5, 0.6
+"""Extent of eyes, teeth and tongues, in extents of the head, and the share of their vertices in the convex hull of its
+skin. Upper teeth with a palate take 0.4."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +82,15 @@ class Parts:
     """Parts by what they are.
 
     Attributes:
-        skin: what hair collides with.
+        skin: of the figure.
         inner: eyes, teeth and tongue, which fill the cavities of the skin.
+        worn: what hair collides with besides them.
         notes: what was chosen, in words.
     """
 
     skin: tuple[Part, ...]
     inner: tuple[Part, ...]
+    worn: tuple[Part, ...]
     notes: tuple[str, ...]
 
 
@@ -128,20 +131,23 @@ def choose_parts(parts: list[Part], joint_names: tuple[str, ...], source: str, c
         if largest is None or any(areas[part] > ENOUGH * areas[largest] for part in skin) or not areas[largest]:
             continue
         skin.append(largest)
+    inner = _inner([part for part in candidates if part not in skin], skin, joint_names.index(HEAD))
+    worn: list[Part] = []
     for pattern in collide:
         named = [part for part in parts if part.is_called(pattern)]
         if not named:
             raise InputError("--collide", f"a mesh or material of {source}: {_names(parts)}", repr(pattern))
-        skin += [part for part in named if part not in skin]
-    head = joint_names.index(HEAD)
-    inner = [part for part in candidates if part not in skin and _is_inner(part, skin, head)]
-    others = [part for part in candidates if part not in skin and part not in inner]
-    notes.append(f"skin: {_names(skin)}")
-    for what, group in (("in the head", inner), ("hair, left out", hair), ("left out (--collide NAME)", others)):
-        left = [part for part in group if part not in skin]
+        worn += [part for part in named if part not in (*skin, *inner, *worn)]
+    others = [part for part in candidates if part not in (*skin, *inner)]
+    groups = {
+        "skin": skin, "in the head": inner, "hair collides with": worn, "hair, left out": hair,
+        "left out (--collide NAME)": others,
+    }  # fmt: skip
+    for what, group in groups.items():
+        left = [part for part in group if part not in worn or group is worn]
         if left:
             notes.append(f"{what}: {_names(left)}")
-    return Parts(tuple(skin), tuple(inner), tuple(notes))
+    return Parts(tuple(skin), tuple(inner), tuple(worn), tuple(notes))
 
 
 def joined(parts: tuple[Part, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -154,16 +160,16 @@ def joined(parts: tuple[Part, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     )
 
 
-def _is_inner(part: Part, skin: list[Part], head: int) -> bool:
-    """Whether a part is small and inside the head."""
-    if np.ptp(part.vertices, axis=0).max() > LARGEST_INNER:
-        return False
+def _inner(parts: list[Part], skin: list[Part], head: int) -> list[Part]:
+    """The parts that are small and inside the head."""
     points = np.concatenate([each.vertices[each.weights[:, head] > 0.5] for each in skin])
     try:
         hull = Delaunay(points)
     except QhullError:
-        return False
-    return bool((hull.find_simplex(part.vertices) >= 0).mean() > INNER_SHARE)
+        return []
+    largest = LARGEST_INNER * np.ptp(points, axis=0).max()
+    small = [part for part in parts if np.ptp(part.vertices, axis=0).max() < largest]
+    return [part for part in small if (hull.find_simplex(part.vertices) >= 0).mean() > INNER_SHARE]
 
 
 def _names(parts: list[Part]) -> str:

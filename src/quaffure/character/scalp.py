@@ -8,10 +8,10 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from quaffure.body.body_model import BodyModel
-from quaffure.character.collision_surface import Triangles, closest_on, neighbour_mean
+from quaffure.character.collision_surface import Triangles, closest_on, distance_to, neighbour_mean
 from quaffure.character.head_fit import HeadFit, head_mesh
-from quaffure.character.scalp_chart import check_disc, disc, fitted_to_square, unrolled, without_flips
-from quaffure.errors import InputError
+from quaffure.character.scalp_chart import check_disc, continued, disc, fitted_to_square, without_flips
+from quaffure.character.scalp_check import check_scalp
 
 SUBDIVISIONS = 2
 """How often the shipped scalp's triangles, a centimetre wide, are divided into four."""
@@ -21,12 +21,15 @@ NEAR_PATCH = 0.004
 """Distance of a triangle's middle from the transferred scalp, up to which it is part of it [m]."""
 WIDER = 0.025
 """How far a hair mesh or a groom can move the hairline outwards from the transferred scalp's [m]."""
-FOOTPRINT, ROOT_DISTANCE = 0.02, 0.012
-"""Distance of the scalp from a hair mesh, and from the nearest root of a groom [m]."""
+ON_SKIN = 0.005
+"""Distance up to which a mesh of hair lies on the skin, and up to which the transferred scalp does [m]."""
+THICKEST_HAIR, HAIR_STEP = 0.1, 0.006
+"""How far above the scalp a mesh of hair can be, and the steps of the search for it: wigs stand off the back of a head
+by 8 cm, and are made of strips with gaps between them [m]."""
+ROOT_DISTANCE = 0.012
+"""Distance of the scalp from the nearest root of a groom [m]."""
 LEAST_VALUE = 0.5
 """Value of an attribute above which vertices are scalp."""
-LARGEST_ROOT_DISTANCE = 0.02
-"""Median distance of a groom's roots from the head beyond which it was made on another one [m]."""
 
 
 class Scalp(NamedTuple):
@@ -115,17 +118,24 @@ def scalp_of_transferred(
 
 
 def scalp_of_faces(
-    wanted: Bool[np.ndarray, " k"], surface: Triangles, ears: Int[np.ndarray, " e"], source: str
-) -> Scalp:
-    """A scalp of given faces, unrolled as the shipped body's is.
+    wanted: Bool[np.ndarray, " k"],
+    surface: Triangles,
+    ears: Int[np.ndarray, " e"],
+    transferred: TransferredScalp,
+    source: str,
+) -> tuple[Scalp, tuple[str, ...]]:
+    """A scalp of given faces, in the shipped body's chart where it covers them, continued beyond; and what was mended.
 
     Raises:
-        InputError: they are no disc.
+        InputError: they are no scalp (`check_scalp`), or no disc.
     """
     chosen = _patch(surface, wanted, ears, source)
+    notes = check_scalp(surface, wanted, chosen, ears, source)
     used, flat = np.unique(surface.faces[chosen], return_inverse=True)
     patch, points = flat.reshape(-1, 3), surface.vertices[used]
-    return Scalp(np.flatnonzero(chosen), fitted_to_square(unrolled(points, patch))[patch])
+    uv = _extended_uv(points, transferred)
+    held = np.flatnonzero(transferred.distance(points) < ON_SKIN)
+    return Scalp(np.flatnonzero(chosen), continued(points, patch, uv, held)[patch]), notes
 
 
 def where_large(
@@ -141,28 +151,40 @@ def where_large(
     return ((values > LEAST_VALUE)[mesh.faces[face]] * weights).sum(1) > 0.5
 
 
-def under_hair(surface: Triangles, hair: Triangles, transferred: TransferredScalp) -> Bool[np.ndarray, " k"]:
-    """Faces under a mesh of hair, not far outside of the transferred scalp."""
+def under_hair(
+    surface: Triangles, hair: Triangles, inside: Bool[np.ndarray, " k"], apart: Float[np.ndarray, " k"]
+) -> Bool[np.ndarray, " k"]:
+    """Faces that a mesh of hair covers: those of the transferred scalp that have it near or above them, and those
+    beside it on which it lies. Hair that hangs in front of a forehead or a neck does not grow there.
+
+    Args:
+        inside: faces of the transferred scalp.
+        apart: distance of each face from it [m].
+    """
     middles = surface.vertices[surface.faces].mean(1)
-    near = transferred.distance(middles) < WIDER
-    near[near] = np.linalg.norm(closest_on(middles[near], hair)[2] - middles[near], axis=1) < FOOTPRINT
-    return near
+    covered = (apart < WIDER) & (distance_to(middles, hair) < ON_SKIN)
+    open_ = np.flatnonzero(inside & ~covered)
+    normals = igl.per_face_normals(surface.vertices, surface.faces[open_], np.zeros(3))
+    heights = np.arange(0.0, THICKEST_HAIR, HAIR_STEP)
+    above = middles[open_, None] + heights[:, None] * normals[:, None]
+    near = distance_to(np.ascontiguousarray(above.reshape(-1, 3)), hair).reshape(len(open_), len(heights)) < HAIR_STEP
+    covered[open_] = near.any(1)
+    return covered
 
 
 def around_roots(
-    surface: Triangles, roots: Float[np.ndarray, "s 3"], transferred: TransferredScalp, source: str
+    surface: Triangles, roots: Float[np.ndarray, "s 3"], apart: Float[np.ndarray, " k"]
 ) -> Bool[np.ndarray, " k"]:
     """Faces near roots of a groom, not far outside of the transferred scalp.
 
-    Raises:
-        InputError: a groom that was made on another head.
+    Args:
+        apart: distance of each face from that scalp [m].
     """
-    apart = float(np.median(np.linalg.norm(closest_on(roots, surface)[2] - roots, axis=1)))
-    if apart > LARGEST_ROOT_DISTANCE:
-        raise InputError(source, "roots on the head of the character, in the file's space", f"{apart:.3g} m apart")
-    middles = surface.vertices[surface.faces].mean(1)
-    distance, _ = cKDTree(roots).query(middles)
-    return (distance < ROOT_DISTANCE) & (transferred.distance(middles) < WIDER)
+    tree = cKDTree(roots)
+    # Few strands: what is between them is scalp, too.
+    spacing = float(np.median(tree.query(roots, 2)[0][:, 1])) if len(roots) > 1 else 0.0
+    distance, _ = tree.query(surface.vertices[surface.faces].mean(1))
+    return (distance < np.clip(1.5 * spacing, ROOT_DISTANCE, WIDER)) & (apart < WIDER)
 
 
 def _patch(
@@ -175,18 +197,13 @@ def _patch(
 
 def _extended_uv(points: Float[np.ndarray, "p 3"], transferred: TransferredScalp) -> Float[np.ndarray, "p 2"]:
     """Chart of the transferred scalp at points near it; linear beyond its rim."""
-    face, _, _ = closest_on(points, transferred.mesh)
+    face, clamped, _ = closest_on(points, transferred.mesh)
     corners = transferred.mesh.faces[face]
     first, second, third = (transferred.mesh.vertices[corners[:, k]] for k in range(3))
     normal = np.cross(second - first, third - first)
-    weights = (
-        np.stack(
-            [
-                (np.cross(b - points, c - points) * normal).sum(1)
-                for b, c in ((second, third), (third, first), (first, second))
-            ],
-            axis=1,
-        )
-        / (normal**2).sum(1)[:, None]
-    )
+    opposite = (second, third), (third, first), (first, second)
+    weights = np.stack([(np.cross(b - points, c - points) * normal).sum(1) for b, c in opposite], axis=1)
+    squared = (normal**2).sum(1)[:, None]
+    # Triangles that are drawn over a sharp edge, of a hat for instance, may have no area.
+    weights = np.where(squared > 0, weights / np.where(squared > 0, squared, 1.0), clamped)
     return (weights[..., None] * transferred.uv[corners]).sum(1)

@@ -11,7 +11,8 @@ SQUARENESS = 4.0  # exponent of the superellipse that the rim is drawn towards; 
 MARGIN = 0.01  # of the unit square, on each side
 SLIM_ROUNDS = 60
 SOFTNESS = 5.0  # weight that holds the rim to the rounded square; 0 lets it go
-TRANSFERRED_WEIGHT = 1e4  # that holds every vertex to its place in another chart
+TRANSFERRED_WEIGHT = 1e4  # that holds vertices to their places in another chart
+BAND = 0.2  # of the unit square, at each side, that moves where a chart is continued beyond it
 MIDLINE = 1e-4, 0.01
 """Distances of the rim's vertices from the plane of symmetry, of a symmetric head and of any other [m]."""
 LEAST_FACES, MOST_ROUNDS = 40, 20
@@ -95,6 +96,34 @@ def unrolled(points: Points, patch: Patch) -> Float[np.ndarray, "p 2"]:
     return _slim(points, patch, start, rim, target, SOFTNESS)
 
 
+def continued(
+    points: Points, patch: Patch, uv: Float[np.ndarray, "p 2"], held: Int[np.ndarray, " h"]
+) -> Float[np.ndarray, "p 2"]:
+    """A chart that covers a part of a patch continued to all of it, and drawn into the unit square at its sides alone,
+    where it leaves it; unrolled where it covers hardly any of it.
+
+    Args:
+        uv: places of the vertices in the chart, those in `held` counting.
+        held: vertices that the chart covers.
+    """
+    known = np.isin(patch, held).all(1)
+    if known.sum() < LEAST_FACES:
+        return fitted_to_square(unrolled(points, patch))
+    start, _, _ = _rounded(points, patch)
+    metres = np.sqrt(_area(points, patch[known]) / _area(_in_space(uv), patch[known]))
+    start += metres * uv[held].mean(0) - start[held].mean(0)
+    wide = _slim(points, patch, start, held, metres * uv[held], TRANSFERRED_WEIGHT) / metres
+    drawn = 1.0 - _drawn_in(1.0 - _drawn_in(wide))
+    return fitted_to_square(wide) if flipped(drawn, patch) else drawn
+
+
+def _drawn_in(uv: Float[np.ndarray, "p 2"]) -> Float[np.ndarray, "p 2"]:
+    """What is beyond 1 drawn to the margin, with a band before it and nothing else."""
+    highest, first = uv.max(0), 1.0 - BAND
+    drawn = first + (BAND - MARGIN) * (uv - first) / np.maximum(highest - first, BAND)
+    return np.where((highest > 1.0) & (uv > first), drawn, uv)
+
+
 def without_flips(points: Points, patch: Patch, uv: Float[np.ndarray, "p 2"]) -> Float[np.ndarray, "p 2"]:
     """The chart, or the nearest one in which no triangle is turned over.
 
@@ -104,8 +133,7 @@ def without_flips(points: Points, patch: Patch, uv: Float[np.ndarray, "p 2"]) ->
     if not flipped(uv, patch):
         return uv
     start, _, _ = _rounded(points, patch)
-    flat_area = np.abs(np.cross(*edge_pairs(np.pad(uv, ((0, 0), (0, 1))), patch))[:, 2]).sum()
-    metres = np.sqrt(_area(points, patch) / flat_area)
+    metres = np.sqrt(_area(points, patch) / _area(_in_space(uv), patch))
     start += metres * uv.mean(0) - start.mean(0)
     everywhere = np.arange(len(points))
     return _slim(points, patch, start, everywhere, metres * uv, TRANSFERRED_WEIGHT) / metres
@@ -120,8 +148,7 @@ def _rounded(
     rim = igl.boundary_loop(patch).astype(np.int64)
     target = rounded_square(points[rim])
     start = igl.harmonic(points, patch, rim, target, 1)
-    flat_area = np.abs(np.cross(*edge_pairs(np.pad(start, ((0, 0), (0, 1))), patch))[:, 2]).sum()
-    scale = np.sqrt(_area(points, patch) / flat_area)
+    scale = np.sqrt(_area(points, patch) / _area(_in_space(start), patch))
     return start * scale, target * scale, rim
 
 
@@ -172,6 +199,10 @@ def flipped(uv: Float[np.ndarray, "p 2"], patch: Patch) -> int:
     """Number of triangles that are turned over in the chart, or have no area there."""
     first, second = edge_pairs(uv, patch)
     return int((first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] <= 0).sum())
+
+
+def _in_space(uv: Float[np.ndarray, "p 2"]) -> Points:
+    return np.pad(uv, ((0, 0), (0, 1)))
 
 
 def _area(points: Points, patch: Patch) -> float:

@@ -15,7 +15,7 @@ from quaffure.body.body_model import BodyModel
 from quaffure.body.bvh_clip import BvhClip
 from quaffure.body.character import Character, CharacterNodes, SkinnedMesh
 from quaffure.body.joint_map import CHAINS, JointMap
-from quaffure.body.joint_names import automatic_joint_map, check_joint_map
+from quaffure.body.joint_names import automatic_joint_map, check_joint_map, heads
 from quaffure.body.retargeting import rest_alignment
 from quaffure.body.source_skeleton import source_skeleton
 from quaffure.character.collision_surface import check_extent
@@ -26,6 +26,8 @@ HEIGHTS = (0.4, 2.6)
 UNITS = (1.0, 0.01, 0.0254, 0.001)
 ENDS = ("Hips", "Head")
 """Joints of the body that a character's place and size follow, and so must be joints of its own."""
+NEAR = 0.02
+"""Distance between joints that are in one place, in heights."""
 SCENE = ""
 """Name of the joint that is above all roots of a file."""
 
@@ -83,12 +85,13 @@ def fit_skeleton(character: Character, template: BodyModel, joint_map: JointMap 
         joint_map: which joints are which; by their names without one.
 
     Raises:
-        InputError: no head or another required joint, two of one name, a map with a share of two for one of `ENDS`,
-            a figure that does not stand, or no meshes.
+        InputError: no head or two, another required joint missing, two of one name, a map with a share of two for one
+            of `ENDS`, a figure that does not stand, or no meshes.
     """
     clip = rest_clip(character)
     if joint_map is None:
-        joint_map = automatic_joint_map(clip)
+        _check_one_head(clip)
+        joint_map = _map_by_names(character, clip)
     else:
         check_joint_map(joint_map, clip)
     between = [f"{joint} = {joint_map[joint]}" for joint in ENDS if joint_map[joint].second is not None]
@@ -110,6 +113,37 @@ def fit_skeleton(character: Character, template: BodyModel, joint_map: JointMap 
         tuple(own.get(name, "") for name in template.joint_names), joint_map,
     )  # fmt: skip
     return _on_ground(fitted, character, template)
+
+
+def _check_one_head(clip: BvhClip) -> None:
+    """Refuse a file of several figures, of which names would take one.
+
+    Raises:
+        InputError: joints of a head in several places.
+    """
+    places = {joint: clip.rest_position(joint) for joint in heads(clip)}
+    height = float(np.ptp([clip.rest_position(joint) for joint in range(len(clip.joint_names))], axis=0).max())
+    # Meshes with a copy each of one skeleton have their heads in one place.
+    apart = [j for j, place in places.items() if np.linalg.norm(place - next(iter(places.values()))) > NEAR * height]
+    if apart:
+        names = " and ".join(clip.joint_names[joint] for joint in (next(iter(places)), *apart))
+        expected = (
+            "a file of one figure, or --joints map.toml of one (quaffure inspect FILE --save-joints map.toml writes a "
+            "table to edit)"
+        )
+        raise InputError(clip.source, expected, f"{len(apart) + 1} heads: {names} for Head")
+
+
+def _map_by_names(character: Character, clip: BvhClip) -> JointMap:
+    """`automatic_joint_map`; where there is none and no mesh is skinned, that is what is wrong."""
+    meshes = _figure(character)
+    try:
+        return automatic_joint_map(clip)
+    except InputError as error:
+        if not all(mesh.is_rigid for mesh in meshes):
+            raise
+        found = f"none that is: {', '.join(dict.fromkeys(mesh.name for mesh in meshes))}"
+        raise InputError(character.source, "a skinned mesh, with joints and weights", found) from error
 
 
 def rest_clip(character: Character) -> BvhClip:

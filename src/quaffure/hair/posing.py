@@ -11,9 +11,13 @@ import torch
 from quaffure.body.body_model import BodyModel, PosedBody
 from quaffure.body.head_frame import scalp_vertices
 from quaffure.body.pose_features import world_from_head
+from quaffure.errors import InputError
 from quaffure.geometry.rotation import shortest_arc
 from quaffure.hair.groom import Groom
 from quaffure.types import Float, Int, MeshVertices, Positions, Tensor
+
+OWN_ROOT_DISTANCE = 0.02
+"""Median distance of strands from their roots below which a groom stands on a body [m]."""
 
 
 class Ties(NamedTuple):
@@ -79,6 +83,23 @@ def root_positions(groom: Groom, vertices: MeshVertices, body: BodyModel) -> Flo
 def rest_roots(groom: Groom, body: BodyModel) -> Float[Tensor, "s 3"]:
     """Positions of the roots on the body at rest [m]."""
     return root_positions(groom, body.rest_vertices[None], body)[0]
+
+
+def check_roots(groom: Groom, body: BodyModel) -> None:
+    """Refuse a groom that stands on another body, whose faces have other places.
+
+    Raises:
+        InputError: a root that is not on the scalp, or roots that strands do not begin at.
+    """
+    found = "roots elsewhere"
+    if bool(torch.isin(groom.root_faces, body.scalp.faces).all()):
+        apart = (groom.rest_strands[:, 0] - rest_roots(groom, body)).norm(dim=-1).median()
+        if float(apart) < OWN_ROOT_DISTANCE:
+            return
+        found = f"strands that begin {100 * float(apart):.1f} cm from theirs"
+    expected = "roots on the scalp of the body that it is draped on"
+    calls = "as a groom of another body has: load_groom(name, body) and load_model().on(body) take the same one"
+    raise InputError(groom.name, expected, f"{found}, {calls}")
 
 
 def rest_frames(groom: Groom, body: BodyModel, ties: Ties) -> Float[Tensor, "s 3 3"]:

@@ -11,11 +11,10 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.head_frame import scalp_vertices
-from quaffure.errors import InputError
 from quaffure.geometry.mls_kernels import LANES
 from quaffure.hair.block_arrays import StrandBlocks
 from quaffure.hair.groom import Groom
-from quaffure.hair.posing import Ties, rest_frames, rest_roots, ties_of
+from quaffure.hair.posing import Ties, check_roots, rest_frames, rest_roots, ties_of
 from quaffure.types import Float, Int, Tensor
 
 
@@ -41,12 +40,11 @@ def rest_strands(groom: Groom, body: BodyModel) -> RestStrands:
     """A groom in the frames in which its strands move rigidly.
 
     Raises:
-        InputError: a root that is not on the scalp.
+        InputError: roots that are not on the scalp of this body.
     """
-    carriers, vertices = body.faces[groom.root_faces], scalp_vertices(body)
-    corners = torch.searchsorted(vertices, carriers).clamp(max=len(vertices) - 1)
-    if not torch.equal(vertices[corners], carriers):
-        raise InputError(groom.name, "roots on the scalp", "roots elsewhere")
+    check_roots(groom, body)
+    vertices = scalp_vertices(body)
+    corners = torch.searchsorted(vertices, body.faces[groom.root_faces])
     ties = ties_of(groom, body)
     frames = rest_frames(groom, body, ties)
     offset = (groom.rest_strands[:, 0] - rest_roots(groom, body))[:, None] @ frames

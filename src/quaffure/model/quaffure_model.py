@@ -54,7 +54,7 @@ class Quaffure:
 
     def on(self, body: BodyModel) -> "Quaffure":
         """The same network on another body, of a character for instance (`quaffure.load_body`); it shares weights with
-        this one. Grooms must be loaded for that body: `load_groom(name, body)`.
+        this one. Grooms must be loaded for that body, `load_groom(name, body)`; those of another one are refused.
         """
         like = self.body.rest_vertices
         return Quaffure(body.to(like.device, like.dtype), self.draper, self.notes)
@@ -69,11 +69,12 @@ class Quaffure:
             body_shape: [batch, 10], shape coefficients (beta) within +-10 [standard deviations]; the mean without.
 
         Returns:
-            Draped vertices [m, world].
+            Draped vertices [m, world], without gradient.
 
         Raises:
-            InputError: an array of another shape, numbers that are not finite or beyond these limits, or a groom
-                without strands, with NaN, or not laid out for the network.
+            InputError: an array of another shape, numbers that are not finite or beyond these limits, a groom without
+                strands, with NaN, of another body, or not laid out for the network, or a pose or shape whose gradient
+                is asked for.
         """
         given_shape = [[0.0] * SHAPE_SIZE] if body_shape is None else body_shape
         poses = rows_of(body_pose, POSE_SIZE, self.body.rest_vertices, "body_pose")
@@ -82,6 +83,8 @@ class Quaffure:
             shapes = shapes.expand(len(poses), -1)
         if not 0 < len(shapes) == len(poses):
             raise InputError("body_shape", f"[{max(len(poses), 1)}, {SHAPE_SIZE}]", f"{list(shapes.shape)}")
+        if poses.requires_grad or shapes.requires_grad:
+            _check_no_gradient(poses, shapes)
         return self.draper.drape(Scene(self._checked(groom), BodyBatch(self.body, poses, shapes)))
 
     def drape_many(self, grooms: Iterable[Groom], body_pose: Rows, body_shape: Rows) -> Iterator[Tensor]:
@@ -101,7 +104,10 @@ class Quaffure:
             InputError: as for `drape`, what concerns the grooms while iterating, where also other numbers of rows than
                 of grooms are refused.
         """
-        return self._drape_many(grooms, *self.body.checked_pose_and_shape(body_pose, body_shape))
+        poses, shapes = self.body.checked_pose_and_shape(body_pose, body_shape)
+        if poses.requires_grad or shapes.requires_grad:
+            _check_no_gradient(poses, shapes)
+        return self._drape_many(grooms, poses, shapes)
 
     def _drape_many(self, grooms: Iterable[Groom], poses: Tensor, shapes: Tensor) -> Iterator[Tensor]:
         first, waiting = 0, iter(grooms)
@@ -124,6 +130,17 @@ class Quaffure:
             raise InputError(groom.name, f"vertices in {expected.dtype}", f"{found.dtype}")
         check_groom(groom, len(self.body.faces))
         return groom if found.device == expected.device else groom.to(expected.device)
+
+
+def _check_no_gradient(poses: Tensor, shapes: Tensor) -> None:
+    """A result without gradient would let a fit stand still without a word."""
+    for name, values in (("body_pose", poses), ("body_shape", shapes)):
+        if torch.is_grad_enabled() and values.requires_grad:
+            expected = (
+                "values without gradient, which drape does not have (NeuralDraper(network, material, "
+                "backend=Backend.TORCH).deform has it; torch.no_grad() drapes without)"
+            )
+            raise InputError(name, expected, "requires_grad")
 
 
 def _taken(name: str, values: Tensor, rows: range) -> Tensor:

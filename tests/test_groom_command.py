@@ -133,7 +133,7 @@ def test_new_grooms_of_no_strands_and_of_strands_without_a_length_are_refused(
     without[3, 7] = without[3, 6]
     for made, expected in (
         (groom.select(torch.arange(0)), "--set: expected controls that make hair, found no strands"),
-        (replace(groom, rest_strands=without), "--set: expected edges longer than 0 and strands under"),
+        (replace(groom, rest_strands=without), "--set: expected edges longer than 1e-06 m and strands under"),
     ):
         monkeypatch.setattr("quaffure.apps.cli.groom.make_groom", lambda *_, made=made: made)
         assert expected in refused(capfd, "groom", "new", "--out", tmp_path / "mine.npz")

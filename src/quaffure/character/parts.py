@@ -133,7 +133,7 @@ def choose_parts(parts: list[Part], joint_names: tuple[str, ...], source: str, c
         if largest is None or any(areas[part] > ENOUGH * areas[largest] for part in skin) or not areas[largest]:
             continue
         skin.append(largest)
-    skin += _grown_together(candidates, skin)
+    skin += _connected(candidates, skin)
     inner = _inner([part for part in candidates if part not in skin], skin, joint_names.index(HEAD))
     worn: list[Part] = []
     for pattern in collide:
@@ -163,7 +163,7 @@ def joined(parts: tuple[Part, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     )
 
 
-def _grown_together(parts: list[Part], skin: list[Part]) -> list[Part]:
+def _connected(parts: list[Part], skin: list[Part]) -> list[Part]:
     """Further materials of meshes that are skin, which continue it: a scalp of its own, for instance."""
     found: list[Part] = []
     while True:

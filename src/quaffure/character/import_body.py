@@ -40,7 +40,7 @@ class ImportSettings:
         joint_map: which joints are which; by their names without one.
         scalp: name of a mesh or material that is the scalp, or of an attribute of vertices that is above
             `scalp.LEAST_VALUE` there.
-        hair_mesh: name of a mesh or material of hair, whose footprint is the scalp.
+        hair_mesh: name of a mesh or material of hair: the scalp is what it covers.
         roots: of a groom that was made on the character, in the axes and unit of either file, and its file.
         collide: names of meshes or materials that hair collides with, besides the skin.
         cell: of the grid on which the surface is made [m].

@@ -5,7 +5,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial import Delaunay, QhullError
+from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from quaffure.body.character import Character
 from quaffure.body.hair_names import is_hair_name
@@ -25,6 +25,8 @@ LEAST_AREA = 0.02
 """Least area of skin on a head [m^2]."""
 ENOUGH = 0.5
 """Share of the area of the part that covers most of a region, from which a part that is skin already is enough."""
+SEAM, LEAST_SEAM = 1e-5, 3
+"""Distance of vertices that two materials of a mesh share [m], and how many they share where they are one skin."""
 LARGEST_INNER, INNER_SHARE = 0.5, 0.6
 """Extent of eyes, teeth and tongues, in extents of the head, and the share of their vertices in the convex hull of its
 skin. Upper teeth with a palate take 0.4."""
@@ -131,6 +133,7 @@ def choose_parts(parts: list[Part], joint_names: tuple[str, ...], source: str, c
         if largest is None or any(areas[part] > ENOUGH * areas[largest] for part in skin) or not areas[largest]:
             continue
         skin.append(largest)
+    skin += _connected(candidates, skin)
     inner = _inner([part for part in candidates if part not in skin], skin, joint_names.index(HEAD))
     worn: list[Part] = []
     for pattern in collide:
@@ -158,6 +161,24 @@ def joined(parts: tuple[Part, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]
         np.concatenate([part.faces + start for part, start in zip(parts, starts)]),
         np.concatenate([part.weights for part in parts]),
     )
+
+
+def _connected(parts: list[Part], skin: list[Part]) -> list[Part]:
+    """Further materials of meshes that are skin, which continue it: a scalp of its own, for instance."""
+    found: list[Part] = []
+    while True:
+        known = [*skin, *found]
+        places = cKDTree(np.concatenate([part.vertices for part in known]))
+        meshes = {part.mesh for part in known}
+        more = [part for part in parts if part.mesh in meshes and part not in known and _touches(part, places)]
+        if not more:
+            return found
+        found += more
+
+
+def _touches(part: Part, places: cKDTree) -> bool:
+    distance, _ = places.query(part.vertices, distance_upper_bound=SEAM)
+    return bool((distance < SEAM).sum() >= LEAST_SEAM)
 
 
 def _inner(parts: list[Part], skin: list[Part], head: int) -> list[Part]:

@@ -34,6 +34,7 @@ def face_neighbours(faces: Int[np.ndarray, "k 3"]) -> Int[np.ndarray, "k 3"]:
 def disc(faces: Int[np.ndarray, "k 3"], wanted: Bool[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
     """The largest connected piece of some faces of a closed surface, its holes filled, without teeth and waists."""
     neighbours = face_neighbours(faces)
+    piece = pieces(np.ones(len(faces), dtype=bool), neighbours)
     inside = wanted.copy()
     for _ in range(MOST_ROUNDS):
         before = inside.copy()
@@ -41,7 +42,11 @@ def disc(faces: Int[np.ndarray, "k 3"], wanted: Bool[np.ndarray, " k"]) -> Bool[
         inside |= inside[neighbours].sum(1) >= 2
         inside &= inside[neighbours].sum(1) >= 2
         inside = _largest_piece(inside, neighbours)
-        inside = ~_largest_piece(~inside, neighbours)
+        if not inside.any():
+            break
+        # Another piece of the surface, such as a collar around a neck, is no hole.
+        around = piece == piece[inside.argmax()]
+        inside = around & ~_largest_piece(around & ~inside, neighbours)
         inside &= ~_at_waists(faces, inside)
         if (inside == before).all():
             break
@@ -50,13 +55,18 @@ def disc(faces: Int[np.ndarray, "k 3"], wanted: Bool[np.ndarray, " k"]) -> Bool[
 
 def _largest_piece(chosen: Bool[np.ndarray, " k"], neighbours: Int[np.ndarray, "k 3"]) -> Bool[np.ndarray, " k"]:
     """The chosen faces in the largest piece that is connected by edges."""
+    piece = pieces(chosen, neighbours)
+    sizes = np.bincount(piece[chosen], minlength=piece.max() + 1)
+    return np.asarray(chosen & (piece == sizes.argmax()))
+
+
+def pieces(chosen: Bool[np.ndarray, " k"], neighbours: Int[np.ndarray, "k 3"]) -> Int[np.ndarray, " k"]:
+    """Number of the piece of chosen faces, connected by edges, that each is in; all others are alone."""
     first = np.repeat(np.arange(len(chosen)), 3)
     second = neighbours.ravel()
     both = chosen[first] & chosen[second]
     links = coo_matrix((np.ones(both.sum()), (first[both], second[both])), shape=(len(chosen), len(chosen)))
-    piece = connected_components(links, directed=False)[1]
-    sizes = np.bincount(piece[chosen], minlength=piece.max() + 1)
-    return np.asarray(chosen & (piece == sizes.argmax()))
+    return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
 
 
 def _at_waists(faces: Int[np.ndarray, "k 3"], inside: Bool[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:

@@ -2,11 +2,9 @@
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from quaffure.character.collision_surface import Triangles
-from quaffure.character.scalp_chart import face_neighbours
+from quaffure.character.scalp_chart import face_neighbours, pieces
 from quaffure.errors import InputError
 
 LARGEST_REPAIR = 1e-3
@@ -31,12 +29,12 @@ def check_scalp(
     """
     area = face_areas(surface)
     on_ear = np.isin(surface.faces, ears).any(1)
-    lost = _pieces(wanted & ~chosen & ~on_ear, surface, area)
+    lost = _areas(wanted & ~chosen & ~on_ear, surface, area)
     if lost.max(initial=0.0) > LARGEST_REPAIR:
         sizes = sorted([area[chosen].sum(), *lost[lost > LARGEST_REPAIR]], reverse=True)
         found = f"{len(sizes)} pieces of {', '.join(f'{1e4 * size:.0f}' for size in sizes)} cm^2"
         raise InputError(source, "a scalp in one piece", found)
-    filled = _pieces(chosen & ~wanted & ~on_ear, surface, area)
+    filled = _areas(chosen & ~wanted & ~on_ear, surface, area)
     if filled.max(initial=0.0) > LARGEST_REPAIR:
         expected = f"a closed scalp, holes in it at most {1e4 * LARGEST_REPAIR:.0f} cm^2 large"
         raise InputError(source, expected, f"an open scalp with a hole of {1e4 * filled.max():.0f} cm^2")
@@ -63,7 +61,7 @@ def within_reach(
         InputError: too many others: a skin, for instance, and not the part of it that has hair.
     """
     beyond = wanted & (distance > REACH)
-    areas = _pieces(beyond, surface, face_areas(surface))
+    areas = _areas(beyond, surface, face_areas(surface))
     if areas.max(initial=0.0) > LARGEST_REPAIR:
         expected = f"a scalp within {100 * REACH:g} cm of where a head has one"
         found = f"{1e4 * areas.sum():.0f} cm^2 farther from it, over face, neck or shoulders"
@@ -77,14 +75,7 @@ def face_areas(surface: Triangles) -> Float[np.ndarray, " k"]:
     return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
 
 
-def _pieces(chosen: Bool[np.ndarray, " k"], surface: Triangles, area: Float[np.ndarray, " k"]) -> np.ndarray:
+def _areas(chosen: Bool[np.ndarray, " k"], surface: Triangles, area: Float[np.ndarray, " k"]) -> np.ndarray:
     """Areas of the pieces of some faces that are connected by edges [m^2]."""
-    if not chosen.any():
-        return np.zeros(0)
-    number = np.cumsum(chosen) - 1
-    neighbours = face_neighbours(surface.faces)[chosen]
-    first, second = np.repeat(number[chosen], 3), neighbours.ravel()
-    both = chosen[second]
-    links = coo_matrix((np.ones(both.sum()), (first[both], number[second[both]])), shape=(chosen.sum(),) * 2)
-    _, piece = connected_components(links, directed=False)
-    return np.bincount(piece, weights=area[chosen])
+    sums = np.bincount(pieces(chosen, face_neighbours(surface.faces)), weights=area * chosen)
+    return sums[sums > 0]

@@ -32,11 +32,12 @@ class ImportBody:
     """A joint map (.toml) where names are not known; `quaffure inspect CHARACTER --save-joints` writes one to edit."""
     scalp: str = ""
     """Mesh or material that is the scalp, or attribute of vertices that is above 0.5 there (glTF: _NAME). Names may
-    have * for any letters. Without --scalp, --hair-mesh and --groom it is the shipped body's, fitted to the head."""
+    have * for any letters. Without --scalp, --hair-mesh and --groom it is what meshes called hair or wig cover, or the
+    shipped body's, fitted to the head."""
     hair_mesh: str = ""
-    """Mesh or material of hair whose footprint is the scalp."""
+    """Mesh or material of hair: the scalp is what it covers."""
     groom: Path | None = None
-    """Strands (.abc, .usd, ...) that were made on the character, in its space: the scalp is where their roots are."""
+    """Strands (.abc, .usd, ...) that were made on the character: the scalp is where their roots are."""
     collide: tyro.conf.UseAppendAction[tuple[str, ...]] = field(default=())
     """Mesh or material, clothes for instance, that hair collides with besides the skin; may be given several times."""
     picture: Path | None = None

@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 class InputError(ValueError):
-    """Bad input: which source, what was expected there and what was found. The command line prints it as one line.
+    """Bad input: which source, what was expected there and what was found. Its text is one line, whatever a file holds.
 
     Args:
         source: the file, option or argument at fault.
@@ -15,8 +15,11 @@ class InputError(ValueError):
     """
 
     def __init__(self, source: str | Path, expected: str, found: str) -> None:
-        super().__init__(f"{source}: expected {expected}, found {found}")
-        self.source, self.expected, self.found = str(source), expected, found
+        # A text of a file may hold a line break.
+        self.source, self.expected, self.found = (
+            " ".join(str(part).splitlines()) for part in (source, expected, found)
+        )
+        super().__init__(f"{self.source}: expected {self.expected}, found {self.found}")
 
 
 @contextmanager

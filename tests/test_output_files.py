@@ -1,5 +1,6 @@
 """Output files: whole or not at all, checked before the work, and nothing left behind."""
 
+import gc
 import json
 import os
 import subprocess
@@ -10,6 +11,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
+from typing import IO
 from zipfile import ZipFile
 
 import numpy as np
@@ -304,11 +306,14 @@ def test_an_interrupt_of_an_npz_is_one(tmp_path: Path, monkeypatch: pytest.Monke
         held.append(open_member(archive, *arguments, **named))  # type: ignore[arg-type]
         raise KeyboardInterrupt
 
-    held, open_member = list[object](), ZipFile.open
-    monkeypatch.setattr(ZipFile, "open", opened)
-    with pytest.raises(KeyboardInterrupt):
-        write_drape(tmp_path / "drape.npz", SEQUENCE)
+    held, open_member = list[IO[bytes]](), ZipFile.open
+    with monkeypatch.context() as patched:
+        patched.setattr(ZipFile, "open", opened)
+        with pytest.raises(KeyboardInterrupt):
+            write_drape(tmp_path / "drape.npz", SEQUENCE)
     assert not list(tmp_path.iterdir())
+    held[0].close()  # else the archive, which closes itself when it is collected, complains in a later test
+    gc.collect()
 
 
 def test_a_full_disk_after_an_interrupt_is_none(tmp_path: Path) -> None:

@@ -140,6 +140,9 @@ class FrameFolder:
         if not all(0 <= time < math.inf for time in self.milliseconds):
             raise ValueError("times that are none")
         self._count = count
+        for name, array in self.frames()._asdict().items():
+            if not all(np.isfinite(frame).all() for frame in array):
+                raise ValueError(f"NaN or infinity in {name}")
         _ = self.follows  # damage of which is found now
 
     def _frame_bytes(self, name: str) -> int:

@@ -190,6 +190,9 @@ def test_damaged_folders_of_drapes_are_refused(drapes: DrapeFolder, groom: Groom
         np.savez(pose, **(whole | damage))
         with pytest.raises(InputError, match=r"pose_00003\.npz: expected a draped pose .* with "):
             drapes.read()
+    np.savez(pose, **(whole | {"strands": np.full_like(whole["strands"], 1e6)}))
+    with pytest.raises(InputError, match=r"pose_00003\.npz: expected a draped pose .*near the head"):
+        drapes.read()
     pose.write_bytes(b"none")
     with pytest.raises(InputError, match="pose_00003"):
         drapes.read()
@@ -198,7 +201,8 @@ def test_damaged_folders_of_drapes_are_refused(drapes: DrapeFolder, groom: Groom
     with pytest.raises(InputError, match="expected draped poses"):
         drapes.read()
     manifest = json.loads((path / "manifest.json").read_text())
-    for damage in (manifest | {"body": "another"}, manifest | {"material": {"glue": 1}}, {}, []):
+    changes = ({"body": "another"}, {"material": {"glue": 1}}, {"groom": []}, {"solver": None})
+    for damage in (*(manifest | change for change in changes), {}, []):
         (path / "manifest.json").write_text(json.dumps(damage))
         with pytest.raises(InputError, match=r"body another|manifest"):
             DrapeFolder(path, body)

@@ -40,6 +40,22 @@ def test_damaged_and_foreign_checkpoints_are_refused(folder: RunFolder) -> None:
         torch.nn.Linear(2, 2).load_state_dict({"other": torch.zeros(1)})
 
 
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_checkpoints_of_numbers_that_are_not_finite_are_refused(folder: RunFolder, number: float) -> None:
+    folder.save({"identity": "bob", "optimizer": {"state": [{"average": torch.tensor([1.0, number])}]}})
+    with pytest.raises(InputError, match="NaN or infinity"):
+        folder.load({"identity": "bob"})
+    folder.save({"identity": "bob", "counters": torch.tensor([0.0, number, 0.0]), "steps": torch.arange(2)})
+    assert folder.load({"identity": "bob"}) is not None  # no score so far
+
+
+def test_rows_with_surplus_values_are_dropped(folder: RunFolder) -> None:
+    path = folder.path / "training.csv"
+    path.write_text("step,loss\n1,0.5\n1,0.3,4\n")
+    folder.rewind_logs(1)
+    assert path.read_text().split() == ["step,loss", "1,0.5"]
+
+
 def test_logs_go_back_to_the_step_of_the_checkpoint(folder: RunFolder) -> None:
     for step in (2, 4, 6):
         folder.log("training", {"step": step, "loss": 1 / step})

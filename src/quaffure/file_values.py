@@ -8,8 +8,8 @@ from quaffure.config import HairMaterial
 
 
 def known_fields(values: Any, kind: type) -> dict[str, Any]:
-    """`values`, all of them fields of a dataclass, whole numbers and truth values where it has these, real numbers
-    finite.
+    """`values`, all of them fields of a dataclass, whole numbers, truth values and texts where it has these, real
+    numbers finite.
 
     Raises:
         ValueError: no object of JSON, a field that is not known, or a value of another type.
@@ -36,7 +36,8 @@ def material_from(values: Any) -> HairMaterial:
 
 
 def _has_type(value: Any, hint: Any) -> bool:
-    """Whether a value of JSON may stand in a field; fields of other types than numbers check their own values."""
+    """Whether a value of JSON may stand in a field; fields of other types than numbers and texts check their
+    own values."""
     if hint is float:
         return type(value) in (int, float) and abs(value) < math.inf
-    return type(value) is hint if hint in (int, bool) else True
+    return type(value) is hint if hint in (int, bool, str) else True

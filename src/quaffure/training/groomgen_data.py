@@ -37,6 +37,7 @@ from quaffure.types import BodyPose, Float, Tensor
 LARGEST_TURN = math.radians(30)
 """Limit of the rotation of the head about each axis (Sec. 4.2) [rad]."""
 DRAPES = "a folder for drapes"
+POSE_FILE = "a draped pose (delete the file to have it draped again)"
 SAME_GROOM = 1e-4
 """Every process makes the groom again; its vertices may differ by this much [m]."""
 
@@ -122,21 +123,25 @@ class DrapeFolder:
         for path in paths:
             turn, displacement = self._read_pose(path)
             turns.append(turn)
-            displacements.append(displacement.half())
+            displacements.append(displacement)
             on_pose(len(turns))
         return DrapedPoses(torch.stack(turns), torch.stack(displacements))
 
     def _read_pose(self, path: Path) -> tuple[Float[Tensor, "3"], Float[Tensor, "s n 3"]]:
+        """As of `DrapedPoses`."""
         spec: Spec = {
             "strands": (tuple(self.groom.rest_strands.shape), (np.float32,)),
             "body_pose": ((81,), (np.float32,)),
         }
-        arrays, _ = read_arrays(path, spec, "a draped pose (delete the file to have it draped again)")
+        arrays, _ = read_arrays(path, spec, POSE_FILE)
         body_pose: BodyPose = torch.from_numpy(arrays["body_pose"])[None]
         scene = Scene(self.groom, BodyBatch(self.body, body_pose, torch.zeros(1, 10)))
         rotations = scene.bodies.posed.joint_rotations
         moved = torch.from_numpy(arrays["strands"]) - scene.posed[0]
-        return head_rotation(self.body, rotations)[0], moved @ world_from_head(self.body, rotations)[0]
+        displacement = (moved @ world_from_head(self.body, rotations)[0]).half()
+        if not bool(torch.isfinite(displacement).all()):
+            raise InputError(path, f"{POSE_FILE}, vertices near the head", "some that half precision does not hold")
+        return head_rotation(self.body, rotations)[0], displacement
 
 
 @dataclass(frozen=True)

@@ -91,6 +91,9 @@ class RunFolder:
         with self.reading():
             state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
             _ = state["identity"]
+            # Counters hold the best score, which is infinite before a validation.
+            if not _is_finite({name: part for name, part in state.items() if name != "counters"}):
+                raise InputError(path, CHECKPOINT_FILE, "NaN or infinity")
         for name, expected in identity.items():
             # Checkpoints made before an entry was kept lack it.
             if state.get(name, expected) != expected:
@@ -110,7 +113,7 @@ class RunFolder:
         """Append a row to a table, `<name>.csv`; columns that it does not have yet are added to it, empty so far.
 
         Raises:
-            InputError: it cannot be written.
+            InputError: it is damaged, or cannot be written.
         """
         path = self.path / f"{name}.csv"
         columns, rows = _read_table(path)
@@ -125,7 +128,11 @@ class RunFolder:
             csv.DictWriter(file, columns, restval="").writerow(row)
 
     def rewind_logs(self, step: int) -> None:
-        """Drop rows of later steps, which the run will do again, and a row that was cut short by a kill."""
+        """Drop rows of later steps, which the run will do again, and a row that was cut short by a kill.
+
+        Raises:
+            InputError: a table is damaged.
+        """
         # Not every .csv of the folder: it may be one that holds tables of the user's.
         for path in (self.path / f"{name}.csv" for name in get_args(Table)):
             columns, rows = _read_table(path)
@@ -133,6 +140,15 @@ class RunFolder:
             kept = [row for row in whole if int(row["step"]) <= step]
             if len(kept) < len(rows):
                 _write_table(path, columns, kept)
+
+
+def _is_finite(value: Any) -> bool:
+    """Whether all real numbers of a tensor, or of those in lists and dictionaries, are finite."""
+    if isinstance(value, torch.Tensor):
+        return not value.is_floating_point() or bool(torch.isfinite(value).all())
+    if isinstance(value, Mapping):
+        return all(map(_is_finite, value.values()))
+    return not isinstance(value, list | tuple) or all(map(_is_finite, value))
 
 
 def body_digest(body: BodyModel) -> str:
@@ -161,7 +177,8 @@ def _read_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     with path.open(newline="", encoding="utf-8") as file:
         reader = csv.DictReader(file)
         rows = list(reader)
-        return list(reader.fieldnames or []), rows
+        # Surplus values are those of None, which cannot be written again.
+        return list(reader.fieldnames or []), [{} if None in row else row for row in rows]
 
 
 def _write_table(path: Path, columns: list[str], rows: list[dict[str, str]]) -> None:

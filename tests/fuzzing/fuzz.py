@@ -5,28 +5,23 @@ fault. The same number and seed give the same mutants.
 """
 
 import argparse
-import json
 import random
-import selectors
-import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import IO
 
 from tests.fuzzing.mutations import mutant
+from tests.fuzzing.reading import Outcome, ReaderProcess, folder_for_files
 from tests.fuzzing.seeds import seeds
 
-ROOT = Path(__file__).parents[2]
-SECONDS = 20.0
-"""Limit of the wall time of one file; the machine may be busy."""
-START_SECONDS = 120.0
-REGISTERED = "npz registered"
-"""Strands that are registered as well, which takes half a second: a tenth of the mutants."""
+ALIGNED = "npz aligned"
+"""Strands that are registered from an unknown frame, which takes half a second: a tenth of the mutants."""
+BATCH_FILES, BATCH_BYTES = 64, 1 << 24
+"""Mutants that lie on the disk at once."""
 ISOLATED = ("abc", "usda", "usdc", "usdz")
 """Formats that are read in a process of their own, whose end is a refusal."""
 
@@ -36,63 +31,25 @@ class Tally:
     """What became of the mutants of a format.
 
     Attributes:
-        outcomes: how many were read, refused, raised another error, took too long, or ended the process.
-        slowest: processor time of the slowest file that was read or refused [s].
+        outcomes: how many were read, refused, raised another error, were read with numbers that are not finite, took
+            too long, or ended the process.
+        seconds: processor time of the files that were read or refused.
+        slowest: of these [s].
         faults: index of the mutant, and what happened.
     """
 
     outcomes: Counter[str] = field(default_factory=Counter)
+    seconds: float = 0.0
     slowest: float = 0.0
     faults: list[tuple[int, str]] = field(default_factory=list)
 
-
-class ReaderProcess:
-    """`tests.fuzzing.reader_process`, started anew when a file has ended it."""
-
-    def __init__(self) -> None:
-        self._process: subprocess.Popen[str] | None = None
-
-    def read(self, name: str, path: Path) -> dict[str, object]:
-        """Outcome of reading a file, with what was said and the processor time."""
-        process = self._running()
-        assert process.stdin is not None
-        process.stdin.write(json.dumps([name, str(path)]) + "\n")
-        process.stdin.flush()
-        line = _line_of(process.stdout, SECONDS)
-        if line is None:
-            self.stop()
-            return {"outcome": "too long", "said": f"more than {SECONDS:g} s", "seconds": SECONDS}
-        if not line:
-            code = process.wait()
-            self.stop()
-            return {"outcome": "ended", "said": f"the process ended with {code}", "seconds": 0.0}
-        found: dict[str, object] = json.loads(line)
-        return found
-
-    def stop(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
-            self._process = None
-
-    def _running(self) -> "subprocess.Popen[str]":
-        if self._process is None:
-            command = [sys.executable, "-m", "tests.fuzzing.reader_process"]
-            self._process = subprocess.Popen(
-                command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-            )
-            line = _line_of(self._process.stdout, START_SECONDS)
-            if line != "ready\n":
-                raise RuntimeError(f"the reading process did not start: {line!r}")
-        return self._process
-
-
-def _line_of(stream: IO[str] | None, seconds: float) -> str | None:
-    """The next line; empty at the end of the stream, None where none comes in time."""
-    assert stream is not None
-    with selectors.DefaultSelector() as selector:
-        selector.register(stream, selectors.EVENT_READ)
-        return stream.readline() if selector.select(seconds) else None
+    def add(self, index: int, found: Outcome, is_fault: bool) -> None:
+        self.outcomes[found["outcome"]] += 1
+        if is_fault:
+            self.faults.append((index, f"{found['outcome']}: {found['said']}"))
+        else:
+            self.seconds += found["seconds"]
+            self.slowest = max(self.slowest, found["seconds"])
 
 
 def mutants(name: str, count: int, seed: int) -> Iterator[bytes]:
@@ -107,32 +64,63 @@ def fuzz(names: Iterable[str], count: int, seed: int = 0, keep: Path | None = No
     """Read mutants of some formats.
 
     Args:
-        count: of each format; a tenth of it of `REGISTERED`.
+        count: of each format; a tenth of it of `ALIGNED`.
         keep: folder for the files of faults.
     """
-    reader, tallies = ReaderProcess(), {name: Tally() for name in names}
+    reader = ReaderProcess()
     try:
-        with TemporaryDirectory() as folder:
-            for name, tally in tallies.items():
-                suffix = seeds()[name][0]
-                path = Path(folder) / (f"checkpoint{suffix}" if name == "checkpoint" else f"mutant{suffix}")
-                for index, content in enumerate(mutants(name, _share(name, count), seed)):
-                    path.write_bytes(content)
-                    found = reader.read(name, path)
-                    if not _is_fault(name, str(found["outcome"])):
-                        tally.slowest = max(tally.slowest, float(str(found["seconds"])))
-                    else:
-                        tally.faults.append((index, str(found["said"])))
-                        if keep is not None:
-                            (keep / f"{name.replace(' ', '_')}_{seed}_{index}{suffix}").write_bytes(content)
-                    tally.outcomes[str(found["outcome"])] += 1
+        with TemporaryDirectory(dir=folder_for_files()) as folder:
+            return {name: _tally(name, count, seed, reader, Path(folder), keep) for name in names}
     finally:
         reader.stop()
-    return tallies
+
+
+def _tally(name: str, count: int, seed: int, reader: ReaderProcess, folder: Path, keep: Path | None) -> Tally:
+    suffix, files = seeds()[name]
+    tally, index = Tally(), 0
+    list(reader.read(name, _on_disk(files[:1], name, folder), is_damaged=False))
+    for batch in _batches(mutants(name, _share(name, count), seed)):
+        for content, found in zip(batch, reader.read(name, _on_disk(batch, name, folder)), strict=True):
+            tally.add(index, found, _is_fault(name, found["outcome"]))
+            if keep is not None and tally.faults[-1:] and tally.faults[-1][0] == index:
+                (keep / f"{name.replace(' ', '_')}_{seed}_{index}{suffix}").write_bytes(content)
+            index += 1
+    return tally
+
+
+def _batches(contents: Iterable[bytes]) -> Iterator[list[bytes]]:
+    batch: list[bytes] = []
+    for content in contents:
+        batch.append(content)
+        if len(batch) == BATCH_FILES or sum(map(len, batch)) > BATCH_BYTES:
+            yield batch
+            batch = []
+    if batch:
+        yield batch
+
+
+def _on_disk(batch: Sequence[bytes], name: str, folder: Path) -> list[Path]:
+    """A file in a folder of its own for each."""
+    stem, suffix = "checkpoint" if name == "checkpoint" else "mutant", seeds()[name][0]
+    paths = [folder / str(number) / f"{stem}{suffix}" for number in range(len(batch))]
+    for path, content in zip(paths, batch, strict=True):
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content)
+    return paths
 
 
 def _share(name: str, count: int) -> int:
-    return -(-count // 10) if name == REGISTERED else count
+    return -(-count // 10) if name == ALIGNED else count
+
+
+def _row(name: str, tally: Tally) -> str:
+    """A line of the table; faults by their kinds."""
+    total, ended = tally.outcomes.total(), tally.outcomes["ended"] if name in ISOLATED else "-"
+    times = f"{1000 * tally.seconds / max(total - len(tally.faults), 1):.2f}", f"{1000 * tally.slowest:.0f}"
+    kinds = Counter(said.partition(":")[0] for _, said in tally.faults)
+    faults = ", ".join([str(len(tally.faults)), *(f"{kind} {number}" for kind, number in sorted(kinds.items()))])
+    cells = (name, total, tally.outcomes["read"], tally.outcomes["refused"], ended, *times, faults)
+    return f"| {' | '.join(map(str, cells))} |"
 
 
 def _is_fault(name: str, outcome: str) -> bool:
@@ -141,7 +129,7 @@ def _is_fault(name: str, outcome: str) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--mutants", type=int, default=1000, help=f"of each format, a tenth of them of '{REGISTERED}'")
+    parser.add_argument("--mutants", type=int, default=1000, help=f"of each format, a tenth of them of '{ALIGNED}'")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--format", action="append", choices=sorted(seeds()), help="default: all of them")
     parser.add_argument("--keep", type=Path, help="folder for the files of faults")
@@ -150,13 +138,10 @@ def main() -> None:
         options.keep.mkdir(parents=True, exist_ok=True)
     start = time.monotonic()
     tallies = fuzz(options.format or seeds(), options.mutants, options.seed, options.keep)
-    print("| format | mutants | read | refused | ended the library | slowest [ms] | faults |")
-    print("|---|---|---|---|---|---|---|")
+    print("| format | mutants | read | refused | ended the library | mean [ms] | slowest [ms] | faults |")
+    print("|---|---|---|---|---|---|---|---|")
     for name, tally in tallies.items():
-        cells = (tally.outcomes["read"], tally.outcomes["refused"], tally.outcomes["ended"])
-        ended = cells[2] if name in ISOLATED else "-"
-        row = (name, tally.outcomes.total(), *cells[:2], ended, f"{1000 * tally.slowest:.0f}", len(tally.faults))
-        print("|", " | ".join(map(str, row)), "|")
+        print(_row(name, tally))
     print(f"\n{sum(tally.outcomes.total() for tally in tallies.values())} mutants in {time.monotonic() - start:.0f} s")
     faults = [(name, *fault) for name, tally in tallies.items() for fault in tally.faults]
     for name, index, said in faults:

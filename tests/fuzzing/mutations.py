@@ -9,7 +9,11 @@ from io import BytesIO
 from typing import Any
 from zipfile import ZipFile, ZipInfo
 
-NUMBERS = (b"nan", b"inf", b"-1", b"0", b"1e39", b"-1e308", b"9" * 30, b"2147483648", b"0x10", b"1_0", b"", b"--5")
+from tests.fuzzing.folders import is_folder, packed, unpacked
+
+DIGITS = b"9" * 5000
+"""More than Python makes a whole number of."""
+NUMBERS = (b"nan", b"inf", b"-1", b"0", b"1e39", b"-1e308", b"9" * 30, b"2147483648", b"0x10", b"", b"--5", DIGITS)
 """What replaces a number of a text."""
 INTEGERS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
 VALUES = (-1, 1e30, 0.5, None, True, "0", [], {}, [0], [1, 2, 3], 10**30)
@@ -27,7 +31,9 @@ def mutant(seed: bytes, random_: random.Random) -> bytes:
 
 def _change_of(seed: bytes, random_: random.Random) -> Callable[[bytes, random.Random], bytes]:
     changes = [_bits, _word, _cut, _repeat]
-    if seed.startswith(b"PK"):
+    if is_folder(seed):
+        changes = [_file]
+    elif seed.startswith(b"PK"):
         changes += [_member] * 16
     elif seed[8:9] == b"{":
         changes += [_header] * 12
@@ -35,6 +41,8 @@ def _change_of(seed: bytes, random_: random.Random) -> Callable[[bytes, random.R
         changes += [_record] * 12
     elif seed.startswith(b"glTF"):
         changes += [_document] * 16
+    elif seed.startswith(b"{"):
+        changes += [_json] * 9 + [_number] * 5 + [_line] * 2
     elif b"\0" not in seed:
         changes += [_number] * 9 + [_line] * 3
     return random_.choice(changes)
@@ -131,6 +139,36 @@ def _document(content: bytes, random_: random.Random) -> bytes:
         text = _number(text, random_)
     text += b" " * (-len(text) % 4)
     return content[:12] + struct.pack("<I", len(text)) + content[16:20] + text + rest
+
+
+def _json(content: bytes, random_: random.Random) -> bytes:
+    """A changed, missing or repeated value of a JSON text, or another value in place of all."""
+    try:
+        document = json.loads(content)
+        if random_.random() < 0.05:
+            document = random_.choice(VALUES)
+        else:
+            _change_value(document, random_)
+        return json.dumps(document, indent=1).encode()
+    except (ValueError, IndexError, TypeError):
+        return _number(content, random_)
+
+
+def _file(content: bytes, random_: random.Random) -> bytes:
+    """A file of a folder that has changed, is missing, or holds what another one should."""
+    files = unpacked(content)
+    if not files:
+        return content
+    # A text says what is in the other files.
+    name = random_.choice([name for name in files for _ in range(5 if name.endswith(".json") else 1)])
+    how = random_.randrange(12)
+    if how == 0:
+        del files[name]
+    elif how == 1:
+        files[name] = files[random_.choice(list(files))]
+    else:
+        files[name] = _change_of(files[name], random_)(files[name], random_)
+    return packed(files)
 
 
 def _record(content: bytes, random_: random.Random) -> bytes:

@@ -1,45 +1,51 @@
-"""A process that reads files as it is asked to, within limits: `python -m tests.fuzzing.reader_process`.
+"""A process that reads files within limits (`tests.fuzzing.serving`): `python -m tests.fuzzing.reader_process`."""
 
-Each line of the standard input holds the name of a reader and a path; each line of the output is JSON with the outcome:
-`read`, `refused` for an `InputError`, or `raised` for any other exception.
-"""
-
-import json
 import resource
-import sys
-import time
-import traceback
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from quaffure.apps.character_table import read_table
 from quaffure.apps.cli.inputs import body_shape_of
+from quaffure.baselines import load_groomgen
 from quaffure.body import BodyModel, load_body
 from quaffure.body.character import Character
 from quaffure.body.character_animation import frame_times, poses_at
-from quaffure.errors import InputError
 from quaffure.extras import is_installed
+from quaffure.frame_store import BatchState
+from quaffure.hair.file_frame import FileFrame
 from quaffure.io import read_drape, read_head, usd_curves
-from quaffure.io.groom_file import read_groom
+from quaffure.io.groom_file import read_groom, read_source
 from quaffure.io.load_groom import load_groom
 from quaffure.io.read_character import read_character
 from quaffure.io.read_motion import read_joint_map, read_motion
 from quaffure.io.read_strands import read_strands
 from quaffure.model.checkpoint import load_network
+from quaffure.model.groom_code import load_groom_autoencoder, load_groom_encoder
+from quaffure.training import run_folder
+from quaffure.training.groomgen_data import DrapeFolder
 from quaffure.training.run_folder import RunFolder
+from tests.fuzzing.folders import of_folder
+from tests.fuzzing.serving import serve
+from tests.test_long_drapes import BATCH, TOTAL, batches
+from tests.test_long_drapes import folder as continued
 
 FREE_BYTES = 1 << 30
 """Limit of the memory, beyond what the process takes with all modules loaded."""
+FRAME = FileFrame(up="z", forward="-y", units="cm")
+"""Of strands to register: without it they are aligned from every axis and unit, which takes five times as long."""
 
 
 def readers(body: BodyModel) -> dict[str, Callable[[Path], object]]:
     """By the name of the format (`tests.fuzzing.seeds`)."""
     return {
         **dict.fromkeys(("hair", "data", "bin", "tfx", "npy", "npz strands", "ply"), read_strands),
-        "npz registered": lambda path: load_groom(path, body),
-        "npz groom": lambda path: read_groom(path, body),
+        "npz registered": lambda path: load_groom(path, body, frame=FRAME),
+        "npz aligned": lambda path: load_groom(path, body),
+        "npz groom": lambda path: (read_groom(path, body), read_source(path)),
         "npz drape": read_drape,
         "npz body": load_body,
         **dict.fromkeys(("npz motion", "npz amass", "bvh"), lambda path: read_motion(path, body)),
@@ -47,28 +53,37 @@ def readers(body: BodyModel) -> dict[str, Callable[[Path], object]]:
         "fbx parts": _read_and_pose,
         **dict.fromkeys(("obj", "ply head"), read_head),
         "toml joints": read_joint_map,
-        "csv": lambda path: body_shape_of(str(path)),
+        **dict.fromkeys(("csv", "npz shape"), lambda path: body_shape_of(str(path))),
         "csv characters": read_table,
         "safetensors": load_network,
+        "encoder": load_groom_encoder,
+        "autoencoder": load_groom_autoencoder,
+        "groomgen weights": load_groomgen,
+        "groomgen drapes": of_folder(lambda path: _drapes(path, body)),
+        "frames": of_folder(_resumed),
+        "training logs": of_folder(_logs),
         # Without its process, whose start takes half a second: where the library ends this one, it would end that.
         **dict.fromkeys(("usda", "usdc", "usdz"), usd_curves._read_stage),
         **_alembic_reader(),
-        "checkpoint": lambda path: RunFolder(path.parent).load({"identity": "fuzzed"}),
+        "checkpoint": _state,
     }
 
 
-def _read_and_retarget(path: Path, body: BodyModel) -> None:
-    if _read_and_pose(path).animations:
-        read_motion(Path(f"{path}#0"), body)
+def _read_and_retarget(path: Path, body: BodyModel) -> tuple[object, ...]:
+    character = _read_and_pose(path)
+    return character, read_motion(Path(f"{path}#0"), body) if character[0].animations else None
 
 
-def _read_and_pose(path: Path) -> Character:
+def _read_and_pose(path: Path) -> tuple[Character, list[object]]:
+    """A character, and its meshes in the poses of its first animations."""
     character = read_character(path)
-    for animation in character.animations[:2]:
-        for pose in poses_at(character, animation, frame_times(animation, 30.0, 10_000)):
-            for mesh in character.meshes:
-                mesh.posed(pose.world[0], pose.morph_weights.get(mesh.node, [None])[0])
-    return character
+    posed = [
+        mesh.posed(pose.world[0], pose.morph_weights.get(mesh.node, [None])[0])
+        for animation in character.animations[:2]
+        for pose in poses_at(character, animation, frame_times(animation, 30.0, 10_000))
+        for mesh in character.meshes
+    ]
+    return character, posed
 
 
 def _alembic_reader() -> dict[str, Callable[[Path], object]]:
@@ -79,33 +94,45 @@ def _alembic_reader() -> dict[str, Callable[[Path], object]]:
     return {"abc": alembic_curves._read_archive}
 
 
-def outcome_of(read: Callable[[Path], object], path: Path) -> dict[str, Any]:
-    """What became of a file."""
-    start = time.process_time()
-    said = ""
+def _resumed(path: Path) -> tuple[object, ...]:
+    """As a drape that is continued by `--resume`."""
+    store = continued(path, resume=True)
     try:
-        read(path)
-        outcome = "read"
-    except InputError as error:
-        outcome, said = "refused", str(error)
-        if "\n" in said:
-            outcome = "raised"
-    except Exception as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        outcome, said = "raised", f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
-    return {"outcome": outcome, "said": said, "seconds": time.process_time() - start}
+        kept, follows = len(store), store.follows
+        for first, batch in zip(range(0, TOTAL, BATCH), batches()):
+            if first >= kept:
+                store.append(batch, BatchState(1.0))
+        return [np.array(array) for array in store.frames()], follows, store.milliseconds
+    finally:
+        store.close()
+
+
+def _drapes(path: Path, body: BodyModel) -> tuple[object, ...]:
+    folder = DrapeFolder(path, body)
+    return folder.manifest, folder.groom, folder.read()
+
+
+def _logs(path: Path) -> None:
+    """As a training that continues."""
+    run = RunFolder(path)
+    run.rewind_logs(2)
+    run.log("training", {"step": 3, "loss": 0.5})
+
+
+def _state(path: Path) -> dict[str, Any]:
+    # Counters hold the best score, which is infinite before a validation.
+    state = RunFolder(path.parent).load({"identity": "fuzzed"}) or {}
+    return {name: value for name, value in state.items() if name != "counters"}
 
 
 def main() -> None:
     warnings.simplefilter("error", RuntimeWarning)
     known = readers(load_body())
+    run_folder.code_version = lambda: "fuzzed"  # asks git, which takes longer than a file
     size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (size + FREE_BYTES,) * 2)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    print("ready", flush=True)
-    for line in sys.stdin:
-        name, path = json.loads(line)
-        print(json.dumps(outcome_of(known[name], Path(path))), flush=True)
+    serve(known)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """Small valid files of every format that is read, made on the fly."""
 
 import json
-from collections.abc import Callable
 from functools import cache
+from importlib.resources import files
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,22 +15,22 @@ from quaffure.body import load_body
 from quaffure.body.joint_map import bundled_joint_map, joint_map_text
 from quaffure.config import HairMaterial
 from quaffure.extras import is_installed
-from quaffure.hair import DrapeSequence
+from quaffure.hair import DrapeSequence, Groom
+from quaffure.hair.source_strands import PlacedStrands
+from quaffure.hair.strand_attributes import StrandAttributes
 from quaffure.io import write_drape, write_groom, write_usd
 from quaffure.io.read_character import read_character
 from quaffure.model import NetworkConfig, build_network, save_network
-from quaffure.training.run_folder import RunFolder
 from tests.fbx_characters import FbxForm, fbx_of
-from tests.fuzzing.written_seeds import ply_heads, ply_of_properties, write_strands
+from tests.fuzzing.run_seeds import checkpoint, run_seeds, written
+from tests.fuzzing.written_seeds import ply_heads, ply_of_properties, whole_groom, write_strands
 from tests.gltf_files import NAMES as RIG_NAMES
 from tests.gltf_files import GltfFile, figure
 from tests.meshopt_streams import compressed
 from tests.test_fbx_damaged import whole as fbx_of_parts
 from tests.test_groom_files import EVEN, GOOD, RAGGED, npz_bytes, ragged_npz
 from tests.test_retarget import CHANNELS, NAMES, SKELETON, random_angles
-from tests.training_runs import tiny_groom
 
-Write = Callable[[Path], object]
 CHARACTERS = (
     b"groom,motion,frames,out,shape,stiffness,seed\n"
     b"bob,walk,0:60:2,out/anna.usd,1 0 0 0 0 0 0 0 0 0,1,\n"
@@ -42,7 +43,7 @@ CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dty
 def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
     """By format, the suffix and files that its reader takes."""
     body = load_body()
-    whole = tiny_groom(body)
+    whole = whole_groom()
     groom = whole.select(torch.arange(0, len(whole), 4))
     poses = np.random.default_rng(0).normal(scale=0.1, size=(3, 165))
     network = build_network(NetworkConfig(texel_channels=4, strand_width=8))
@@ -50,7 +51,7 @@ def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
     foreign = npz_bytes(strands=100 * whole.rest_strands.numpy())
 
     def usd(suffix: str) -> bytes:
-        return _written(lambda path: write_usd(path, drape), suffix)
+        return written(lambda path: write_usd(path, drape), suffix)
 
     return {
         **{kind: (f".{kind}", (*_good(f".{kind}"), _ours(f".{kind}"))) for kind in ("hair", "data", "bin")},
@@ -59,10 +60,11 @@ def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
         "npy": (".npy", (_npy(np.float32(EVEN)), _npy(np.float32([CUBE[:4], [*CUBE[4:7], [np.nan] * 3]])))),
         "ply": (".ply", (*_plys(), ply_of_properties(), _ours(".ply"))),
         "ply head": (".ply", ply_heads()),
-        "npz registered": (".npz", (foreign,)),
-        "npz groom": (".npz", (_written(lambda path: write_groom(path, groom), ".npz"),)),
-        "npz drape": (".npz", (_written(lambda path: write_drape(path, drape), ".npz"),)),
-        "npz body": (".npz", (_body(),)),
+        **dict.fromkeys(("npz registered", "npz aligned"), (".npz", (foreign,))),
+        "npz groom": (".npz", _grooms(groom)),
+        "npz drape": (".npz", (written(lambda path: write_drape(path, drape), ".npz"),)),
+        "npz body": (".npz", _bodies()),
+        "npz shape": (".npz", (npz_bytes(body_shape=np.linspace(-1, 1, 10)),)),
         "npz motion": (".npz", (npz_bytes(body_pose=np.float32(poses[:, :81]), fps=np.float32(30)),)),
         "npz amass": (".npz", (npz_bytes(poses=poses, trans=poses[:, :3], mocap_framerate=120.0),)),
         "bvh": (".bvh", (_bvh(),)),
@@ -76,12 +78,13 @@ def seeds() -> dict[str, tuple[str, tuple[bytes, ...]]]:
         "csv characters": (".csv", (CHARACTERS,)),
         "safetensors": (
             ".safetensors",
-            (_written(lambda path: save_network(path, network, HairMaterial(), {"step": "1"}), ".safetensors"),),
+            (written(lambda path: save_network(path, network, HairMaterial(), {"step": "1"}), ".safetensors"),),
         ),
         "usda": (".usda", (usd(".usda"),)),
         "usdc": (".usdc", (usd(".usdc"),)),
         "usdz": (".usdz", (_usdz(usd(".usdc")),)),
-        "checkpoint": (".pt", (_checkpoint(),)),
+        "checkpoint": (".pt", (checkpoint(),)),
+        **run_seeds(groom, body),
         **({"abc": (".abc", (_alembic(), _ours(".abc")))} if is_installed("alembic3d") else {}),
     }
 
@@ -91,7 +94,7 @@ def _good(suffix: str) -> tuple[bytes, ...]:
 
 
 def _ours(suffix: str) -> bytes:
-    return _written(write_strands, suffix)
+    return written(write_strands, suffix)
 
 
 def _rooted() -> bytes:
@@ -99,13 +102,6 @@ def _rooted() -> bytes:
     strands = np.float32([CUBE[:4], CUBE[4:] - CUBE[4]])
     strands[1, 3] = np.nan
     return npz_bytes(strands=strands, roots=np.float32(CUBE[[1, 6]]))
-
-
-def _written(write: Write, suffix: str) -> bytes:
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / f"seed{suffix}"
-        write(path)
-        return path.read_bytes()
 
 
 def _drape() -> DrapeSequence:
@@ -125,10 +121,29 @@ def _drape() -> DrapeSequence:
     )
 
 
-def _body() -> bytes:
-    from importlib.resources import files
+def _grooms(groom: Groom) -> tuple[bytes, bytes]:
+    """Without and with strands that it was registered from."""
+    counts, points = np.array([2, 3]), np.float32(CUBE[:5])
+    said = {"width": points[:, 0], "colour": points, "identifier": counts, "group": counts - 3}
+    said |= {"root_uv": points[:2, :2], "group_names": np.array(["bun"])}
+    source = PlacedStrands(0.1 * points, counts, counts > 2, counts > 1, StrandAttributes.of_arrays(said))
+    plain = written(lambda path: write_groom(path, groom), ".npz")
+    return plain, written(lambda path: write_groom(path, groom, source), ".npz")
 
-    return files("quaffure").joinpath("assets", "body.npz").read_bytes()
+
+def _bodies() -> tuple[bytes, bytes]:
+    """The shipped one, and it as if it had been imported from a character."""
+    shipped = files("quaffure").joinpath("assets", "body.npz").read_bytes()
+    with np.load(BytesIO(shipped)) as arrays:
+        origin = {
+            "file_from_body_rotation": np.eye(3),
+            "file_from_body_scale": np.array(100.0),
+            "file_from_body_translation": np.zeros(3),
+            "file_name": np.array("figure.glb"),
+            "file_digest": np.array("0" * 16),
+            "file_joint_nodes": np.arange(27).astype(str),
+        }
+        return shipped, npz_bytes(**arrays, **origin)
 
 
 def _bvh() -> bytes:
@@ -195,7 +210,7 @@ def _obj() -> bytes:
 
 
 def _npy(array: np.ndarray) -> bytes:
-    return _written(lambda path: np.save(path, array), ".npy")
+    return written(lambda path: np.save(path, array), ".npy")
 
 
 def _plys() -> tuple[bytes, ...]:
@@ -230,11 +245,4 @@ def _alembic() -> bytes:
     curves = {"points": CUBE, "counts": [3, 5], "guide": [0, 0]}
     bezier = {"points": CUBE, "counts": [4, 4], "basis": "kBezierBasis", "integers": {"groom_id": [7, 8]}}
     objects = {"hair": curves, "bang": curves | {"basis": "kBsplineBasis"}, "bun": bezier}
-    return _written(lambda path: write_curves(path, objects), ".abc")
-
-
-def _checkpoint() -> bytes:
-    with TemporaryDirectory() as folder:
-        run = RunFolder(Path(folder))
-        run.save({"identity": "fuzzed", "counters": torch.zeros(3), "network": {"weight": torch.ones(2, 3)}})
-        return (run.path / "checkpoint.pt").read_bytes()
+    return written(lambda path: write_curves(path, objects), ".abc")

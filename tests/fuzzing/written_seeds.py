@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from quaffure.body import load_body
+from quaffure.hair import Groom
 from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.io import alembic_groom, counted_writer, hair_writer, ply
 from tests.export_clips import export_clip
@@ -55,8 +56,13 @@ def ply_heads() -> tuple[bytes, bytes]:
 
 
 @cache
+def whole_groom() -> Groom:
+    return tiny_groom(load_body())
+
+
+@cache
 def _clip() -> ExportClip:
     body = load_body()
-    groom = tiny_groom(body)
+    groom = whole_groom()
     few = groom.select(torch.arange(0, len(groom), len(groom) // 4)[:4])
     return export_clip(few, body, settings=ExportSettings(points=5, every=10))

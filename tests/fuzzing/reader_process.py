@@ -14,6 +14,7 @@ from quaffure.baselines import load_groomgen
 from quaffure.body import BodyModel, load_body
 from quaffure.body.character import Character
 from quaffure.body.character_animation import frame_times, poses_at
+from quaffure.errors import InputError
 from quaffure.extras import is_installed
 from quaffure.frame_store import BatchState
 from quaffure.hair.file_frame import FileFrame
@@ -30,7 +31,7 @@ from quaffure.training.groomgen_data import DrapeFolder
 from quaffure.training.run_folder import RunFolder
 from tests.fuzzing.folders import of_folder
 from tests.fuzzing.serving import serve
-from tests.test_long_drapes import BATCH, TOTAL, batches
+from tests.test_long_drapes import BATCH, TOTAL, WHOLE, batches
 from tests.test_long_drapes import folder as continued
 
 FREE_BYTES = 1 << 30
@@ -99,6 +100,8 @@ def _resumed(path: Path) -> tuple[object, ...]:
     store = continued(path, resume=True)
     try:
         kept, follows = len(store), store.follows
+        if kept and [array.shape[1:] for array in store.frames()] != [array.shape[1:] for array in WHOLE]:
+            raise InputError(path, "frames of the groom and the body", "others")  # as drape_motion
         for first, batch in zip(range(0, TOTAL, BATCH), batches()):
             if first >= kept:
                 store.append(batch, BatchState(1.0))

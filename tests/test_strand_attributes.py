@@ -1,5 +1,6 @@
 """Widths, colours, ids, groups and root coordinates of strands, from every format that has them."""
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -186,6 +187,23 @@ def test_alembic_names_of_groups(tmp_path: Path) -> None:
     found = read_strands(tmp_path / "hair.abc").attributes
     assert found.group_names == ("top", "tail", "/three/curves")
     assert found.group.tolist() == [1, 0, 1, 1, 2, 2]
+
+
+@needs_alembic
+def test_alembic_texts_of_another_number_are_not_read(tmp_path: Path) -> None:
+    """A damaged file may have millions, of which Python would make an object each."""
+    from quaffure.io import alembic_curves
+    from tests.alembic_curves import write_curves
+
+    many = {"groom_group_name": [f"name {index}" for index in range(20_000)]}
+    curves = {"points": np.arange(18.0).reshape(6, 3), "counts": [3, 3], "texts": many}
+    write_curves(tmp_path / "hair.abc", {"hair": curves})
+    tracemalloc.start()
+    strands = alembic_curves._read_archive(tmp_path / "hair.abc")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert strands.attributes.group_names == ("/hair/curves",)
+    assert peak < 500_000
 
 
 @needs_alembic

@@ -157,7 +157,7 @@ def _attributes(schema: Any, counts: np.ndarray, points: np.ndarray, name: str) 
     colours = _values(schema, "groom_color", AbcGeom.IV3fGeomParam, AbcGeom.IC3fGeomParam).reshape(-1, 3)
     identifier = per_strand(_values(schema, "groom_id", AbcGeom.IInt32GeomParam), counts)
     groups = per_strand(_values(schema, "groom_group_id", AbcGeom.IInt32GeomParam), counts)
-    names = per_strand(_texts(schema, "groom_group_name"), counts)
+    names = per_strand(_texts(schema, "groom_group_name", len(counts)), counts)
     return replace(
         groups_of(groups, names, len(counts), name),
         width=per_point(widths, counts, points),
@@ -177,13 +177,15 @@ def _values(schema: Any, name: str, *kinds: Any) -> np.ndarray:
     return np.empty(0)
 
 
-def _texts(schema: Any, name: str) -> np.ndarray:
-    """Texts of a parameter; empty without it."""
+def _texts(schema: Any, name: str, count: int) -> np.ndarray:
+    """Texts of a parameter; empty without it, and where it has neither one nor `count` of them."""
     parameters = schema.getArbGeomParams()
     header = parameters.getPropertyHeader(name) if parameters.valid() else None
     if header is None or not AbcGeom.IStringGeomParam.matches(header):
         return np.empty(0, dtype=str)
-    return np.array([*AbcGeom.IStringGeomParam(parameters, name).getExpandedValue().getVals()], dtype=str)
+    texts = AbcGeom.IStringGeomParam(parameters, name).getExpandedValue().getVals()
+    # A damaged file of a few kilobytes may have millions of them, of which Python makes an object each.
+    return np.array([*texts] if len(texts) in (1, count) else [], dtype=str)
 
 
 def _guides(schema: Any, count: int) -> np.ndarray:

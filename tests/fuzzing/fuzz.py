@@ -78,7 +78,7 @@ def fuzz(names: Iterable[str], count: int, seed: int = 0, keep: Path | None = No
 def _tally(name: str, count: int, seed: int, reader: ReaderProcess, folder: Path, keep: Path | None) -> Tally:
     suffix, files = seeds()[name]
     tally, index = Tally(), 0
-    list(reader.read(name, _on_disk(files[:1], name, folder), is_damaged=False))
+    list(reader.read(name, _on_disk(files, name, folder), is_damaged=False))
     for batch in _batches(mutants(name, _share(name, count), seed)):
         for content, found in zip(batch, reader.read(name, _on_disk(batch, name, folder)), strict=True):
             tally.add(index, found, _is_fault(name, found["outcome"]))

@@ -6,6 +6,7 @@ the output is JSON with the outcome of a file: `read`, `refused` for an `InputEr
 is a child of this one: another takes no time to start.
 """
 
+import gc
 import json
 import os
 import signal
@@ -39,6 +40,7 @@ def outcome_of(read: Callable[[Path], object], path: Path) -> dict[str, Any]:
 
 def serve(known: dict[str, Callable[[Path], object]]) -> None:
     """Read files to the end of the input, by a child, and by another where one has ended."""
+    gc.freeze()  # of all that is loaded a child would otherwise make a copy
     print("ready", flush=True)
     while True:
         child = os.fork()

@@ -116,3 +116,13 @@ def test_an_extra_that_is_there_is_not_refused(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(InputError, match=r"a picture: expected .*quaffure\[render\].* found no no_such_module"):
         require_extra("render", "a picture")
     assert not is_installed("no_such_module")
+
+
+def test_processes_that_read_files_do_not_load_torch() -> None:
+    """Which takes them longer than a small file."""
+    pytest.importorskip("pxr")
+    pytest.importorskip("alembic3d")
+    modules = "quaffure.io.usd_curves, quaffure.io.usd_files, quaffure.io.alembic_curves"
+    script = f"import {modules}, sys; print('torch' in sys.modules)"
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["False"]

@@ -8,7 +8,7 @@ import torch
 
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
-from quaffure.hair.strands import GOAL_WEIGHT, HELD_PARTS, STIFFNESS_SCALE, TIE_VERTEX
+from quaffure.hair.strands import GOAL_WEIGHT, HELD_PARTS, SCALE_SLACK, STIFFNESS_SCALE, TIE_VERTEX
 from quaffure.types import Tensor
 
 LARGEST_COORDINATE = 10.0
@@ -22,8 +22,6 @@ LARGEST_SCALE, LARGEST_GOAL = 1e6, 100.0
 INTEGERS = (torch.int16, torch.int32, torch.int64)
 """Types of indices; torch takes smaller ones for masks."""
 BARYCENTRIC_SLACK = 1e-3
-SCALE_SLACK = 1e-5
-"""float32 rounds; a scale this much below 1 is taken as 1."""
 _PASSED: WeakKeyDictionary[Groom, list[int | None]] = WeakKeyDictionary()
 """By groom, how often its arrays had been changed in place when they passed `check_layout` and `check_values`."""
 

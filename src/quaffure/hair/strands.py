@@ -16,6 +16,8 @@ STIFFNESS_SCALE, GOAL_WEIGHT, TIE_VERTEX = HELD_PARTS = ("stiffness_scale", "goa
 """Optional arrays of strands, grooms and drapes: what an artist asks of parts of the strands."""
 UNASKED = {STIFFNESS_SCALE: 1.0, GOAL_WEIGHT: 0.0, TIE_VERTEX: -1}
 """Their values where nothing is asked for."""
+SCALE_SLACK = 1e-5
+"""float32 rounds; a scale this much below 1 is taken as 1."""
 
 
 def held_parts_of(owner: object) -> dict[str, Any]:

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from quaffure.errors import InputError
-from quaffure.hair.groom_checks import SCALE_SLACK
-from quaffure.hair.strands import GOAL_WEIGHT, STIFFNESS_SCALE, TIE_VERTEX
+from quaffure.hair.strands import GOAL_WEIGHT, SCALE_SLACK, STIFFNESS_SCALE, TIE_VERTEX
 from quaffure.npz import INTEGER, NUMBER, Spec
 
 # S strands, E edges of a strand.

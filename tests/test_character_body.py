@@ -269,6 +269,7 @@ def with_hair_and_eye(of: Character, body: BodyModel) -> Character:
     return of
 
 
+@pytest.mark.slow
 def test_scalp_of_a_hair_mesh(body: BodyModel) -> None:
     haired = with_hair_and_eye(character(body), body)
     settings = replace(COARSE, hair_mesh="Hair_Long", cell=0.012)

@@ -268,6 +268,7 @@ def test_strands_stored_from_tip_to_root_are_turned_round(name: str, body: BodyM
 
 
 @pytest.mark.shared_data
+@pytest.mark.slow
 def test_a_cap_of_roots_from_another_head_is_not_pitched(shared_data: Path, body: BodyModel) -> None:
     strands = read_strands(shared_data / "cases" / "cap60_other_head.hair")
     _, report = register_groom(strands, body, "cap")

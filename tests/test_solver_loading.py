@@ -13,10 +13,10 @@ from quaffure.energies.loading import Loading
 from quaffure.solvers.by_name import DesignSolver
 from tests.scenes import few_strands, upright_scene
 
-SLOW = (pytest.param(name, marks=pytest.mark.slow) for name in ("adam", "lbfgs"))
+SLOW = (pytest.param(name, marks=pytest.mark.slow) for name in ("adam", "lbfgs", "xpbd"))
 
 
-@pytest.mark.parametrize("name", ["strand_newton", "xpbd", *SLOW])
+@pytest.mark.parametrize("name", ["strand_newton", *SLOW])
 def test_hair_swings_with_gravity_and_soft_hair_further(body: BodyModel, name: str) -> None:
     scene = upright_scene(few_strands(body, count=12), body)
     swung = {}

@@ -1,4 +1,4 @@
-"""How far from its place on the posed head a tie holds its hair: the second table of ties in docs/hanging.md.
+"""How far from its place on the posed head a tie holds its hair.
 
 python scripts/tie_distances.py CLIP.bvh ...; the tied styles by `strand_newton`, some frames of the bundled neck_turn
 and bow and of these clips, each draped alone.

@@ -1,7 +1,7 @@
 """How the styles hang with `strand_newton`: the table in docs/hanging.md.
 
-python scripts/hanging_table.py [STYLE or FILE ...]; upright, and bowed in the middle of the
-bundled clip, each frame alone.
+python scripts/hanging_table.py [STYLE or FILE ...]; upright, and bowed in the middle of the bundled clip, each frame
+alone.
 """
 
 import sys

@@ -11,11 +11,10 @@ import tyro
 
 from quaffure.body import bundled_clip, load_body, resample
 from quaffure.io.read_motion import read_motion
-from quaffure.procedural import make_groom
+from quaffure.procedural import STYLES, make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import StrandNewtonDraper
 
-TIED = ("ponytail", "pigtails", "half_up", "top_knot", "low_bun", "afro_puff")
 FRAMES = 4
 FPS = 30.0
 
@@ -27,7 +26,7 @@ def main(motions: tyro.conf.Positional[tuple[Path, ...]] = ()) -> None:
     clips += [resample(read_motion(path, body), FPS) for path in motions]
     print("| style | clip | frames | tie vertices off [mm], mean | 95 % | 99 % | most | above 5 mm % |")
     print("|---|---|---|---|---|---|---|---|")
-    for style in TIED:
+    for style in (name for name, style in STYLES.items() if style.ties):
         groom = make_groom(style, body)
         assert groom.tie_vertex is not None
         tied = torch.nonzero(groom.tie_vertex >= 0).flatten()

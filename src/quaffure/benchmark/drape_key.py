@@ -79,7 +79,7 @@ def _by_value(value: Any) -> object:
     values = (
         {field.name: getattr(value, field.name) for field in fields(value)} if is_dataclass(value) else _public(value)
     )
-    # A class without fields, such as an energy term, differs from others in its name alone.
+    # A class of this package without fields, such as an energy term, differs from others in its name alone.
     if hasattr(value, "name") or not is_dataclass(value):
         values["name"] = getattr(value, "name", "")
     code = _code(type(value))

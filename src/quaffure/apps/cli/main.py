@@ -105,11 +105,14 @@ def parse(arguments: list[str] | None = None) -> Command:
 
 def _in_full(words: list[str]) -> list[str]:
     """Words as tyro parses them, which knows neither values that may be left out nor options for what is so already."""
-    full = [word for word in words if word != "--coherent"] if words[:1] == ["drape"] else words
-    for index in reversed([index for index, word in enumerate(full) if word == "--settle"]):
-        if full[index + 1 : index + 2] == [] or full[index + 1].startswith("--"):
-            full = [*full[: index + 1], str(SETTLING_PASSES), *full[index + 1 :]]
-    return full
+    if words[:1] != ["drape"]:
+        return words
+    full = list[str]()
+    for word in (each for each in words if each != "--coherent"):
+        if full[-1:] == ["--settle"] and word.startswith("--"):
+            full.append(str(SETTLING_PASSES))
+        full.append(word)
+    return [*full, str(SETTLING_PASSES)] if full[-1] == "--settle" else full
 
 
 def _refuse(reason: str) -> NoReturn:

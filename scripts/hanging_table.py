@@ -9,6 +9,7 @@ import time
 
 import torch
 
+from quaffure import load_groom
 from quaffure.benchmark.appearance import in_the_air, off_vertical
 from quaffure.body import BodyModel, bundled_clip, load_body
 from quaffure.energies import HairEnergy, sag_free_rest
@@ -16,7 +17,6 @@ from quaffure.energies.body_collision import intersection_percent
 from quaffure.energies.by_name import hair_terms
 from quaffure.energies.sag_free import sag_free_report
 from quaffure.hair import Groom
-from quaffure.io import load_groom
 from quaffure.procedural import STYLES
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import StrandNewtonDraper

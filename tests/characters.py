@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from quaffure.body import BodyModel
-from quaffure.body.character import Character, CharacterNodes, Skin, SkinnedMesh
+from quaffure.body import BodyModel, Character, CharacterNodes, SkinnedMesh
+from quaffure.body.character import Skin
 from quaffure.types import Float
 
 MIXAMO = {

@@ -15,8 +15,7 @@ from tests import groom_cache
 if TYPE_CHECKING:
     from quaffure.body import BodyModel
     from quaffure.geometry import Surface
-    from quaffure.hair import Groom
-    from quaffure.hair.registration_report import RegistrationReport
+    from quaffure.hair import Groom, RegistrationReport
     from tests.scenes import Registered
 
 if importlib.util.find_spec("beartype") is not None:

@@ -2,12 +2,10 @@
 
 import torch
 
-from quaffure.baselines.posed import PosedDraper
-from quaffure.body import BodyModel
-from quaffure.body.motion import Motion
+from quaffure.baselines import PosedDraper
+from quaffure.body import BodyModel, Motion
 from quaffure.drape_motion import drape_motion
-from quaffure.hair import Groom, interpolation_of
-from quaffure.hair.export_clip import ExportClip, ExportSettings
+from quaffure.hair import ExportClip, ExportSettings, Groom, interpolation_of
 from quaffure.hair.groom_binding import groom_binding
 
 SHAPE = torch.tensor([1.0, *[0.0] * 9])

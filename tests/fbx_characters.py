@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quaffure.body.character import Character, CharacterNodes, SkinnedMesh, local_matrices, world_matrices
+from quaffure.body import Character, CharacterNodes, SkinnedMesh
+from quaffure.body.character import local_matrices, world_matrices
 from tests.fbx_file import Y_UP, Z_UP, FbxFile, Record, listed
 
 ORDERS = ("xyz", "xzy", "yzx", "yxz", "zxy", "zyx")

@@ -8,7 +8,7 @@ import torch
 if TYPE_CHECKING:
     from quaffure.body import BodyModel
     from quaffure.hair import Groom
-    from quaffure.procedural.hair_style import HairStyle
+    from quaffure.procedural import HairStyle
 
 
 def install() -> None:

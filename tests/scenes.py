@@ -10,8 +10,7 @@ from scipy.spatial import ConvexHull
 
 from quaffure.body import BodyModel, bundled_clip
 from quaffure.geometry import Surface, directors, posed_surface, surface_topology
-from quaffure.hair import Groom
-from quaffure.hair.registration_report import RegistrationReport
+from quaffure.hair import Groom, RegistrationReport
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, PosedScene, Scene
 

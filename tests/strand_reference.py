@@ -2,7 +2,7 @@
 
 import torch
 
-from quaffure.geometry.rotation import cross_product_matrix
+from quaffure.geometry import cross_product_matrix
 from quaffure.solvers.strand_recursion import LEAST_ALIGNMENT, LEAST_STIFFNESS, StrandModel
 from quaffure.types import Float, Tensor
 

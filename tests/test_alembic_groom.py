@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quaffure import InputError
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
-from quaffure.errors import InputError
-from quaffure.hair import Groom
-from quaffure.hair.export_clip import ExportClip, ExportSettings
+from quaffure.hair import ExportClip, ExportSettings, Groom
 from quaffure.io import write_drape
 from tests.export_clips import FRAMES, export_clip
 from tests.synthetic_drape import drape, patch_of_strands

@@ -5,8 +5,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from quaffure import InputError
 from quaffure.body import BodyModel, Motion, load_body
-from quaffure.errors import InputError
 from quaffure.io import read_amass
 from quaffure.io.amass import SMPL_JOINTS
 

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from quaffure.errors import InputError
+from quaffure import InputError
 from quaffure.training import AveragedAdam
 from quaffure.training.averaged_adam import warm_cosine
 

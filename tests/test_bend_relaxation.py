@@ -3,9 +3,10 @@
 import pytest
 import torch
 
-from quaffure.geometry.rotation import matrix_from_axis_angle
+from quaffure.geometry import matrix_from_axis_angle
+from quaffure.model import NetworkConfig
 from quaffure.model.bend_relaxation import bends, relaxed_edges
-from quaffure.model.network_config import NetworkConfig, from_file_values
+from quaffure.model.network_config import from_file_values
 from quaffure.types import Tensor
 
 EDGES = 9

@@ -9,13 +9,12 @@ import torch
 from scipy.spatial import ConvexHull
 
 import quaffure as qf
+from quaffure import InputError
 from quaffure.apps.cli.main import main
 from quaffure.apps.render import StrandRenderer
-from quaffure.body import BodyModel
-from quaffure.body.character import Character
-from quaffure.character import import_body
-from quaffure.character.collision_surface import Triangles, _pieces, _welded
-from quaffure.errors import InputError
+from quaffure.body import BodyModel, Character
+from quaffure.character import Triangles, import_body
+from quaffure.character.collision_surface import _pieces, _welded
 from tests.characters import MIXAMO, character, mesh_of
 from tests.fbx_characters import fbx_of
 

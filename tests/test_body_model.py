@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure import InputError
 from quaffure.body import BodyModel, load_body
 from quaffure.body.body_model import FILE_ARRAYS
-from quaffure.errors import InputError
 from quaffure.geometry import matrix_from_axis_angle
 
 ASSET = Path(str(files("quaffure") / "assets" / "body.npz"))

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quaffure.errors import InputError
+from quaffure import InputError
 from quaffure.io import read_bvh
 
 TWO_JOINTS = """\

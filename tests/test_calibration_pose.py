@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure import load_motion
 from quaffure.apps.cli.main import main
 from quaffure.body import CLIP_NAMES, BodyModel, Motion
 from quaffure.body.calibration_pose import calibration_pose
 from quaffure.body.retargeting import align_bone, body_bone, local_pose
-from quaffure.io.load_motion import load_motion
 
 ARMS_DOWN = 1.2  # rad
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from quaffure.body.character import AnimationChannel, Character, CharacterNodes
-from quaffure.body.character_animation import frame_times, poses_at, sampled
+from quaffure import InputError
+from quaffure.body import AnimationChannel, Character, CharacterNodes, frame_times, poses_at
+from quaffure.body.character_animation import sampled
 from quaffure.body.character_clip import _turned, animation_of, bind_pose, character_clip
 from quaffure.character.skeleton import rest_clip
-from quaffure.errors import InputError
 from quaffure.input_file import file_and_clip
 from quaffure.io.read_character import read_character
 from tests.gltf_files import NAMES, GltfFile, figure

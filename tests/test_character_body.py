@@ -9,22 +9,20 @@ import pytest
 import torch
 
 import quaffure as qf
+from quaffure import InputError
 from quaffure.backend import Backend
-from quaffure.body import BodyModel
-from quaffure.body.character import Character
+from quaffure.benchmark import intersection_percent
+from quaffure.body import BodyModel, Character, automatic_joint_map
 from quaffure.body.hair_names import is_hair_name
 from quaffure.body.joint_map import JointSource
-from quaffure.body.joint_names import automatic_joint_map
-from quaffure.character.collision_surface import Triangles, closed_surface
-from quaffure.character.import_body import ImportedBody, ImportSettings, import_body
-from quaffure.character.parts import parts_of
-from quaffure.character.skeleton import fit_skeleton, rest_clip
-from quaffure.energies.body_collision import intersection_percent
-from quaffure.errors import InputError
+from quaffure.character import ImportSettings, Triangles, fit_skeleton, parts_of
+from quaffure.character.collision_surface import closed_surface
+from quaffure.character.import_body import ImportedBody, import_body
+from quaffure.character.skeleton import rest_clip
 from quaffure.geometry.hole_filling import boundary_loops
-from quaffure.hair.clearance import distances_and_normals
+from quaffure.hair import distances_and_normals
 from quaffure.io.body_file import write_body
-from quaffure.model.neural import NeuralDraper
+from quaffure.model import NeuralDraper
 from quaffure.scene import BodyBatch, Scene
 from tests.characters import MIXAMO, REFERENCE_GRID, character, mesh_of, nodes_at, with_mesh
 

@@ -8,20 +8,28 @@ import pytest
 import torch
 
 import quaffure as qf
-from quaffure.body import BodyModel, MlsBodyConfig, Motion, head_frame_body, head_frame_body_reference, resample
+from quaffure import InputError
+from quaffure.body import (
+    AnimationChannel,
+    BodyModel,
+    Character,
+    MlsBodyConfig,
+    Motion,
+    head_frame_body,
+    head_frame_body_reference,
+    poses_at,
+    resample,
+)
 from quaffure.body.body_model import check_offsets
-from quaffure.body.character import AnimationChannel, Character, CharacterAnimation
-from quaffure.body.character_animation import poses_at
+from quaffure.body.character import CharacterAnimation
 from quaffure.body.own_motion import own_motion
 from quaffure.body.surface_morphs import SurfaceMorphs
 from quaffure.drape_motion import bodies_of, drape_motion
-from quaffure.errors import InputError
+from quaffure.geometry import posed_surface
 from quaffure.geometry.mesh import angle_weighted_vertex_normals
 from quaffure.geometry.signed_distance import signed_distance
-from quaffure.geometry.surface import posed_surface
+from quaffure.hair import AnimatedSkin, CharacterSpace, ExportClip
 from quaffure.hair.character_morphs import surface_morphs
-from quaffure.hair.character_space import AnimatedSkin, CharacterSpace
-from quaffure.hair.export_clip import ExportClip
 from quaffure.hair.groom_binding import groom_binding
 from quaffure.hair.placed_clip import placed_clip
 from quaffure.io import read_motion as motion_reader

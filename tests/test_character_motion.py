@@ -9,10 +9,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 import quaffure as qf
+from quaffure import InputError
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel, Motion
-from quaffure.errors import InputError
-from quaffure.io.output_path import check_output
+from quaffure.io import check_output
 from quaffure.io.read_motion import read_motion
 from tests.gltf_files import NAMES, PARENTS, GltfFile, figure
 

@@ -6,16 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quaffure import InputError
 from quaffure.apps.cli.inputs import character_space_of
 from quaffure.apps.cli.outputs import asset_path, write_output
-from quaffure.body import BodyModel
-from quaffure.body.character import Character
-from quaffure.body.character_animation import frame_times, poses_at
+from quaffure.body import BodyModel, Character, frame_times, poses_at
 from quaffure.body.own_motion import own_motion
-from quaffure.errors import InputError
 from quaffure.extras import is_installed
-from quaffure.hair.character_space import AnimatedSkin, CharacterSpace, skin_of
-from quaffure.hair.export_clip import ExportClip, ExportSettings
+from quaffure.hair import AnimatedSkin, CharacterSpace, ExportClip, ExportSettings
+from quaffure.hair.character_space import skin_of
 from quaffure.hair.placed_clip import PlacedClip, placed_clip
 from quaffure.io import character_scene, read_drape, write_drape
 from quaffure.io.read_character import read_character

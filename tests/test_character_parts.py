@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.body import BodyModel
-from quaffure.body.character import Character
-from quaffure.character.parts import choose_parts, parts_of
-from quaffure.character.skeleton import fit_skeleton
-from quaffure.errors import InputError
+from quaffure import InputError
+from quaffure.body import BodyModel, Character
+from quaffure.character import fit_skeleton, parts_of
+from quaffure.character.parts import choose_parts
 from tests.characters import character, mesh_of, nodes_at, with_mesh
 
 

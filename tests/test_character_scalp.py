@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from quaffure import InputError
 from quaffure.body import BodyModel
-from quaffure.character.collision_surface import Triangles
+from quaffure.character import Triangles
 from quaffure.character.head_fit import HeadFit
 from quaffure.character.parts import Part
 from quaffure.character.scalp import Scalp, scalp_of_transferred, transferred_scalp
 from quaffure.character.scalp_chart import check_disc
 from quaffure.character.scalp_check import face_areas
 from quaffure.character.scalp_source import HeadSurface, ScalpWish, scalp_of
-from quaffure.errors import InputError
 
 igl = pytest.importorskip("igl")
 HAIR = ScalpWish(hair_mesh="Wig")

@@ -4,13 +4,12 @@ from pathlib import Path
 
 import pytest
 
+from quaffure import InputError, load_motion
 from quaffure.apps import character_table
 from quaffure.apps.character_table import CharacterRow, drape_row, read_table
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
-from quaffure.errors import InputError
 from quaffure.io import read_drape
-from quaffure.io.load_motion import load_motion
 
 HEADER = "groom,motion,frames,out,stiffness,seed,shape\n"
 

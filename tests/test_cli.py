@@ -16,15 +16,15 @@ import torch
 from numba import njit
 from pxr import Sdf
 
+from quaffure import HairMaterial, InputError
 from quaffure.apps.cli.drape_report import Stopwatch, duration, with_preparation
 from quaffure.apps.cli.kernel_cache import KernelSeconds, announced_compiling, kernel_seconds
 from quaffure.apps.cli.main import main
 from quaffure.baselines import PosedDraper
-from quaffure.benchmark.metrics import UNITS, DrapeMetrics
+from quaffure.benchmark import DrapeMetrics
+from quaffure.benchmark.metrics import UNITS
 from quaffure.body import CLIP_NAMES, BodyModel, Motion, PosedBody, load_body
-from quaffure.config import HairMaterial
 from quaffure.drape_motion import FRAMES_AT_ONCE, drape_motion
-from quaffure.errors import InputError
 from quaffure.hair import Groom
 from quaffure.io import read_drape, write_drape, write_groom, write_usd
 from quaffure.io.read_strands import read_strands

@@ -1,8 +1,8 @@
 import pytest
 import torch
 
+from quaffure import InputError
 from quaffure.body import CLIP_NAMES, BodyModel, Motion, bundled_clip, joint_matrices, load_body
-from quaffure.errors import InputError
 from quaffure.geometry import axis_angle_from_matrix
 
 

@@ -1,7 +1,7 @@
 import torch
 
 from benchmarks.rods.closed_form import equilibrium_edges
-from quaffure.config import HairMaterial
+from quaffure import HairMaterial
 from quaffure.energies import energy_gravity, energy_stretch, energy_stretch_shear, equilibrium_vectors
 from quaffure.energies.rest_state import rest_state
 from quaffure.geometry import directors

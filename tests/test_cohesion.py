@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from quaffure.body import BodyModel
-from quaffure.energies import HairEnergy, hair_terms, sag_free_rest
-from quaffure.energies.cohesion import Cohesion, tails_of
+from quaffure.energies import Cohesion, HairEnergy, hair_terms, sag_free_rest
+from quaffure.energies.cohesion import tails_of
 from quaffure.geometry import Surface, matrix_from_axis_angle
 from quaffure.hair import Groom
 from quaffure.scene import PosedScene

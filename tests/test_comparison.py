@@ -12,6 +12,7 @@ import pytest
 import torch
 from safetensors import safe_open
 
+from quaffure import HairMaterial, InputError
 from quaffure.baselines import PosedDraper
 from quaffure.benchmark import (
     CaseDraper,
@@ -33,19 +34,14 @@ from quaffure.benchmark.drape_key import draper_key
 from quaffure.benchmark.machine_facts import machine
 from quaffure.benchmark.metrics import metrics, total_energy
 from quaffure.body import CLIP_NAMES, BodyModel, Motion, bundled_clip
-from quaffure.config import HairMaterial
 from quaffure.drape_motion import drape_motion
-from quaffure.energies import Gravity, HairEnergy, SelfCollision
-from quaffure.energies.design_terms import terms_of_design
-from quaffure.energies.energy_term import HairState
-from quaffure.errors import InputError
+from quaffure.energies import Gravity, HairEnergy, HairState, SelfCollision, terms_of_design
 from quaffure.hair import Groom
 from quaffure.model import DirectionNetwork, NetworkConfig, NeuralDraper, build_network
 from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.procedural import HELD_OUT, STYLES, make_groom
 from quaffure.scene import HairScene, Scene
-from quaffure.solvers import AdamDraper, XpbdDraper, XpbdSetting
-from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper
+from quaffure.solvers import AdamDraper, SettledDraper, StrandNewtonDraper, XpbdDraper, XpbdSetting
 from quaffure.types import Energy, Float, Positions, Tensor
 
 STRANDS = 40

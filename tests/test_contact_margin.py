@@ -5,11 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from quaffure.config import HairMaterial
+from quaffure import HairMaterial, InputError
 from quaffure.energies import RestState, energy_body_collision
 from quaffure.energies.fused_strand import TERMS, strand_energy
 from quaffure.energies.rest_state import rest_state
-from quaffure.errors import InputError
 from quaffure.geometry import Surface, directors, posed_surface, surface_topology
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.solvers import AdamDraper, XpbdDraper, XpbdSetting

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from quaffure import InputError
 from quaffure.apps.render import contact_sheet, write_contact_sheet
 from quaffure.body import BodyModel, load_body
-from quaffure.errors import InputError
 from quaffure.hair import Groom
 from quaffure.procedural import STYLES, make_groom
 

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from benchmarks.rods.elastic_potentials import MODELS, ElasticPotential, cosserat
+from quaffure import InputError
 from quaffure.energies import ELASTIC_MODELS, RodStiffness, hair_terms
 from quaffure.energies.cosserat import (
     bend_twist_strain,
@@ -17,7 +18,6 @@ from quaffure.energies.cosserat import (
     third_axis,
     transported_frames,
 )
-from quaffure.errors import InputError
 from quaffure.geometry import directors, matrix_from_axis_angle, quaternion_from_matrix, quaternion_multiply
 from tests.scenes import strands_round_sphere
 

@@ -7,13 +7,12 @@ import numba
 import pytest
 import torch
 
+from quaffure import HairMaterial, InputError
 from quaffure.backend import Backend
 from quaffure.body import FEATURE_COUNT, BodyModel, HeadFrameBody, head_frame_body, head_frame_body_reference
-from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.energies.loading import STANDARD_LOADING, Loading
+from quaffure.config import STANDARD_GRAVITY
+from quaffure.energies import STANDARD_LOADING, Loading, design_of
 from quaffure.energies.rest_state import rest_state
-from quaffure.energies.sag_free import design_of
-from quaffure.errors import InputError
 from quaffure.hair import Groom, triangle_frames
 from quaffure.hair.strand_blocks import rest_strands
 from quaffure.model import (

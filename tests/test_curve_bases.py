@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from quaffure import InputError
 from quaffure.body import BodyModel
-from quaffure.errors import InputError
-from quaffure.geometry.surface import Surface
+from quaffure.geometry import Surface
+from quaffure.hair import Strands, polyline_lengths, register_groom
 from quaffure.hair.curve_bases import cubic_polylines, is_basis_valid, nurbs_polylines
-from quaffure.hair.registration import register_groom
-from quaffure.hair.resample import polyline_lengths
-from quaffure.hair.strands import Strands
 from quaffure.io.read_strands import read_strands
 
 pytest.importorskip("pxr")

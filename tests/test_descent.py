@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from benchmarks.rods.closed_form import equilibrium_edges
+from quaffure import HairMaterial, InputError
 from quaffure.backend import Backend
-from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.config import STANDARD_GRAVITY
 from quaffure.draper import Draper
 from quaffure.energies import ELASTIC_MODELS, Cosserat, HairEnergy, HairState, equilibrium_vectors, hair_terms
-from quaffure.errors import InputError
 from quaffure.geometry import integrate_directions
 from quaffure.solvers import (
     SOLVERS,

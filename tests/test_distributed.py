@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from quaffure import InputError
 from quaffure.body import BodyModel, load_pose_prior
-from quaffure.errors import InputError
 from quaffure.hair import Groom
 from quaffure.training import PoseSampler, Worker
 from quaffure.training.distributed import joined_workers

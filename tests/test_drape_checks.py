@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 import torch
 
+from quaffure import HairMaterial
 from quaffure.apps.cli import drape as drape_cli
 from quaffure.apps.cli.main import main
+from quaffure.benchmark import DrapeMetrics
 from quaffure.benchmark.drape_checks import MOST_INSIDE_PERCENT, DrapeChecks, frames_named
-from quaffure.benchmark.metrics import DrapeMetrics
 from quaffure.body import BodyModel
-from quaffure.config import HairMaterial
 from quaffure.scene import BodyBatch, Scene
 from quaffure.types import Positions
 from tests.training_runs import tiny_groom

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quaffure.errors import InputError
+from quaffure import InputError
 from quaffure.io import read_drape, write_drape
 from tests.synthetic_drape import drape, patch_of_strands
 

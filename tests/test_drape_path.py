@@ -11,13 +11,14 @@ from numba.core.dispatcher import Dispatcher
 from torch import nn
 
 import quaffure
+from quaffure import HairMaterial
 from quaffure.apps.cli.main import main
 from quaffure.backend import Backend
 from quaffure.body import FEATURE_COUNT, BodyModel, kinematics
-from quaffure.config import HairMaterial
-from quaffure.energies.loading import Loading
+from quaffure.energies import Loading
 from quaffure.model import (
     DirectionNetwork,
+    ForwardNetwork,
     InferenceNetwork,
     InitialShapeConfig,
     NetworkConfig,
@@ -29,7 +30,6 @@ from quaffure.model import (
     load_network,
     save_network,
 )
-from quaffure.model.inference_network import ForwardNetwork
 from quaffure.model.network_config import from_file_values
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene

@@ -4,18 +4,17 @@ from unittest import mock
 import pytest
 import torch
 
+from quaffure import HairMaterial, InputError
 from quaffure.backend import Backend
 from quaffure.baselines import PosedDraper
 from quaffure.benchmark import accelerations, intersection_percent, measure, vertices_from_head
 from quaffure.benchmark.metrics import metrics
 from quaffure.body import bundled_clip, load_body
-from quaffure.config import HairMaterial
 from quaffure.drape_motion import drape_motion
 from quaffure.drapers import DRAPERS, GROOMGEN, LIVE_DRAPERS, elastic_model_of, make_draper
 from quaffure.energies import HairEnergy, equilibrium_vectors
 from quaffure.energies.by_name import MODIFIED_COSSERAT, ROD
 from quaffure.energies.rest_state import rest_state
-from quaffure.errors import InputError
 from quaffure.geometry import integrate_directions
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene

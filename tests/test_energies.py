@@ -4,8 +4,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from quaffure import HairMaterial
 from quaffure.backend import Backend
-from quaffure.config import HairMaterial
 from quaffure.energies import HairEnergy, energy_body_collision, energy_gravity, energy_stretch, energy_stretch_shear
 from quaffure.energies.force_limit import MAX_FORCE, clip_gradients
 from quaffure.energies.gravity import energy_gravity_above_root

@@ -5,12 +5,10 @@ from dataclasses import dataclass, replace
 import pytest
 import torch
 
+from quaffure import HairMaterial, InputError
 from quaffure.backend import Backend, choose_backend
 from quaffure.body import BodyModel, load_pose_prior
-from quaffure.config import HairMaterial
-from quaffure.energies import EnergyTerm, Gravity, HairEnergy, HairState, hair_terms
-from quaffure.energies.loading import STANDARD_LOADING
-from quaffure.errors import InputError
+from quaffure.energies import STANDARD_LOADING, EnergyTerm, Gravity, HairEnergy, HairState, hair_terms
 from quaffure.scene import BodyBatch, HairScene, Scene
 from quaffure.solvers import AdamDraper, DescentDraper, LbfgsDraper, XpbdDraper
 from quaffure.training import DecoderRecipe, GroomedBody, PoseSampler

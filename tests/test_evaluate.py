@@ -11,17 +11,15 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure import HairMaterial, InputError, load_groom
 from quaffure.apps.cli.main import main
 from quaffure.benchmark import CaseEntry, GroomSource
 from quaffure.benchmark.evaluation_set import EvaluationSet
 from quaffure.benchmark.methods import methods
 from quaffure.benchmark.report import METRICS, PAGE, PICTURE, RATIOS, cell_text, headline, page
 from quaffure.body import BodyModel
-from quaffure.config import HairMaterial
-from quaffure.errors import InputError
 from quaffure.hair import Groom
 from quaffure.io import write_groom
-from quaffure.io.load_groom import load_groom
 from quaffure.model import NetworkConfig, build_network, save_network
 from tests.test_comparison import STRANDS, tiny_groom
 

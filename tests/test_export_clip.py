@@ -8,9 +8,8 @@ import pytest
 
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
-from quaffure.hair.export_clip import ExportClip
-from quaffure.hair.guide_interpolation import GuideInterpolation
-from quaffure.hair.strand_attributes import LARGEST_ID, StrandAttributes
+from quaffure.hair import ExportClip, GuideInterpolation, StrandAttributes
+from quaffure.hair.strand_attributes import LARGEST_ID
 from quaffure.io.read_strands import read_strands
 from tests.export_clips import export_clip
 from tests.training_runs import tiny_groom

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quaffure.body.character import Character
-from quaffure.body.character_animation import poses_at
-from quaffure.errors import InputError
+from quaffure import InputError
+from quaffure.body import Character, poses_at
 from quaffure.io.read_character import read_character
 from tests.fbx_characters import ORDERS, FbxForm, fbx_of
 from tests.fbx_file import FbxFile, Record, listed

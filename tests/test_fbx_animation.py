@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quaffure.body.character import Character
-from quaffure.body.character_animation import poses_at
-from quaffure.errors import InputError
+from quaffure import InputError
+from quaffure.body import Character, poses_at
 from tests.fbx_file import CONSTANT, CUBIC, LINEAR, TICKS, FbxFile, Record, listed
 from tests.test_fbx import CUBE, QUADS, TRANSFORM, product, read
 

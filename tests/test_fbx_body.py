@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from quaffure.apps.cli.main import main
-from quaffure.body import BodyModel
-from quaffure.body.character import Character
+from quaffure.body import BodyModel, Character
 from quaffure.body.own_motion import is_own, own_motion
-from quaffure.character.import_body import ImportSettings, import_body
+from quaffure.character import ImportSettings
+from quaffure.character.import_body import import_body
 from quaffure.io.character_scene import read_character_space
 from quaffure.io.read_character import read_character
 from quaffure.io.read_motion import read_motion

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quaffure.errors import InputError
+from quaffure import InputError
 from quaffure.io.read_character import read_character
 from tests.fbx_file import FbxFile, Record
 from tests.test_fbx import CUBE, QUADS

@@ -1,7 +1,7 @@
 import torch
 
+from quaffure import HairMaterial
 from quaffure.body import BodyModel
-from quaffure.config import HairMaterial
 from quaffure.energies import sag_free_rest
 from quaffure.hair.folds import without_folds
 from quaffure.procedural import make_groom

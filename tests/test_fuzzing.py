@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure import InputError
 from quaffure.body import BodyModel
-from quaffure.errors import InputError
 from quaffure.io.read_strands import STRAND_READERS
 
 pytest.importorskip("resource", reason="limits of a process: not on Windows")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quaffure.body.character import Character
-from quaffure.errors import InputError
+from quaffure import InputError
+from quaffure.body import Character
 from quaffure.io.read_character import read_character
 from tests.gltf_files import NAMES, PLACES, GltfFile, figure
 from tests.meshopt_streams import compressed

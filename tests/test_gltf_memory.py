@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from quaffure.body.character import Character
-from quaffure.errors import InputError
+from quaffure import InputError
+from quaffure.body import Character
 from quaffure.io.gltf_document import MOST_COMPRESSION, open_gltf
 from quaffure.io.read_character import read_character
 from tests.gltf_files import GltfFile

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure import InputError
 from quaffure.apps.cli import train_code
 from quaffure.apps.cli.main import main
 from quaffure.benchmark.groom_code_metrics import (
@@ -19,13 +20,12 @@ from quaffure.benchmark.groom_code_metrics import (
     style_scatter,
 )
 from quaffure.body import BodyModel
-from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import Groom, select_guides
 from quaffure.io import write_groom
-from quaffure.model import GroomAutoencoder, load_groom_autoencoder, strands_from_features
+from quaffure.model import GroomAutoencoder, load_groom_autoencoder, load_groom_encoder, strands_from_features
 from quaffure.model.groom_autoencoder import decoded_channels, relative_distance
-from quaffure.model.groom_code import WEIGHTS, groom_code, load_groom_encoder, save_autoencoder, save_encoder
+from quaffure.model.groom_code import WEIGHTS, groom_code, save_autoencoder, save_encoder
 from quaffure.model.groom_texture import (
     SHAPE_CHANNELS,
     GroomSample,

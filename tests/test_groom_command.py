@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure import InputError
 from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import check_outputs
 from quaffure.apps.cli.style_settings import ABOVE_ZERO, with_settings
 from quaffure.body import BodyModel, load_body
-from quaffure.errors import InputError
 from quaffure.io import load_source, read_groom, write_groom
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, HairStyle, hair_style, make_groom

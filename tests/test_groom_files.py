@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from quaffure.errors import InputError
+from quaffure import InputError
 from quaffure.hair import Strands
 from quaffure.io import replacing
 from quaffure.io.read_strands import read_strands

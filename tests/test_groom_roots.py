@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from quaffure import InputError
 from quaffure.body import BodyModel
-from quaffure.character.collision_surface import Triangles
+from quaffure.character import Triangles, fit_skeleton
 from quaffure.character.groom_roots import roots_on
-from quaffure.character.skeleton import FittedSkeleton, fit_skeleton
-from quaffure.errors import InputError
+from quaffure.character.skeleton import FittedSkeleton
 from tests.characters import character
 
 pytest.importorskip("igl")

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure import InputError
 from quaffure.body import BodyModel
-from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.procedural import STYLES
-from quaffure.training import groom_samples
-from quaffure.training.groom_samples import ProceduralGroom, cached_samples, family_grooms, library_grooms
+from quaffure.training import ProceduralGroom, groom_samples
+from quaffure.training.groom_samples import cached_samples, family_grooms, library_grooms
 from quaffure.training.run_folder import body_digest
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure import HairMaterial, InputError
 from quaffure.apps.cli.main import main
 from quaffure.baselines import (
     GroomGenDraper,
@@ -24,14 +25,12 @@ from quaffure.baselines.groomgen import head_strands, texel_cells
 from quaffure.benchmark.methods import methods
 from quaffure.body import BodyModel, bundled_clip, head_rotation, neck_pose
 from quaffure.body.neck import NECK_SHARES
-from quaffure.config import HairMaterial
-from quaffure.errors import InputError
 from quaffure.hair import Groom
 from quaffure.io import write_groom
 from quaffure.procedural import HELD_OUT
 from quaffure.scene import BodyBatch, Scene
-from quaffure.training import GroomGenConfig, GroomGenRecipe, Training, random_head_rotation, train
-from quaffure.training.groomgen_data import LARGEST_TURN, DrapedPoses, DrapeFolder, started_folder
+from quaffure.training import DrapeFolder, GroomGenConfig, GroomGenRecipe, Training, random_head_rotation, train
+from quaffure.training.groomgen_data import LARGEST_TURN, DrapedPoses, started_folder
 from quaffure.types import Positions
 from tests.training_runs import rows_of, tiny_groom
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 from jaxtyping import Float, Int
 
+from quaffure import InputError
 from quaffure.body import BodyModel, load_body
-from quaffure.errors import InputError
 from quaffure.geometry import matrix_from_axis_angle
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.hair import (

@@ -9,13 +9,13 @@ import pytest
 import torch
 from pxr import Sdf, Usd, UsdGeom
 
+from quaffure import InputError
 from quaffure.baselines import PosedDraper
 from quaffure.body import BodyModel, Motion
 from quaffure.drape_motion import drape_motion
 from quaffure.energies import held_up_to, released, tied_at, with_ties
 from quaffure.energies.held_parts import GOAL_STIFFNESS
 from quaffure.energies.rod import BENDING_STIFFNESS, joint_lengths
-from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import (
     DrapeSequence,
@@ -24,9 +24,10 @@ from quaffure.hair import (
     concatenate_strands,
     groom_of_drape,
     register_groom,
+    resample_by_arc_length,
     spread_roots,
 )
-from quaffure.hair.resample import resample_by_arc_length, resample_held_parts, without_degenerate
+from quaffure.hair.resample import resample_held_parts, without_degenerate
 from quaffure.io import read_drape, read_groom, read_usd_strands, write_drape, write_groom, write_usd
 from quaffure.procedural import STYLES, make_groom
 from quaffure.procedural.ties import strand_bundle

@@ -18,18 +18,15 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 
+from quaffure import HairMaterial, InputError, load_groom
 from quaffure.apps.character_table import read_table
 from quaffure.apps.cli.inputs import body_shape_of
 from quaffure.body import BodyModel, load_body
-from quaffure.config import HairMaterial
 from quaffure.drape_motion import material_of
-from quaffure.errors import InputError
-from quaffure.io import read_bvh, read_drape, read_head, read_usd_strands, write_groom
-from quaffure.io.groom_file import read_groom
-from quaffure.io.load_groom import load_groom
-from quaffure.io.read_motion import read_joint_map, read_motion
+from quaffure.io import read_bvh, read_drape, read_groom, read_head, read_joint_map, read_usd_strands, write_groom
+from quaffure.io.read_motion import read_motion
 from quaffure.io.read_strands import STRAND_READERS, read_strands
-from quaffure.model.checkpoint import load_network
+from quaffure.model import load_network
 from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.npz import read_numbers
 from quaffure.procedural import make_groom

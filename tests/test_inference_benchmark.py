@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from quaffure import HairMaterial
 from quaffure.apps.cli.main import main
 from quaffure.benchmark import inference_benchmark
 from quaffure.body import FEATURE_COUNT
-from quaffure.config import HairMaterial
 from quaffure.model import NetworkConfig, build_network, save_network
 
 

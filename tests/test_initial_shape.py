@@ -5,22 +5,18 @@ from dataclasses import replace
 import pytest
 import torch
 
+from quaffure import HairMaterial
 from quaffure.body import BodyModel, head_frame_body_reference
-from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.energies import HairEnergy, hair_terms
-from quaffure.energies.loading import STANDARD_LOADING, Loading
-from quaffure.energies.sag_free import design_of
+from quaffure.config import STANDARD_GRAVITY
+from quaffure.energies import STANDARD_LOADING, HairEnergy, Loading, design_of, hair_terms
 from quaffure.geometry import matrix_from_axis_angle
 from quaffure.hair import Groom, triangle_frames
-from quaffure.model import InitialShapeConfig
+from quaffure.model import InitialShapeConfig, NetworkConfig, PreparedGroom, load_groom_encoder, prepare_groom
 from quaffure.model.free_rod import FreeRods, free_rod_directions
-from quaffure.model.groom_code import load_groom_encoder
 from quaffure.model.initial_shape import initial_shape_reference
-from quaffure.model.network_config import NetworkConfig
-from quaffure.model.prepared_groom import PreparedGroom, prepare_groom
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers.strand_descent import StrandDescent
+from quaffure.solvers import StrandDescent
 from quaffure.types import Tensor
 
 MATERIAL = HairMaterial()

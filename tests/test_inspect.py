@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quaffure import InputError
 from quaffure.apps.cli.file_summary import summary_of
 from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import asset_path, write_output
 from quaffure.body import BodyModel
-from quaffure.errors import InputError
-from quaffure.hair.export_clip import ExportClip
-from quaffure.hair.file_frame import FileFrame
+from quaffure.hair import ExportClip, FileFrame
 from quaffure.io import write_drape
 from quaffure.model.quaffure_model import WEIGHTS
 from tests.fuzzing.seeds import seeds

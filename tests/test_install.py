@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from quaffure.errors import InputError
+from quaffure import InputError
 from quaffure.extras import EXTRAS, is_installed, require_extra
 
 ROOT = Path(__file__).parents[1]

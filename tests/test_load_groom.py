@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure import InputError, load_groom
 from quaffure.body import BodyModel, load_body
-from quaffure.errors import InputError
-from quaffure.hair import Groom, HeadMesh, Strands
-from quaffure.hair.file_frame import FileFrame
+from quaffure.hair import FileFrame, Groom, HeadMesh, Strands
 from quaffure.io import read_groom, read_head, write_groom
 from quaffure.io.groom_file import NUMBERS, is_groom_file
-from quaffure.io.load_groom import load_groom
 from quaffure.procedural import make_groom
 from tests.scenes import Registered
 

@@ -3,7 +3,7 @@ import math
 import torch
 
 from quaffure.body import BodyModel, load_pose_prior
-from quaffure.energies.loading import STANDARD_LOADING, Loading
+from quaffure.energies import STANDARD_LOADING, Loading
 from quaffure.training import DecoderRecipe, GroomedBody, PoseSampler
 from quaffure.training.loading_sampler import ACCELERATION_RANGE, MOST_TILT, STIFFNESS_RANGE, draw_loading
 from tests.training_runs import TINY, tiny_groom, validation

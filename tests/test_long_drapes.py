@@ -12,23 +12,18 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure import HairMaterial, InputError, load_groom
 from quaffure.apps.cli import drape as drape_command
 from quaffure.apps.cli import kept_frames
 from quaffure.apps.cli.main import main
-from quaffure.baselines.posed import PosedDraper
-from quaffure.body import BodyModel
-from quaffure.body.clips import bundled_clip
-from quaffure.config import HairMaterial
+from quaffure.baselines import PosedDraper
+from quaffure.body import BodyModel, bundled_clip
 from quaffure.drape_motion import drape_motion
-from quaffure.errors import InputError
 from quaffure.frame_store import BatchState, Frames, FramesInMemory
-from quaffure.io import read_drape
+from quaffure.io import check_output, read_drape
 from quaffure.io.frame_folder import FrameFolder
-from quaffure.io.load_groom import load_groom
-from quaffure.io.output_path import check_output
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers.by_name import solver
-from quaffure.solvers.coherent_clip import CoherentDraper
+from quaffure.solvers import CoherentDraper, solver
 from tests.test_output_files import no_file_above
 
 BATCH, TOTAL = 4, 10

@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quaffure import InputError
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
-from quaffure.errors import InputError
-from quaffure.hair.export_clip import ExportClip, ExportSettings
-from quaffure.io.glb import write_glb
+from quaffure.hair import ExportClip, ExportSettings
+from quaffure.io import write_glb, write_hair, write_ply
 from quaffure.io.glb_asset import in_gltf
-from quaffure.io.hair_writer import write_hair
-from quaffure.io.ply import write_ply
 from quaffure.io.read_strands import read_strands
 from quaffure.io.strand_mesh import strand_mesh_faces, strand_mesh_normals, strand_mesh_positions
 from tests.export_clips import FRAMES, export_clip

@@ -3,9 +3,9 @@ import math
 import pytest
 import torch
 
+from quaffure import InputError
 from quaffure.body import Motion, filter_flips, joint_matrices, load_body, resample, without_heading
 from quaffure.body.motion import AXIAL_JOINTS
-from quaffure.errors import InputError
 from quaffure.geometry import axis_angle_from_matrix, matrix_from_axis_angle
 
 LEFT_ARM, NECK = 10, 14

@@ -4,13 +4,11 @@ from pathlib import Path
 import pytest
 import torch
 
+from quaffure import HairMaterial, InputError
 from quaffure.body import FEATURE_COUNT, BodyModel, Motion, head_frame_body_reference, load_body
 from quaffure.body.mls_body import mls_body
 from quaffure.body.pose_features import pose_features
-from quaffure.config import HairMaterial
-from quaffure.energies.loading import STANDARD_LOADING, Loading
-from quaffure.energies.sag_free import design_of
-from quaffure.errors import InputError
+from quaffure.energies import STANDARD_LOADING, Loading, design_of
 from quaffure.geometry import (
     axis_angle_from_matrix,
     integrate_directions,
@@ -24,13 +22,13 @@ from quaffure.model import (
     NeuralDraper,
     build_network,
     initial_clearance,
+    load_groom_encoder,
     load_model,
     load_network,
     prepare_groom,
     prepared_groom,
     save_network,
 )
-from quaffure.model.groom_code import load_groom_encoder
 from quaffure.model.initial_shape import initial_shape_reference
 from quaffure.model.prepared_groom import balanced_depth, limit_slope
 from quaffure.model.quaffure_network import DisplacementNetwork

@@ -10,12 +10,10 @@ import pytest
 import torch
 from PIL import Image
 
-from quaffure import extras
-from quaffure.apps.drape_clip import drape_clip
+from quaffure import InputError, drape_clip, extras
 from quaffure.apps.render import scene
 from quaffure.baselines import PosedDraper
 from quaffure.body import bundled_clip, load_body
-from quaffure.errors import InputError
 from quaffure.hair import DrapeSequence, Groom
 from quaffure.procedural import make_groom
 from tests.synthetic_drape import drape, patch_of_strands

@@ -13,19 +13,16 @@ import pytest
 import torch
 
 import quaffure
-from quaffure.baselines.posed import PosedDraper
+from quaffure import HairMaterial, InputError
+from quaffure.baselines import PosedDraper
 from quaffure.body import BodyModel, Motion
-from quaffure.config import HairMaterial
-from quaffure.energies.by_name import hair_terms
-from quaffure.energies.loading import Loading
-from quaffure.errors import InputError
+from quaffure.energies import Loading, hair_terms
 from quaffure.hair import Groom
 from quaffure.hair.groom_binding import groom_binding
 from quaffure.io import read_drape, read_groom, write_drape, write_groom
-from quaffure.model.quaffure_model import Quaffure, load_model
+from quaffure.model import Quaffure, load_model
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers.by_name import solver
-from quaffure.solvers.coherent_clip import CoherentDraper
+from quaffure.solvers import CoherentDraper, solver
 from tests.synthetic_drape import drape, patch_of_strands
 from tests.training_runs import tiny_groom
 

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure import load_groom, load_motion
+from quaffure import HairMaterial, InputError, load_groom, load_motion
 from quaffure.body import load_body
-from quaffure.config import HairMaterial
-from quaffure.errors import InputError
 from quaffure.model import NetworkConfig, NeuralDraper, build_network, load_model
 from quaffure.model.drape_constants import write_drape_constants
 from tests.training_runs import tiny_groom

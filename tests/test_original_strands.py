@@ -9,30 +9,33 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure import InputError
 from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import write_output
 from quaffure.baselines import PosedDraper
 from quaffure.body import BodyModel, Motion, bundled_clip, load_body
 from quaffure.drape_motion import drape_motion
-from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import (
+    DrapeSequence,
+    ExportClip,
+    ExportSettings,
     Groom,
+    OriginalStrands,
+    PlacedStrands,
+    RegistrationReport,
+    StrandAttributes,
     Strands,
     distances_and_normals,
+    original_strands,
+    place_strands,
     polyline_lengths,
     register_groom,
     resample_by_arc_length,
 )
-from quaffure.hair.drape_sequence import DrapeSequence
-from quaffure.hair.export_clip import ExportClip, ExportSettings
 from quaffure.hair.groom_binding import groom_binding
-from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.resample import arc_length_places
-from quaffure.hair.source_strands import OriginalStrands, PlacedStrands, original_strands, place_strands
-from quaffure.hair.strand_attributes import StrandAttributes
-from quaffure.io.groom_file import read_source, write_groom
-from quaffure.io.load_groom import load_source
+from quaffure.io import load_source, read_source, write_groom
 from quaffure.io.read_strands import read_strands
 from quaffure.scene import BodyBatch, Scene
 from tests.scenes import Registered

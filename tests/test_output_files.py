@@ -18,19 +18,16 @@ import pytest
 import torch
 from PIL import Image
 
+from quaffure import InputError
 from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import write_output
+from quaffure.apps.render import encode_video
 from quaffure.apps.render.pictures import save_png
-from quaffure.apps.render.video import encode_video
-from quaffure.errors import InputError
-from quaffure.hair.export_clip import ExportClip, ExportSettings
-from quaffure.io import atomic, replacing, write_drape, write_usd
+from quaffure.hair import ExportClip, ExportSettings
+from quaffure.io import atomic, check_output, replacing, write_drape, write_glb, write_hair, write_ply, write_usd
 from quaffure.io.atomic import replacing_together
 from quaffure.io.counted_writer import write_ct2hair, write_hairsalon
-from quaffure.io.glb import write_glb
-from quaffure.io.hair_writer import write_hair
-from quaffure.io.output_path import check_output, check_output_folder, made_folder
-from quaffure.io.ply import write_ply
+from quaffure.io.output_path import check_output_folder, made_folder
 from quaffure.io.temporary_file import HOST, OLDEST, PREFIX
 from quaffure.model.weights_file import save_weights
 from quaffure.training import RunFolder

@@ -10,26 +10,28 @@ import torch
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from quaffure.body import BodyModel, Motion
+from quaffure import InputError, load_groom
+from quaffure.body import AnimationChannel, BodyModel, Character, Motion, frame_times, poses_at
 from quaffure.body.body_origin import BodyOrigin
-from quaffure.body.character import AnimationChannel, Character, CharacterAnimation
-from quaffure.body.character_animation import frame_times, poses_at
+from quaffure.body.character import CharacterAnimation
 from quaffure.body.own_motion import is_own, own_motion
-from quaffure.character.collision_surface import Triangles, closest_on, distance_to
-from quaffure.character.import_body import ImportSettings, import_body
-from quaffure.character.skeleton import fit_skeleton
-from quaffure.errors import InputError
-from quaffure.hair import DrapeSequence
-from quaffure.hair.character_space import AnimatedSkin, CharacterSpace, bind_points
-from quaffure.hair.export_clip import ExportClip
+from quaffure.character import ImportSettings, Triangles, fit_skeleton
+from quaffure.character.collision_surface import closest_on, distance_to
+from quaffure.character.import_body import import_body
+from quaffure.hair import (
+    AnimatedSkin,
+    CharacterSpace,
+    DrapeSequence,
+    ExportClip,
+    PlacedStrands,
+    StrandAttributes,
+    Strands,
+    root_positions,
+)
+from quaffure.hair.character_space import bind_points
 from quaffure.hair.groom_binding import GroomBinding, Skeleton
 from quaffure.hair.placed_clip import placed_clip
-from quaffure.hair.posing import root_positions
-from quaffure.hair.source_strands import PlacedStrands
-from quaffure.hair.strand_attributes import StrandAttributes
-from quaffure.hair.strands import Strands
 from quaffure.io import load_source, write_groom
-from quaffure.io.load_groom import load_groom
 from tests.characters import REFERENCE_GRID, character
 
 FPS = 30.0

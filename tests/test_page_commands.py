@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
+from quaffure import load_motion
 from quaffure.apps import character_table
 from quaffure.apps.cli.main import main, parse
 from quaffure.apps.row_workers import Outcome
 from quaffure.body import CLIP_NAMES
-from quaffure.io.load_motion import load_motion
 from quaffure.procedural import STYLES
 from tests.page_commands import PROGRAMS, commands, write_inputs
 

@@ -13,13 +13,13 @@ import torch
 from PIL import Image
 
 import quaffure
+from quaffure import load_motion
 from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import writing_text
 from quaffure.apps.render.framing import frames_of_picture
-from quaffure.body.clips import CLIP_NAMES
-from quaffure.hair.export_clip import ExportClip
+from quaffure.body import CLIP_NAMES
+from quaffure.hair import ExportClip
 from quaffure.io import read_drape, write_drape, write_groom
-from quaffure.io.load_motion import load_motion
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom
 from tests.synthetic_drape import drape, patch_of_strands

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure.benchmark.evaluation_set import SETS, load_evaluation_set
+from quaffure.benchmark import load_evaluation_set
+from quaffure.benchmark.evaluation_set import SETS
 from quaffure.body import PRIOR_FILE, BodyModel, PosePrior, joint_matrices, load_body, load_pose_prior, without_heading
 from quaffure.geometry import axis_angle_from_matrix, matrix_from_axis_angle
 from scripts.fit_pose_prior import check_prior

@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from quaffure.baselines.posed import PosedDraper
+from quaffure.baselines import PosedDraper
 from quaffure.body import BodyModel, Motion, PosedBody, load_body
 from quaffure.body.pose_features import world_from_head
 from quaffure.drape_motion import drape_motion

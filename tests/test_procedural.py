@@ -3,8 +3,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from quaffure import InputError
 from quaffure.body import BodyModel
-from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.geometry.polyline import arc_lengths
 from quaffure.hair import Groom, distances_and_normals, inside_share, pushed_out, root_positions

@@ -9,8 +9,7 @@ import torch
 from quaffure.backend import Backend
 from quaffure.body import BodyModel
 from quaffure.body.collision_skin import collision_skin
-from quaffure.energies import HairEnergy
-from quaffure.energies.design_terms import terms_of_design
+from quaffure.energies import HairEnergy, terms_of_design
 from quaffure.energies.rest_state import rest_state
 from quaffure.geometry.rotation_kernel import lifted_edge
 from quaffure.geometry.signed_distance import signed_distance
@@ -18,14 +17,16 @@ from quaffure.model import (
     InitialShapeConfig,
     NetworkConfig,
     NeuralDraper,
+    PreparedGroom,
     ProjectionConfig,
     build_network,
     load_model,
+    prepare_groom,
     project,
 )
 from quaffure.model.bend_relaxation import bends
 from quaffure.model.neural import drape
-from quaffure.model.prepared_groom import PreparedGroom, prepare_groom, raised_before_supports
+from quaffure.model.prepared_groom import raised_before_supports
 from quaffure.model.projection import project_reference, push_settings
 from quaffure.model.projection_kernel import PushedRods, PushSettings
 from quaffure.procedural import make_groom

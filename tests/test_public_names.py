@@ -66,6 +66,36 @@ def test_no_exported_name_is_that_of_a_module(package: str) -> None:
     assert not modules & set(names_for_checkers(package))
 
 
+def imported_names(source: str) -> set[tuple[str, str]]:
+    """Module and name of each `from module import name` in Python."""
+    statements = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)]
+    return {(str(statement.module), alias.name) for statement in statements for alias in statement.names}
+
+
+def test_tests_import_exported_names_from_the_package() -> None:
+    # So that a file of the package can move. Names that are not exported are imported from their module.
+    exported = {(module, name) for package in PACKAGES for name, module in names_for_checkers(package).items()}
+    sources = {file.name: file.read_text(encoding="utf-8") for file in (SOURCE.parent / "tests").rglob("*.py")}
+    assert Path(__file__).name in sources
+    modules = {module for module, _ in exported}
+    candidates = [name for name, text in sources.items() if any(f"from {module} import" in text for module in modules)]
+    assert not [(name, found) for name in candidates for found in imported_names(sources[name]) & exported]
+
+
+def test_programs_import_functions_and_not_modules_of_their_name() -> None:
+    # `from quaffure.io import load_groom` gives the module, which cannot be called, and nothing checks types there.
+    root = SOURCE.parent
+    modules = {
+        (".".join(file.relative_to(SOURCE).parts[:-1]), file.stem)
+        for file in SOURCE.rglob("*.py")
+        if f"\ndef {file.stem}(" in file.read_text(encoding="utf-8")
+    }
+    assert ("quaffure.io", "load_groom") in modules
+    programs = [file for folder in ("scripts", "benchmarks", "examples") for file in (root / folder).rglob("*.py")]
+    found = {file.name: imported_names(file.read_text(encoding="utf-8")) & modules for file in programs}
+    assert not {name: names for name, names in found.items() if names}
+
+
 def test_an_unknown_name_is_refused_by_name() -> None:
     _, get_attribute, _ = lazy_exports("quaffure.hair")
     with pytest.raises(AttributeError, match=r"module 'quaffure\.hair' has no attribute 'Wig'"):

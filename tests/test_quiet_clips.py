@@ -7,11 +7,9 @@ import torch
 from quaffure.body import BodyModel
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers import CoherentDraper, StrandNewtonDraper
-from quaffure.solvers.coherent_clip import CoherentSetting
+from quaffure.solvers import CoherentDraper, CoherentSetting, StrandDescent, StrandNewtonDraper, StrandNewtonSetting
 from quaffure.solvers.oscillation_damping import OscillationDamping
-from quaffure.solvers.strand_descent import StepControl, StrandDescent
-from quaffure.solvers.strand_newton import StrandNewtonSetting
+from quaffure.solvers.strand_descent import StepControl
 from quaffure.solvers.stray_strands import APART, BESIDE, stands_apart
 from tests.scenes import clip_scene, few_strands
 

@@ -5,13 +5,19 @@ from dataclasses import replace
 import pytest
 import torch
 
+from quaffure import HairMaterial
 from quaffure.backend import Backend
 from quaffure.body import FEATURE_COUNT, BodyModel
-from quaffure.config import HairMaterial
-from quaffure.geometry.polyline import integrate_directions
-from quaffure.model import DirectionNetwork, InferenceNetwork, NetworkConfig, NetworkInputs, NeuralDraper
+from quaffure.geometry import integrate_directions
+from quaffure.model import (
+    DirectionNetwork,
+    ForwardNetwork,
+    InferenceNetwork,
+    NetworkConfig,
+    NetworkInputs,
+    NeuralDraper,
+)
 from quaffure.model.cpu_backend import CpuTrainingBackend
-from quaffure.model.inference_network import ForwardNetwork
 from quaffure.model.strand_layers import OWN_FEATURES
 from quaffure.model.surroundings import surroundings_reference
 from quaffure.model.torch_backend import TorchBackend

@@ -6,12 +6,14 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from quaffure import InputError
 from quaffure.body import BodyModel
-from quaffure.errors import InputError
 from quaffure.geometry import Surface
 from quaffure.hair import (
+    FileFrame,
     Groom,
     HeadMesh,
+    RegistrationReport,
     Strands,
     concatenate_strands,
     head_alignment,
@@ -19,10 +21,10 @@ from quaffure.hair import (
     register_groom,
     root_positions,
 )
-from quaffure.hair.file_frame import UNKNOWN, FileFrame
+from quaffure.hair.file_frame import UNKNOWN
 from quaffure.hair.head_alignment import FINE_ROUNDS, TRIAL_ROUNDS, Similarity, _Start, align
 from quaffure.hair.registration import nearest_on_scalp
-from quaffure.hair.registration_report import HeadFit, RegistrationReport
+from quaffure.hair.registration_report import HeadFit
 from quaffure.hair.scalp_target import ScalpTarget, scalp_target
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quaffure import InputError
 from quaffure.apps.render import Camera, StrandRenderer, encode_video, scene
 from quaffure.apps.render.framing import facing_deg, frame_hair
 from quaffure.apps.render.pictures import write_picture
 from quaffure.apps.render.scene import hair_cover, samples_of, width_of
 from quaffure.apps.render.video import write_video
-from quaffure.errors import InputError
 from tests.synthetic_drape import HEAD_CENTRE, ball, drape, patch_of_strands
 
 SIZE = 96

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from quaffure.errors import InputError
+from quaffure import InputError
 from quaffure.hair import Strands, concatenate_strands, polyline_lengths, resample_by_arc_length
 from quaffure.hair.resample import without_degenerate
 

@@ -5,8 +5,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from quaffure import InputError
 from quaffure.body import BodyModel, BvhClip, Motion, load_body, retarget_bvh
-from quaffure.errors import InputError
 from quaffure.io import read_bvh
 from quaffure.io.read_motion import read_motion
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
+from quaffure import InputError
 from quaffure.body import BodyModel, bundled_clip
 from quaffure.energies import HairEnergy, RodRest, hair_terms, sag_free_rest, stress_free_rest
-from quaffure.errors import InputError
 from quaffure.hair import Groom
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, PosedScene, Scene

@@ -27,7 +27,7 @@ from benchmarks.rods.rod_validation import (
     settle_under_weight,
     stretch_percent,
 )
-from quaffure.config import HairMaterial
+from quaffure import HairMaterial
 
 STRAIGHT, CURLY, HANGING_CURL = Case(0.25), Case(0.25, curl=Curl()), Case(0.25, -90.0, Curl())
 

@@ -8,14 +8,14 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from quaffure import InputError
 from quaffure.apps.cli.main import main
 from quaffure.apps.render.pictures import write_picture
 from quaffure.apps.viewer.view_state import ViewState
 from quaffure.baselines import PosedDraper
-from quaffure.benchmark.metrics import measure
+from quaffure.benchmark import measure
 from quaffure.body import BodyModel, Motion, bundled_clip, resample, retarget_bvh
 from quaffure.drape_motion import drape_motion
-from quaffure.errors import InputError
 from quaffure.geometry import axis_angle_from_matrix, matrix_from_axis_angle
 from quaffure.hair import DrapeSequence, Groom
 from quaffure.io import read_amass, read_bvh, read_drape, write_drape, write_groom, write_usd

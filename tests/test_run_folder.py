@@ -6,7 +6,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import pytest
 import torch
 
-from quaffure.errors import InputError
+from quaffure import InputError
 from quaffure.training import RunFolder
 
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
+from quaffure import HairMaterial, InputError
 from quaffure.body import BodyModel
-from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.config import STANDARD_GRAVITY
 from quaffure.energies import (
     RestState,
     SagFreeRest,
@@ -18,7 +19,6 @@ from quaffure.energies import (
 )
 from quaffure.energies.rest_state import rest_state
 from quaffure.energies.sag_free import residual, sag_free_report
-from quaffure.errors import InputError
 from quaffure.geometry import Surface, integrate_directions_reference
 from quaffure.geometry.signed_distance import signed_distance
 from quaffure.hair import Groom

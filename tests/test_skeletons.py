@@ -8,12 +8,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from quaffure.body import BodyModel, BvhClip, Motion, joint_matrices, retarget_bvh
-from quaffure.body.joint_map import joint_map_text
-from quaffure.body.joint_names import automatic_joint_map
-from quaffure.errors import InputError
-from quaffure.io import read_amass, read_bvh
-from quaffure.io.read_motion import read_joint_map, read_motion
+from quaffure import InputError
+from quaffure.body import BodyModel, BvhClip, Motion, automatic_joint_map, joint_map_text, joint_matrices, retarget_bvh
+from quaffure.io import read_amass, read_bvh, read_joint_map
+from quaffure.io.read_motion import read_motion
 
 DAZ_SIDE = ("Collar", "Shldr", "ForeArm", "Hand", "Mid1", "Thigh", "Shin", "Foot")
 """Joints of a side in the Daz-friendly rig, in the order of the namings below."""

@@ -5,12 +5,12 @@ from unittest import mock
 import pytest
 import torch
 
+from quaffure import HairMaterial
 from quaffure.apps.cli.main import main
 from quaffure.baselines import PosedDraper
 from quaffure.benchmark import run_benchmark
 from quaffure.benchmark.solver_benchmark import Budget, Case, budgets
 from quaffure.body import load_body
-from quaffure.config import HairMaterial
 from quaffure.energies import Terms
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene

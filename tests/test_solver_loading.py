@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from quaffure import HairMaterial
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
-from quaffure.config import HairMaterial
-from quaffure.energies.loading import Loading
-from quaffure.solvers.by_name import DesignSolver
+from quaffure.energies import Loading
+from quaffure.solvers import DesignSolver
 from tests.scenes import few_strands, upright_scene
 
 SLOW = (pytest.param(name, marks=pytest.mark.slow) for name in ("adam", "lbfgs", "xpbd"))

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from quaffure.body import BodyModel
-from quaffure.hair import Strands, concatenate_strands
-from quaffure.hair.source_strands import PlacedStrands
-from quaffure.hair.strand_attributes import StrandAttributes, along_points, unique_identifiers
-from quaffure.io.groom_file import read_source, write_groom
+from quaffure.hair import PlacedStrands, StrandAttributes, Strands, concatenate_strands
+from quaffure.hair.strand_attributes import along_points, unique_identifiers
+from quaffure.io import read_source, write_groom
 from quaffure.io.hair import read_hair
 from quaffure.io.ply import linear_of, srgb_of
 from quaffure.io.read_strands import read_strands

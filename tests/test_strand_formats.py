@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from quaffure import InputError
 from quaffure.body import BodyModel
-from quaffure.errors import InputError
 from quaffure.extras import is_installed
-from quaffure.geometry.surface import Surface
-from quaffure.hair import Strands
-from quaffure.hair.registration import register_groom
-from quaffure.io.load_groom import read_head
+from quaffure.geometry import Surface
+from quaffure.hair import Strands, register_groom
+from quaffure.io import read_head
 from quaffure.io.read_strands import read_strands
 
 HAS_ALEMBIC = is_installed("alembic3d")

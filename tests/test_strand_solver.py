@@ -7,23 +7,29 @@ import numpy as np
 import pytest
 import torch
 
+from quaffure import HairMaterial, InputError
+from quaffure.benchmark import intersection_percent
 from quaffure.benchmark.appearance import jumps
 from quaffure.body import BodyModel, bundled_clip
-from quaffure.config import STANDARD_GRAVITY, HairMaterial
+from quaffure.config import STANDARD_GRAVITY
 from quaffure.drape_motion import drape_motion
-from quaffure.energies import HairEnergy, hair_terms, sag_free_rest
-from quaffure.energies.body_collision import intersection_percent
+from quaffure.energies import HairEnergy, Loading, hair_terms, sag_free_rest
 from quaffure.energies.gravity import NO_ACCELERATION
-from quaffure.energies.loading import Loading
-from quaffure.errors import InputError
 from quaffure.hair import Groom
 from quaffure.scene import BodyBatch, PosedScene, Scene
-from quaffure.solvers import CoherentDraper, LbfgsDraper, StrandNewtonDraper, energy_and_gradient, solver
-from quaffure.solvers.by_name import DesignSolver
-from quaffure.solvers.coherent_clip import CoherentSetting
-from quaffure.solvers.strand_descent import StrandDescent
+from quaffure.solvers import (
+    CoherentDraper,
+    CoherentSetting,
+    DesignSolver,
+    LbfgsDraper,
+    SettledDraper,
+    StrandDescent,
+    StrandNewtonDraper,
+    StrandNewtonSetting,
+    energy_and_gradient,
+    solver,
+)
 from quaffure.solvers.strand_kernels import DensityModel, Evaluation, model_surroundings, take_strands
-from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonSetting
 from quaffure.solvers.strand_recursion import LEAST_ALIGNMENT, StrandModel, newton_rotations
 from tests.scenes import clip_scene, few_strands, posed_scene, sphere_groom, upright_scene
 from tests.strand_reference import newton_rotations_reference

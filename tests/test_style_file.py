@@ -2,9 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from quaffure.errors import InputError
-from quaffure.procedural import Fringe, HairStyle
-from quaffure.procedural.hair_style import Tie, read_styles
+from quaffure import InputError
+from quaffure.procedural import Fringe, HairStyle, read_styles
+from quaffure.procedural.hair_style import Tie
 
 
 def styles_of(text: str, tmp_path: Path) -> dict[str, HairStyle]:

@@ -5,9 +5,9 @@ import pytest
 import torch
 from numba import get_num_threads
 
+from quaffure import HairMaterial
 from quaffure.body import BodyModel
-from quaffure.config import HairMaterial
-from quaffure.geometry.polyline import integrate_directions
+from quaffure.geometry import integrate_directions
 from quaffure.model.initial_shape import bits
 from quaffure.model.network_config import DensityGridConfig
 from quaffure.model.prepared_groom import surroundings_of

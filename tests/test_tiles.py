@@ -7,9 +7,9 @@ import pytest
 import torch
 from PIL import Image
 
+from quaffure import InputError
 from quaffure.benchmark import CaseEntry
 from quaffure.body import load_body
-from quaffure.errors import InputError
 from quaffure.scene import BodyBatch
 from scripts.figures.tiles import GAP, LINE, Caption, View, captioned, grid, load_scenes, save_picture
 

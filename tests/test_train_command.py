@@ -14,22 +14,20 @@ import pytest
 import torch
 from rich.console import Console
 
+from quaffure import InputError, load_groom
 from quaffure.apps.cli import train as train_cli
 from quaffure.apps.cli.console import progress_bar
 from quaffure.apps.cli.main import main
 from quaffure.benchmark import load_evaluation_set
 from quaffure.benchmark.evaluation_set import SETS, refuse_evaluation_data
 from quaffure.body import BodyModel, load_body
-from quaffure.errors import InputError
 from quaffure.hair import Groom, root_positions
 from quaffure.io import write_groom
 from quaffure.io.body_file import write_body
-from quaffure.io.load_groom import load_groom
 from quaffure.model import load_model, load_network
 from quaffure.procedural import HELD_OUT, STYLES
 from quaffure.scene import Scene
-from quaffure.training import DecoderRecipe, loop, train, validation
-from quaffure.training.groom_samples import ProceduralGroom
+from quaffure.training import DecoderRecipe, ProceduralGroom, loop, train, validation
 from tests.characters import character
 from tests.test_own_motion import own_body
 from tests.training_runs import (

@@ -9,11 +9,9 @@ from weakref import WeakSet
 import pytest
 import torch
 
+from quaffure import HairMaterial, InputError
 from quaffure.body import BodyModel, Motion, bundled_clip, load_body, load_pose_prior
-from quaffure.config import HairMaterial
-from quaffure.energies import HairEnergy, force_limit
-from quaffure.energies.loading import STANDARD_LOADING, Loading
-from quaffure.errors import InputError
+from quaffure.energies import STANDARD_LOADING, HairEnergy, Loading, force_limit
 from quaffure.hair import Groom
 from quaffure.model import InitialShapeConfig, NeuralDraper, build_network, load_network, save_network
 from quaffure.procedural import make_groom

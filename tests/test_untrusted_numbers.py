@@ -7,16 +7,15 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from quaffure import InputError
 from quaffure.apps.cli.style_settings import with_settings
-from quaffure.body.body_model import load_body
-from quaffure.body.clips import bundled_clip
+from quaffure.body import bundled_clip, load_body
 from quaffure.body.joint_names import _side_and_stem
 from quaffure.drape_motion import material_of
-from quaffure.errors import InputError
-from quaffure.io.read_motion import read_joint_map
+from quaffure.io import read_joint_map
 from quaffure.io.read_strands import read_strands
-from quaffure.model.groom_code import load_groom_autoencoder
-from quaffure.procedural.hair_style import STYLES, read_styles
+from quaffure.model import load_groom_autoencoder
+from quaffure.procedural import STYLES, read_styles
 from quaffure.training import RunFolder
 from quaffure.training.distributed import joined_workers
 from tests.synthetic_drape import drape, patch_of_strands

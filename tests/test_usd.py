@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from pxr import Usd, UsdGeom, UsdValidation
 
-from quaffure.errors import InputError
+from quaffure import InputError
 from quaffure.geometry import farthest_points
-from quaffure.hair.export_clip import ExportClip, ExportSettings
+from quaffure.hair import ExportClip, ExportSettings
 from quaffure.io import read_usd_strands, write_usd
 from tests.synthetic_drape import drape, patch_of_strands
 

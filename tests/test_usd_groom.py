@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdValidation
 
+from quaffure import InputError
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
-from quaffure.errors import InputError
-from quaffure.hair import Groom
-from quaffure.hair.export_clip import ExportClip, ExportSettings
+from quaffure.hair import ExportClip, ExportSettings, Groom
 from quaffure.io import read_usd_strands, usd, write_usd
 from tests.export_clips import FRAMES, export_clip
 from tests.training_runs import tiny_groom

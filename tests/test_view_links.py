@@ -2,9 +2,9 @@
 
 import pytest
 
+from quaffure import InputError
 from quaffure.apps.viewer.link import View, link_of, settings_of, split_query
 from quaffure.apps.viewer.settings import GUIDES, Settings
-from quaffure.errors import InputError
 
 EVERYTHING = Settings(
     groom="my hair (file)",

@@ -17,6 +17,7 @@ import pytest
 import torch
 from PIL import Image
 
+from quaffure import HairMaterial, InputError
 from quaffure.apps.cli.main import main
 from quaffure.apps.viewer.catalogue import REST, Catalogue
 from quaffure.apps.viewer.draping_thread import DrapingThread
@@ -31,10 +32,8 @@ from quaffure.apps.viewer.view_state import Degrees, ViewState
 from quaffure.baselines import PosedDraper
 from quaffure.body import CLIP_FPS, CLIP_NAMES, bundled_clip, joint_matrices
 from quaffure.body.pose_features import HEAD
-from quaffure.config import HairMaterial
 from quaffure.drapers import LIVE_DRAPERS
-from quaffure.energies.loading import Loading
-from quaffure.errors import InputError
+from quaffure.energies import Loading
 from quaffure.hair import DrapeSequence, Groom, GuideInterpolation
 from quaffure.io import read_drape
 from quaffure.model import Quaffure, load_model

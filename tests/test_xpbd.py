@@ -9,13 +9,13 @@ import torch
 from scipy.spatial import ConvexHull
 
 from benchmarks.rods.closed_form import equilibrium_edges
+from quaffure import HairMaterial
 from quaffure.backend import Backend
 from quaffure.body import BodyModel
-from quaffure.config import STANDARD_GRAVITY, HairMaterial
-from quaffure.energies import HairEnergy, hair_terms
+from quaffure.config import STANDARD_GRAVITY
+from quaffure.energies import Cohesion, HairEnergy, hair_terms, terms_of_design
 from quaffure.energies.by_name import ROD
-from quaffure.energies.cohesion import Cohesion, tails_of
-from quaffure.energies.design_terms import terms_of_design
+from quaffure.energies.cohesion import tails_of
 from quaffure.geometry import Surface, posed_surface, surface_topology
 from quaffure.geometry.polyline import edges
 from quaffure.hair import Groom

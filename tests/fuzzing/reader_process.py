@@ -8,27 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from quaffure import InputError, load_groom
 from quaffure.apps.character_table import read_table
 from quaffure.apps.cli.inputs import body_shape_of
 from quaffure.baselines import load_groomgen
-from quaffure.body import BodyModel, load_body
-from quaffure.body.character import Character
-from quaffure.body.character_animation import frame_times, poses_at
-from quaffure.errors import InputError
+from quaffure.body import BodyModel, Character, frame_times, load_body, poses_at
 from quaffure.extras import is_installed
 from quaffure.frame_store import BatchState
-from quaffure.hair.file_frame import FileFrame
-from quaffure.io import read_drape, read_head, usd_curves
-from quaffure.io.groom_file import read_groom, read_source
-from quaffure.io.load_groom import load_groom
+from quaffure.hair import FileFrame
+from quaffure.io import read_drape, read_groom, read_head, read_joint_map, read_source, usd_curves
 from quaffure.io.read_character import read_character
-from quaffure.io.read_motion import read_joint_map, read_motion
+from quaffure.io.read_motion import read_motion
 from quaffure.io.read_strands import read_strands
-from quaffure.model.checkpoint import load_network
-from quaffure.model.groom_code import load_groom_autoencoder, load_groom_encoder
-from quaffure.training import run_folder
-from quaffure.training.groomgen_data import DrapeFolder
-from quaffure.training.run_folder import RunFolder
+from quaffure.model import load_groom_autoencoder, load_groom_encoder, load_network
+from quaffure.training import DrapeFolder, RunFolder, run_folder
 from tests.fuzzing.folders import of_folder
 from tests.fuzzing.serving import serve
 from tests.test_long_drapes import BATCH, TOTAL, WHOLE, batches

@@ -6,14 +6,14 @@ from tempfile import TemporaryDirectory
 
 import torch
 
+from quaffure import HairMaterial
 from quaffure.baselines import save_groomgen
 from quaffure.body import BodyModel
-from quaffure.config import HairMaterial
 from quaffure.hair import Groom
-from quaffure.model.groom_autoencoder import GroomAutoencoder
+from quaffure.model import GroomAutoencoder
 from quaffure.model.groom_code import save_autoencoder, save_encoder
+from quaffure.training import RunFolder
 from quaffure.training.groomgen_data import started_folder
-from quaffure.training.run_folder import RunFolder
 from tests.fuzzing.folders import packed_folder
 from tests.test_groomgen import LeaningDraper, network_of
 from tests.test_long_drapes import filled

@@ -11,13 +11,11 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from quaffure.body import load_body
-from quaffure.body.joint_map import bundled_joint_map, joint_map_text
-from quaffure.config import HairMaterial
+from quaffure import HairMaterial
+from quaffure.body import joint_map_text, load_body
+from quaffure.body.joint_map import bundled_joint_map
 from quaffure.extras import is_installed
-from quaffure.hair import DrapeSequence, Groom
-from quaffure.hair.source_strands import PlacedStrands
-from quaffure.hair.strand_attributes import StrandAttributes
+from quaffure.hair import DrapeSequence, Groom, PlacedStrands, StrandAttributes
 from quaffure.io import write_drape, write_groom, write_usd
 from quaffure.io.read_character import read_character
 from quaffure.model import NetworkConfig, build_network, save_network

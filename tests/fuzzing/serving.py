@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from quaffure.errors import InputError
+from quaffure import InputError
 from tests.fuzzing.finiteness import not_finite
 
 

@@ -7,8 +7,7 @@ import numpy as np
 import torch
 
 from quaffure.body import load_body
-from quaffure.hair import Groom
-from quaffure.hair.export_clip import ExportClip, ExportSettings
+from quaffure.hair import ExportClip, ExportSettings, Groom
 from quaffure.io import alembic_groom, counted_writer, hair_writer, ply
 from tests.export_clips import export_clip
 from tests.training_runs import tiny_groom

@@ -8,7 +8,9 @@ if TYPE_CHECKING:
     from quaffure.energies.body_collision import energy_body_collision
     from quaffure.energies.by_name import ELASTIC_MODELS, hair_terms
     from quaffure.energies.closed_form import equilibrium_vectors
+    from quaffure.energies.cohesion import Cohesion
     from quaffure.energies.cosserat import Cosserat, RodStiffness
+    from quaffure.energies.design_terms import terms_of_design
     from quaffure.energies.energy_term import EnergyTerm, HairState, Terms
     from quaffure.energies.gravity import Gravity, energy_gravity
     from quaffure.energies.hair_energy import HairEnergy
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from quaffure.energies.mass_spring import Springs, SpringStiffness
     from quaffure.energies.rest_state import RestState
     from quaffure.energies.rod import TWISTING_STIFFNESS, RodRest, energy_at_twist, energy_rod, stress_free_rest
-    from quaffure.energies.sag_free import SagFreeRest, sag_free_rest
+    from quaffure.energies.sag_free import SagFreeRest, design_of, sag_free_rest
     from quaffure.energies.self_collision import SelfCollision
     from quaffure.energies.stretch import energy_stretch
     from quaffure.energies.stretch_shear import energy_stretch_shear

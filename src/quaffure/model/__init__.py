@@ -7,9 +7,9 @@ from quaffure._lazy import lazy_exports
 if TYPE_CHECKING:
     from quaffure.model.checkpoint import load_network, save_network
     from quaffure.model.groom_autoencoder import GroomAutoencoder
-    from quaffure.model.groom_code import load_groom_autoencoder
+    from quaffure.model.groom_code import load_groom_autoencoder, load_groom_encoder
     from quaffure.model.groom_texture import strands_from_features
-    from quaffure.model.inference_network import InferenceNetwork, NetworkInputs
+    from quaffure.model.inference_network import ForwardNetwork, InferenceNetwork, NetworkInputs
     from quaffure.model.network_config import InitialShapeConfig, NetworkConfig, ProjectionConfig
     from quaffure.model.neural import NeuralDraper
     from quaffure.model.prepared_groom import PreparedGroom, initial_clearance, prepare_groom

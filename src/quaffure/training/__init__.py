@@ -7,7 +7,8 @@ from quaffure._lazy import lazy_exports
 if TYPE_CHECKING:
     from quaffure.training.averaged_adam import AveragedAdam
     from quaffure.training.distributed import Worker
-    from quaffure.training.groomgen_data import random_head_rotation
+    from quaffure.training.groom_samples import ProceduralGroom
+    from quaffure.training.groomgen_data import DrapeFolder, random_head_rotation
     from quaffure.training.loop import Training, train
     from quaffure.training.pose_sampler import PoseSampler
     from quaffure.training.run_folder import RunFolder

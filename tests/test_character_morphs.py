@@ -110,7 +110,7 @@ def test_the_compiled_view_of_a_morphed_body_is_the_reference_s(swollen: tuple[B
     torch.testing.assert_close(batch.rows(slice(1, 2)).posed.vertices, batch.posed.vertices[1:2])
 
 
-@pytest.mark.parametrize("morphs", [True, False])
+@pytest.mark.parametrize("morphs", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_hair_is_outside_of_the_swollen_head(
     morphs: bool, swollen: tuple[BodyModel, Character, Motion], body: BodyModel
 ) -> None:

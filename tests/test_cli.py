@@ -164,6 +164,7 @@ def test_drape_writes_every_format_and_prints_figures(
     assert min(metrics["body_intersection_percent"]) >= 0
 
 
+@pytest.mark.slow
 def test_adam_settles_one_frame_and_serves_as_reference(
     tmp_path: Path, inputs: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -364,7 +365,9 @@ def test_truncated_strand_files(refusal: Refusal, name: str) -> None:
         assert ", found " in line
 
 
-@pytest.mark.parametrize("suffix", [".usd", ".usda", ".usdc"])
+@pytest.mark.parametrize(
+    "suffix", [pytest.param(".usd", marks=pytest.mark.slow), ".usda", pytest.param(".usdc", marks=pytest.mark.slow)]
+)
 def test_truncated_usd_files(refusal: Refusal, suffix: str) -> None:
     path = refusal.folder / f"cut{suffix}"
     write_usd(path, synthetic_drape(patch_of_strands((0, 0, 1))))

@@ -44,7 +44,10 @@ def horizontal_strand(length: float = 0.25) -> torch.Tensor:
 
 @pytest.mark.parametrize(
     ("draper", "share"),
-    [(AdamPositionsDraper(FREE, steps=500), 0.03), (LbfgsPositionsDraper(FREE, 800), 0.6)],
+    [
+        pytest.param(AdamPositionsDraper(FREE, steps=500), 0.03, marks=pytest.mark.slow),
+        (LbfgsPositionsDraper(FREE, 800), 0.6),
+    ],
     ids=["adam_positions", "lbfgs_positions"],
 )
 def test_free_strands_descend_towards_the_closed_form(
@@ -144,6 +147,7 @@ def test_tensions_along_the_edges_are_taken_out_of_a_gradient_and_nothing_else()
     assert 0.3 * gradient.norm() < left.norm() < gradient.norm()
 
 
+@pytest.mark.slow
 def test_solvers_on_directions_and_on_positions_end_at_the_same_measure() -> None:
     scene = posed_scene(sphere_groom(strands=12, vertices=8))
     energy = HairEnergy(scene.groom, FREE)
@@ -166,8 +170,8 @@ def test_solvers_on_directions_and_on_positions_end_at_the_same_measure() -> Non
     # docs/validation.md, straight, 25 cm; here with edges that keep their lengths.
     [
         ("modified_cosserat", (226.0, 0, -93.5)),
-        ("cosserat", (34.2, 0, -237.2)),
-        ("mass_spring", (27.1, 0, -239.7)),
+        pytest.param("cosserat", (34.2, 0, -237.2), marks=pytest.mark.slow),
+        pytest.param("mass_spring", (27.1, 0, -239.7), marks=pytest.mark.slow),
     ],
 )
 def test_a_strand_hangs_as_its_elastic_model_is_documented_to(elastic: str, tip: tuple[float, float, float]) -> None:

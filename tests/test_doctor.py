@@ -9,6 +9,7 @@ from quaffure.apps.cli.main import main
 from quaffure.extras import EXTRAS
 
 
+@pytest.mark.slow
 def test_it_says_what_is_there_and_how_long_a_drape_takes(capfd: pytest.CaptureFixture[str]) -> None:
     is_there = {"moderngl": False}
     with (

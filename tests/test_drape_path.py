@@ -229,6 +229,7 @@ def test_files_without_settings_have_those_of_before() -> None:
         from_file_values({"views": True, "sights": 3})
 
 
+@pytest.mark.slow
 def test_the_model_runs_on_the_backend_of_its_weights(scene: Scene) -> None:
     model = load_model()
     torch_draper = NeuralDraper(model.draper.network, model.draper.material, backend=Backend.TORCH)

@@ -49,12 +49,14 @@ def test_a_clip_is_draped_written_and_drawn(tmp_path: Path) -> None:
     assert {path.suffix for path in tmp_path.iterdir()} == {".npz", ".glb", ".png"}
 
 
+@pytest.mark.slow
 def test_strands_of_an_array_become_a_groom(tmp_path: Path) -> None:
     groom = own_groom.main(tmp_path, count=300)
     assert 150 < len(groom) <= 300
     assert 0.04 < float(groom.strand_lengths.mean()) < 0.1
 
 
+@pytest.mark.slow
 def test_the_gradient_in_the_pose_is_that_of_differences() -> None:
     found = gradient_in_pose.main(strands=40)
     assert abs(found["differences"]) > 0.01
@@ -68,6 +70,7 @@ def test_loadings_and_clips_move_the_hair_the_right_way() -> None:
     assert abs(found["held"]) > 0.005
 
 
+@pytest.mark.slow
 def test_many_characters_are_draped() -> None:
     assert many_drapes.main(count=3, guides=60)["characters"] == 3
 

@@ -177,6 +177,7 @@ def test_training_lowers_the_loss(samples: list[GroomSample], tmp_path: Path) ->
     assert np.mean(losses[-8:]) < 0.8 * np.mean(losses[:8])
 
 
+@pytest.mark.slow
 def test_a_stopped_run_ends_like_an_unbroken_one(samples: list[GroomSample], tmp_path: Path) -> None:
     library, family = samples[:3], samples[3:]
     (tmp_path / "broken").mkdir()
@@ -222,6 +223,7 @@ def test_a_run_leaves_the_encoder_with_and_without_its_decoder(samples: list[Gro
     assert torch.allclose(codes_of(kept, samples), codes, atol=2e-2)
 
 
+@pytest.mark.slow
 def test_a_decoder_trained_on_leaves_all_codes_as_they_are(samples: list[GroomSample], tmp_path: Path) -> None:
     finish(Training(GroomCodeRecipe(TINY, samples, []), tmp_path))
     begun = load_groom_autoencoder(tmp_path / "groom_autoencoder.safetensors")
@@ -290,6 +292,7 @@ def test_what_cannot_be_trained_on_is_refused_in_one_line(
         assert told.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_scatter_is_what_seeds_differ_by(samples: list[GroomSample], anew: dict[str, Groom], body: BodyModel) -> None:
     straight, again = samples[0], sample_of(anew["long_straight"], body, "long_straight")
     assert 1 < style_scatter(straight, [again]) < 5
@@ -349,6 +352,7 @@ def test_grooms_of_another_layout_are_refused(body: BodyModel, grooms: dict[str,
         groom_code(off, body)
 
 
+@pytest.mark.slow
 def test_half_way_between_codes_of_a_linear_decoder(samples: list[GroomSample]) -> None:
     """Where the decoded vertices are linear in the code, half-way is the middle and there is no detour."""
     network = GroomAutoencoder(NARROW)
@@ -382,6 +386,7 @@ def test_the_code_does_not_depend_on_the_order_of_strands(body: BodyModel, groom
     assert torch.equal(groom_code(shuffled, body), code)
 
 
+@pytest.mark.slow
 def test_codes_tell_styles_apart_grown_anew_and_thinned(
     body: BodyModel, samples: list[GroomSample], anew: dict[str, Groom]
 ) -> None:

@@ -261,6 +261,7 @@ def test_a_tenth_of_the_poses_is_never_trained_on(drapes: DrapeFolder, tmp_path:
         Training(GroomGenRecipe(TINY, drapes, DrapedPoses(data.turn[:1], data.displacement[:1])), tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_a_stopped_training_ends_like_an_unbroken_one(drapes: DrapeFolder, tmp_path: Path) -> None:
     data = drapes.read()
     whole = Training(GroomGenRecipe(TINY, drapes, data), tmp_path / "whole")
@@ -367,6 +368,7 @@ def test_weights_come_back_from_a_file_and_damage_is_refused(groom: Groom, body:
 # ---- the commands
 
 
+@pytest.mark.slow
 def test_from_drapes_to_an_evaluation(
     groom: Groom, body: BodyModel, tmp_path: Path, refused: Callable[..., str], capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -33,6 +33,7 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inference_benchmark, "_MATRIX", 256)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("brief")
 def test_the_benchmark_measures_and_writes(
     weights: Path, tiny_groom_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -156,6 +156,7 @@ def test_acceleration_acts_in_the_world(prepared: PreparedGroom, body: BodyModel
     )
 
 
+@pytest.mark.slow
 def test_a_start_is_smooth_in_the_pose(prepared: PreparedGroom, body: BodyModel) -> None:
     """Differences over half a step are half as large: no strand jumps."""
     angles = torch.linspace(0.2, 1.4, 25)

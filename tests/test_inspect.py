@@ -111,7 +111,7 @@ def test_a_body_file_and_bundled_names(tmp_path: Path, body: BodyModel) -> None:
     assert summary_of(Path("crew_cut"), body)["kind"] == "groom"
 
 
-@pytest.mark.parametrize("suffix", [".abc", ".usd"])
+@pytest.mark.parametrize("suffix", [pytest.param(".abc", marks=pytest.mark.slow), ".usd"])
 def test_samples_of_an_animated_file(tmp_path: Path, body: BodyModel, suffix: str) -> None:
     pytest.importorskip({".abc": "alembic3d", ".usd": "pxr"}[suffix])
     clip = ExportClip(drape(patch_of_strands((0.0, 0.0, 1.0)), frames=5))

@@ -535,6 +535,7 @@ def test_the_command_writes_the_source(
     assert "a number of strands, original or guides" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_render_shows_the_source_of_a_drape_file(
     imported: Path, shared_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

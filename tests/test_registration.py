@@ -106,6 +106,7 @@ def test_strands_keep_their_shape_on_a_head_of_another_form(groom: Groom, body: 
     checked(registered, body, surface)
 
 
+@pytest.mark.slow
 def test_the_order_of_the_strands_does_not_matter(groom: Groom, body: BodyModel) -> None:
     rest = groom.rest_strands.numpy()
     forth, _ = register_groom(as_file(rest), body, "forth")
@@ -257,7 +258,7 @@ def test_hair_on_the_crown_of_another_head_stays_upright(name: str, body: BodyMo
     assert rotation_from_y_up(report) < 5.0
 
 
-@pytest.mark.parametrize("name", ["long_straight", "crew_cut"])
+@pytest.mark.parametrize("name", ["long_straight", pytest.param("crew_cut", marks=pytest.mark.slow)])
 def test_strands_stored_from_tip_to_root_are_turned_round(name: str, body: BodyModel) -> None:
     groom = make_groom(replace(STYLES[name], root_rows=20), body)
     registered, report = register_groom(as_file(groom.rest_strands.flip(1).numpy()), body, name)
@@ -409,6 +410,7 @@ def test_a_groom_inside_the_body_is_refused(shared_data: Path, body: BodyModel) 
         register_groom(strands, body, "inward", frame=FileFrame("y", "z", "cm"))
 
 
+@pytest.mark.slow
 @pytest.mark.shared_data
 def test_single_reversed_strands_are_turned_round(
     registered: Registered, shared_data: Path, body: BodyModel, surface: Surface

@@ -159,6 +159,7 @@ def test_a_ray_cluster_drapes_a_table_and_continues_it(
     assert (tmp_path / "0.npz").stat().st_mtime_ns == written
 
 
+@pytest.mark.slow
 def test_a_cluster_that_is_not_there_is_refused(
     tmp_path: Path, crowd: Callable[..., "subprocess.CompletedProcess[str]"]
 ) -> None:

@@ -25,7 +25,7 @@ from quaffure.hair import Groom
 from quaffure.types import Energy, Float, Tensor
 from tests.scenes import few_strands
 
-STYLES = ("long_ringlets", "afro", "bob")
+STYLES = (pytest.param("long_ringlets", marks=pytest.mark.slow), "afro", "bob")
 
 
 def _total(direction: Tensor, groom: Groom, rest: SagFreeRest, surface: Surface) -> Energy:

@@ -173,6 +173,7 @@ def test_the_command_trains_on_another_body(
     assert "the joints" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_every_groom_is_trained_on_each_body(
     body: BodyModel, tiny_groom_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -310,6 +311,7 @@ def test_nothing_of_an_evaluation_set_is_trained_on(spelling: str, version: int)
     refuse_evaluation_data([spelling.format(name) for name in (*seen, "mohawk")], [spelling.format("02_06")])
 
 
+@pytest.mark.slow
 def test_validation_poses_are_from_no_clip(
     tiny_groom_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

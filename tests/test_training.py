@@ -92,6 +92,7 @@ def test_a_run_leaves_configuration_logs_and_the_best_weights(body: BodyModel, g
     assert config["grooms"] == [{"name": "bob", "strands": 40}]
 
 
+@pytest.mark.slow
 def test_the_log_holds_every_term_of_the_loss(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
     train(training(body, groom, tmp_path, replace(TINY, log_every=2)), silent)
     first, *rows = rows_of(tmp_path / "training.csv")
@@ -149,6 +150,7 @@ def test_the_mean_loss_of_several_grooms_is_followed(
         assert twice[name] == pytest.approx(alone[name], rel=1e-3), name
 
 
+@pytest.mark.slow
 def test_some_of_many_grooms_are_drawn_anew_for_every_step(body: BodyModel, groom: Groom, tmp_path: Path) -> None:
     grooms = tuple(replace(groom, name=name) for name in "abc")
     config = replace(TINY, steps=8, runs=1, grooms_per_step=2, log_every=100)

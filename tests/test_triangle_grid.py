@@ -81,6 +81,7 @@ def test_kernel_and_twin_agree(bodies: BodyBatch, skin_vertices: torch.Tensor, p
     np.testing.assert_allclose(heights, expected, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_leaves_leave_out_no_face(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> None:
     skin = collision_skin(bodies.body)
     band, corners = torch.from_numpy(skin.band), skin_vertices[skin.faces]
@@ -92,6 +93,7 @@ def test_leaves_leave_out_no_face(bodies: BodyBatch, skin_vertices: torch.Tensor
     torch.testing.assert_close(height, expected, atol=1e-6, rtol=0)
 
 
+@pytest.mark.slow
 def test_points_close_to_the_skin_learn_their_distance(
     bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor
 ) -> None:
@@ -170,6 +172,7 @@ def test_all_faces_are_those_near_the_points(
     assert (_ask(points.numpy(), lonely)[1] == OUT_OF_BAND).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_faces_without_area_are_left_out(bodies: BodyBatch, skin_vertices: torch.Tensor, points: torch.Tensor) -> None:
     skin, head = collision_skin(bodies.body), head_of(bodies)
     flat = torch.cat([skin.faces, skin.faces[::50][:, [0, 0, 1]]])

@@ -212,6 +212,20 @@ def test_usd_of_another_file_that_ends_the_process_is_refused(tmp_path: Path) ->
         read_usd_strands(tmp_path / "small.usda")
 
 
+@pytest.mark.parametrize("rate", ["nan", "0"])
+def test_usd_without_times_is_refused(rate: str, tmp_path: Path) -> None:
+    curve = """def BasisCurves "A" {
+        uniform token type = "linear"
+        int[] curveVertexCounts = [2]
+        point3f[] points.timeSamples = {1: [(0, 0, 0), (0, 0, 1)]}
+    }"""
+    for text, name in ((f"(timeCodesPerSecond = {rate})", "broken"), ("", "sound")):
+        (tmp_path / f"{name}.usda").write_text(f"#usda 1.0\n{text}\n{curve}\n")
+    assert len(read_usd_strands(tmp_path / "sound.usda")) == 1
+    with pytest.raises(InputError, match="finite times of samples, found NaN or infinity"):
+        read_usd_strands(tmp_path / "broken.usda")
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no FIFOs on this system")
 @pytest.mark.parametrize("name", ["pipe.usda", "between.usda"])
 def test_usd_of_a_pipe_is_refused_and_not_waited_for(

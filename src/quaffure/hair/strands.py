@@ -73,6 +73,17 @@ class Strands:
         return replace(self, **changes)
 
 
+def checked_times(times: np.ndarray, source: str | Path) -> Float[np.ndarray, " t"]:
+    """Times of the samples of a file [s].
+
+    Raises:
+        InputError: one is not finite.
+    """
+    if not np.isfinite(times).all():
+        raise InputError(source, "finite times of samples", "NaN or infinity")
+    return times.astype(np.float64)
+
+
 def checked_strands(
     points: np.ndarray,
     counts: np.ndarray,

@@ -24,7 +24,7 @@ from quaffure.hair.curve_bases import (
 )
 from quaffure.hair.resample import concatenate_strands
 from quaffure.hair.strand_attributes import StrandAttributes, groups_of, per_point, per_strand
-from quaffure.hair.strands import Strands, checked_strands
+from quaffure.hair.strands import Strands, checked_strands, checked_times
 from quaffure.io.strand_process import serve, write_strands
 
 BASES = {
@@ -72,7 +72,7 @@ def _read_archive(path: Path) -> Strands:
         every = concatenate_strands(parts)
         named = every.attributes.with_groups_by_name()
         checked = checked_strands(every.points, every.counts, path, attributes=named)
-        return replace(checked, times=max(map(_times, visible), key=len))
+        return replace(checked, times=checked_times(max(map(_times, visible), key=len), path))
 
 
 def _objects(archive: Any) -> Iterator[_Object]:

@@ -29,7 +29,7 @@ from quaffure.hair.curve_bases import (
 )
 from quaffure.hair.resample import concatenate_strands
 from quaffure.hair.strand_attributes import groups_of, per_point, per_strand
-from quaffure.hair.strands import HELD_PARTS, TIE_VERTEX, Strands, checked_strands, held_parts_of
+from quaffure.hair.strands import HELD_PARTS, TIE_VERTEX, Strands, checked_strands, checked_times, held_parts_of
 from quaffure.io.held_parts import checked_held_parts
 from quaffure.io.strand_process import serve, write_strands
 from quaffure.io.usd_files import named_files
@@ -67,7 +67,9 @@ def _read_stage(path: Path) -> Strands:
         named = every.attributes.with_groups_by_name()
         checked = checked_strands(every.points, every.counts, path, held_parts_of(every), named)
         samples = max((curve.GetPointsAttr().GetTimeSamples() for curve in _rendered(curves)), key=len)
-        return replace(checked, times=np.array(samples, dtype=np.float64) / stage.GetTimeCodesPerSecond())
+        with np.errstate(all="ignore"):
+            times = np.array(samples, dtype=np.float64) / stage.GetTimeCodesPerSecond()
+        return replace(checked, times=checked_times(times, path))
 
 
 def _rendered(curves: list[UsdGeom.Curves]) -> list[UsdGeom.Curves]:

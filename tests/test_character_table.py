@@ -51,6 +51,19 @@ def test_rows_are_draped_failures_named_and_finished_rows_left(
     assert out[0].stat().st_mtime_ns == written
 
 
+def test_an_output_that_is_a_groom_of_the_table_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    groom, table = tmp_path / "own.npz", tmp_path / "characters.csv"
+    groom.write_bytes(b"hair")
+    table.write_text(
+        f"groom,motion,out\n{groom},nod,{groom}\n", encoding="utf-8-sig"
+    )  # with the mark that Excel writes
+    with pytest.raises(SystemExit) as stop:
+        main(["crowd", str(table)])
+    assert stop.value.code == 2
+    assert f"{groom}: expected" in capfd.readouterr().err
+    assert groom.read_bytes() == b"hair"
+
+
 @pytest.mark.parametrize(
     ("text", "found"),
     [

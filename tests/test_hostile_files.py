@@ -29,7 +29,7 @@ from quaffure.io.read_strands import STRAND_READERS, read_strands
 from quaffure.model import load_network
 from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.npz import read_numbers
-from quaffure.procedural import make_groom
+from quaffure.procedural import make_groom, read_styles
 from tests.synthetic_drape import drape, patch_of_strands
 
 HOSTILE = Path(__file__).parents[2] / "shared" / "data" / "cases" / "hostile"
@@ -255,6 +255,23 @@ def test_whole_numbers_of_an_obj_that_no_array_holds(tmp_path: Path) -> None:
     (tmp_path / "head.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 {2**64}\n")
     with pytest.raises(InputError, match="numbers in the v and f lines"):
         read_head(tmp_path / "head.obj")
+
+
+@pytest.mark.parametrize(
+    "text", ["a." * 5_000 + "a = 1", "\n".join(f"a{number} = 1" for number in range(5_000))], ids=["deep", "long"]
+)
+def test_settings_that_take_the_readers_time_are_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "map.toml").write_text(text)
+    for read in (read_joint_map, read_styles):
+        with pytest.raises(InputError, match="of at most 2000 lines and 200 characters a line, found"):
+            read(tmp_path / "map.toml")
+
+
+def test_weights_of_numbers_that_torch_does_not_convert(tmp_path: Path) -> None:
+    header = json.dumps({"a": {"dtype": "F4", "shape": [8], "data_offsets": [0, 4]}}).encode()
+    (tmp_path / "four.safetensors").write_bytes(len(header).to_bytes(8, "little") + header + bytes(4))
+    with pytest.raises(InputError, match="expected a checkpoint"):
+        load_network(tmp_path / "four.safetensors")
 
 
 def weights_with(path: Path, **changes: object) -> Path:

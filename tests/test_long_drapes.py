@@ -49,6 +49,22 @@ def filled(path: Path, count: int) -> FrameFolder:
     return store
 
 
+def test_files_of_others_in_a_folder_of_frames_stay(tmp_path: Path) -> None:
+    photos, link = tmp_path / "photos", tmp_path / "link"
+    photos.mkdir()
+    link.symlink_to(photos)
+    with pytest.raises(InputError, match=r"expected no folder of this name, .*, found a link"):
+        folder(link, resume=False)
+    (photos / "a.jpg").touch()
+    with pytest.raises(InputError, match=r"expected no folder of this name, .*, found a\.jpg"):
+        folder(photos, resume=False)
+    assert [file.name for file in photos.iterdir()] == ["a.jpg"]
+    store = filled(tmp_path / "frames", 1)
+    (tmp_path / "frames/notes.txt").touch()
+    store.discard()
+    assert [file.name for file in (tmp_path / "frames").iterdir()] == ["notes.txt"]
+
+
 def test_frames_are_kept(tmp_path: Path) -> None:
     store = filled(tmp_path / "frames", 3)
     with pytest.raises(InputError, match="expected an output that no other run is making"):

@@ -1,5 +1,6 @@
 """Numbers that callers give: poses, shapes and grooms are refused where they enter, and changes of grooms are seen."""
 
+import inspect
 import os
 import subprocess
 import sys
@@ -316,6 +317,43 @@ def test_a_groom_that_is_changed_in_place_gives_its_new_hair(name: str, model: Q
     assert (short[0] - long[0]).norm(dim=-1).max() > 0.01
     fresh = Groom(**{**vars(groom), "rest_strands": groom.rest_strands.clone()})
     assert torch.equal(short, draper().drape(Scene(fresh, bodies)))
+
+
+def test_names_and_other_types_in_place_of_what_is_loaded_are_refused(body: BodyModel, tmp_path: Path) -> None:
+    few = quaffure.load_groom("crew_cut", body).thinned(5)
+    motion = quaffure.load_motion("idle", body).frames(3)
+    assert len(motion) == 1
+    clip = quaffure.drape_clip(few, motion, draper=PosedDraper())
+    drape_clip, draw = inspect.unwrap(quaffure.drape_clip), inspect.unwrap(quaffure.draw)  # without the types' checks
+    for call, text in (
+        (lambda: drape_clip("bob", motion), "groom: expected a Groom, .*found 'bob'"),
+        (lambda: drape_clip(few, "idle"), "motion: expected a Motion, .*found 'idle'"),
+        (lambda: drape_clip(few, motion, draper="neural"), "draper: expected a Draper, .*found 'neural'"),
+        (lambda: quaffure.draw(clip, 1), "frame: expected a whole number from 0 to 0, found 1"),
+        (lambda: draw(clip, "0"), "frame: expected a whole number from 0 to 0, found '0'"),
+        (lambda: quaffure.draw(clip, size=20_000), "size: expected 16 to 8192 pixels, found 20000"),
+        (lambda: quaffure.save_drape(clip, tmp_path / "hair.usd", motion="a.glb#Run"), "on the shipped body"),
+        (lambda: few.thinned(0), "crew_cut: expected at least one strand, found 0"),
+        (lambda: quaffure.load_motion(str(tmp_path)), "expected a motion file, found a folder"),
+    ):
+        with pytest.raises(InputError, match=text):
+            call()
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_are_read_and_written_by_names_that_are_text(body: BodyModel, tmp_path: Path) -> None:
+    few = quaffure.load_groom("crew_cut", body).thinned(5)
+    name = str(tmp_path / "groom.npz")
+    write_groom(name, few)
+    assert torch.equal(read_groom(name, body).rest_strands, few.rest_strands)
+    name = str(tmp_path / "drape.npz")
+    clip = drape(patch_of_strands((0.0, 1.0, 0.0)))
+    write_drape(name, clip)
+    np.testing.assert_array_equal(read_drape(name).strands, clip.strands)
+    with pytest.raises(
+        InputError, match=r"expected a drape file .*found another \.npz, with the arrays format_version"
+    ):
+        read_drape(str(tmp_path / "groom.npz"))
 
 
 SCRIPT = """

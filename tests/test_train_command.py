@@ -28,6 +28,7 @@ from quaffure.model import load_model, load_network
 from quaffure.procedural import HELD_OUT, STYLES
 from quaffure.scene import Scene
 from quaffure.training import DecoderRecipe, ProceduralGroom, loop, train, validation
+from quaffure.training.stop_request import SIGNALS
 from tests.characters import character
 from tests.test_own_motion import own_body
 from tests.training_runs import (
@@ -75,7 +76,7 @@ def test_a_killed_run_ends_like_an_unbroken_one_bit_for_bit(tiny_groom_file: Pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", SIGNALS)
 def test_a_run_that_is_asked_to_stop_ends_its_step_and_leaves_weights(
     number: signal.Signals, tiny_groom_file: Path, tmp_path: Path
 ) -> None:

@@ -1,6 +1,6 @@
 import json
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import islice
 from pathlib import Path
 from typing import Literal
@@ -13,7 +13,8 @@ from quaffure import HairMaterial, InputError
 from quaffure.body import BodyModel, Motion, bundled_clip, load_body, load_pose_prior
 from quaffure.energies import STANDARD_LOADING, HairEnergy, Loading, force_limit
 from quaffure.hair import Groom
-from quaffure.model import InitialShapeConfig, NeuralDraper, build_network, load_network, save_network
+from quaffure.model import InitialShapeConfig, NeuralDraper, ProjectionConfig, build_network, load_network, save_network
+from quaffure.model.network_config import DensityGridConfig
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.training import (
@@ -363,8 +364,21 @@ def test_impossible_networks_are_refused(tmp_path: Path) -> None:
 
 
 def test_settings_out_of_range_are_refused() -> None:
-    with pytest.raises(InputError, match="validate-every"):
-        TrainConfig(validate_every=0)
+    nan = float("nan")
+    for wrong, option in (
+        ({"validate_every": 0}, "--validate-every"),
+        ({"warmup": -1}, "--warmup"),
+        ({"save_every_seconds": nan}, "--save-every-seconds"),
+        ({"seed": 2**64}, "--seed"),
+        ({"runs": 10**9}, "--runs and --frames"),
+    ):
+        with pytest.raises(InputError, match=f"^{option}: expected"):
+            TrainConfig(**wrong)  # type: ignore[arg-type]
+    for part in (InitialShapeConfig, ProjectionConfig, DensityGridConfig):
+        for name in (field.name for field in fields(part) if field.type == "float" or field.type is float):
+            for value in (nan, float("inf")):
+                with pytest.raises(ValueError, match=f"expected a finite {name}, found"):
+                    part(**{name: value})
 
 
 @pytest.mark.cuda

@@ -4,6 +4,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+MOST_TEXT = 2000
+"""Characters of each part of a message."""
+
 
 class InputError(ValueError):
     """Bad input: which source, what was expected there and what was found. Its text is one line, whatever a file holds.
@@ -15,9 +18,9 @@ class InputError(ValueError):
     """
 
     def __init__(self, source: str | Path, expected: str, found: str) -> None:
-        # A text of a file may hold a line break.
+        # A text of a file may hold a line break, and megabytes.
         self.source, self.expected, self.found = (
-            " ".join(str(part).splitlines()) for part in (source, expected, found)
+            " ".join(str(part)[:MOST_TEXT].splitlines()) for part in (source, expected, found)
         )
         super().__init__(f"{self.source}: expected {self.expected}, found {self.found}")
 

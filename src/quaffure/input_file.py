@@ -2,12 +2,16 @@
 
 import re
 import stat
+import tomllib
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 from quaffure.errors import InputError, refused
 
+MOST_LINES, LONGEST_LINE = 2000, 200
+"""Limits of TOML: Python's reader takes time and memory of the square of a dotted key's length, 3 s for 16 kB."""
 PREVIEW = 512
 """Bytes of a file from which to say what it is."""
 _NAMED_CLIP = re.compile(r"(.+\.(?:glb|gltf|fbx))#(.*)", re.IGNORECASE | re.DOTALL)
@@ -52,6 +56,24 @@ def read_text(path: Path, expected: str, encoding: str = "utf-8", errors: str = 
     check_input_file(path, expected)
     with refused(path, expected, OSError, UnicodeDecodeError):
         return path.read_text(encoding=encoding, errors=errors)
+
+
+def read_toml(path: Path, expected: str) -> dict[str, Any]:
+    """The tables of a file of settings.
+
+    Args:
+        expected: what the file should be, for the error.
+
+    Raises:
+        InputError: as `read_text`, no TOML, or larger than `MOST_LINES` and `LONGEST_LINE`.
+    """
+    lines = read_text(path, expected).split("\n")
+    if len(lines) > MOST_LINES or max(map(len, lines)) > LONGEST_LINE:
+        limits = f"{expected} of at most {MOST_LINES} lines and {LONGEST_LINE} characters a line"
+        raise InputError(path, limits, f"{len(lines)} lines and {max(map(len, lines))} characters")
+    # ValueError: TOML that is none, and numbers of thousands of digits, which Python neither reads nor writes.
+    with refused(path, expected, ValueError, RecursionError):
+        return tomllib.loads("\n".join(lines))
 
 
 def did_you_mean(word: str | Path, names: Iterable[str]) -> str:

@@ -24,6 +24,8 @@ FREE_BYTES = 2**24
 """What the arrays of any file may take [bytes]; beyond it at most `MOST_COMPRESSION` times the size of the file."""
 MOST_COMPRESSION = 32
 """Arrays of hair and motion shrink by less than 4, but zeros by 1000: a small file must not fill the memory."""
+SHOWN_NAMES = 5
+"""Names of arrays by which an error says what a file holds instead."""
 PART_SIZE = 2**20
 """Numbers that are checked at once."""
 IS_ENCRYPTED = 0x1
@@ -95,6 +97,9 @@ def read_arrays(
     """
     with _opened(path, what) as archive:
         missing = [name for name in spec if f"{name}.npy" not in archive.namelist()]
+        if missing and len(missing) == len(spec):
+            names = [name.removesuffix(".npy") for name in archive.namelist()]
+            raise InputError(path, what, f"another .npz, with the arrays {', '.join(names[:SHOWN_NAMES])}")
         if missing:
             raise InputError(path, f"{what} with the arrays {', '.join(spec)}", f"no array {', '.join(missing)}")
         found = {name: kind for name, kind in (optional or {}).items() if f"{name}.npy" in archive.namelist()}

@@ -77,7 +77,10 @@ def read_table(path: Path) -> list[CharacterRow]:
             no rows or too many, or two rows with the same output.
     """
     check_input_file(path, "a table (.csv)")
-    with refused(path, "a table (.csv)", OSError, UnicodeDecodeError, csv.Error), path.open(newline="") as file:
+    with (
+        refused(path, "a table (.csv)", OSError, UnicodeDecodeError, csv.Error),
+        path.open(newline="", encoding="utf-8-sig") as file,
+    ):
         reader = csv.DictReader(file)
         columns = [column.strip() for column in reader.fieldnames or ()]
         if not {*NEEDED} <= {*columns} <= {*NAMES} or len({*columns}) < len(columns):

@@ -1,5 +1,6 @@
 """A clip in a line of Python: draped, written, drawn; what `quaffure drape` does without its reports."""
 
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,9 @@ from quaffure.solvers.coherent_clip import CoherentDraper
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+PICTURE_SIZES = range(16, 8193)
+"""Widths of pictures [pixels]."""
+
 
 def drape_clip(
     groom: Groom,
@@ -36,8 +40,15 @@ def drape_clip(
         body: that groom and motion were loaded for; the shipped one by default.
 
     Raises:
-        InputError: a groom or a shape that cannot be draped.
+        InputError: a groom or a shape that cannot be draped, or a name in place of what is loaded by it.
     """
+    for found, kind, call in (
+        (groom, Groom, "quaffure.load_groom(name)"),
+        (motion, Motion, "quaffure.load_motion(name)"),
+        (draper or CoherentDraper(), Draper, "quaffure.load_model().draper"),
+    ):
+        if not isinstance(found, kind):
+            raise InputError(kind.__name__.lower(), f"a {kind.__name__}, such as {call}", f"{found!r:.60}")
     shape = torch.zeros(SHAPE_COUNT) if body_shape is None else body_shape
     return drape_motion(draper or CoherentDraper(), groom, body or load_body(), motion, shape)
 
@@ -76,6 +87,8 @@ def save_drape(
     from quaffure.io.character_scene import read_character_space
 
     path, body = Path(path), body or load_body()
+    if motion and body.origin is None:
+        raise InputError("motion", "the body of the character whose file it is", f"{motion} on the shipped body")
     check_outputs((path,), (motion,))
     check_frames((path,), range(len(sequence)))
     is_bound = is_export((path,)) or body.origin is not None
@@ -102,9 +115,14 @@ def draw(
         body: of the drape; the shipped one by default.
 
     Raises:
-        InputError: no drape of `drape_clip`, missing packages, or no OpenGL on this machine.
+        InputError: no drape of `drape_clip`, a frame that it has not, a size out of `PICTURE_SIZES`, missing packages,
+            or no OpenGL on this machine.
     """
     _check_drape(sequence)
+    if not (isinstance(frame, Integral) and 0 <= frame < len(sequence)):
+        raise InputError("frame", f"a whole number from 0 to {len(sequence) - 1}", f"{frame!r}")
+    if not (isinstance(size, Integral) and size in PICTURE_SIZES):
+        raise InputError("size", f"{PICTURE_SIZES[0]} to {PICTURE_SIZES[-1]} pixels", f"{size!r}")
     require_extra("render", "draw")
     from PIL import Image
 

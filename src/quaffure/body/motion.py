@@ -118,19 +118,22 @@ class Motion:
         morphs = None if self.morphs is None else self.morphs.select(frames)
         return replace(self, body_pose=self.body_pose[frames], translation=translation, start=start, morphs=morphs)
 
-    def frames(self, spec: str) -> "Motion":
+    def frames(self, spec: str | int) -> "Motion":
         """The frames `A:B:STEP`: from A up to but without B, every STEP-th, each of which may be left out; or `A`.
 
         Raises:
             InputError: `spec` reads otherwise, STEP is 0, or the range is empty or leaves the motion.
         """
-        match = _FRAMES.fullmatch(spec.strip())
+        spec = str(spec).strip()
+        match = _FRAMES.fullmatch(spec)
         if match is None:
             expected = "A:B:STEP with whole numbers, such as 300:600:2"
             raise InputError(f"frames '{spec[:40]}'", expected, f"'{spec[:40]}'")
         first = int(match["one"] or match[1] or 0)
         end = first + 1 if match["one"] else int(match[2]) if match[2] else len(self)
         step = int(match[3] or 1)
+        if match["one"] and first >= len(self):
+            raise InputError(f"frames '{spec}'", f"0 to {len(self) - 1}, the frames of {self.name}", str(first))
         if step < 1 or not first < end <= len(self):
             expected = f"0 <= A < B <= {len(self)} (the frames of {self.name}) and STEP >= 1"
             raise InputError(f"frames '{spec}'", expected, f"A = {first}, B = {end}, STEP = {step}")

@@ -9,6 +9,7 @@ import torch
 
 from quaffure.body.scalp import texel_index
 from quaffure.config import TEXTURE_SIZE
+from quaffure.errors import InputError
 from quaffure.hair.strands import HELD_PARTS
 from quaffure.types import Bool, Float, Int, Tensor
 
@@ -75,7 +76,13 @@ class Groom:
         return self._map_tensors(lambda tensor: tensor[strands])
 
     def thinned(self, count: int) -> "Groom":
-        """The groom of so many of its strands, evenly spaced in their order; all of them where there are fewer."""
+        """The groom of so many of its strands, evenly spaced in their order; all of them where there are fewer.
+
+        Raises:
+            InputError: fewer than one.
+        """
+        if count < 1:
+            raise InputError(self.name, "at least one strand", str(count))
         return self.select(torch.linspace(0, len(self) - 1, min(count, len(self))).round().long())
 
     def to(self, device: torch.device | torch.dtype | str) -> "Groom":

@@ -51,13 +51,14 @@ REST_ARM_DIRECTION = {"Left": (1.0, 0.0, 0.0), "Right": (-1.0, 0.0, 0.0)}
 SMPL_BODY = bundled_joint_map("smpl")
 
 
-def read_amass(path: Path, body: BodyModel) -> Motion:
+def read_amass(path: str | Path, body: BodyModel) -> Motion:
     """The motion of an AMASS or SMPL-X file on the body's joints at 30 fps, joint flips repaired.
 
     Raises:
         InputError: not an `.npz`, no rotations [1 <= F <= MAX_FRAMES, >= 66] or frame rate in it, a number that is not
             finite, or a rotation beyond 4 pi.
     """
+    path = Path(path)
     headers = array_headers(path)
     numeric = [name for name, header in headers.items() if is_number(header)]
     rotations = next((keys for keys in ROTATION_KEYS if {*keys} <= {*numeric}), None)

@@ -55,7 +55,7 @@ class _Joint(NamedTuple):
     end: list[float]  # offset of its End Site; empty without one
 
 
-def read_bvh(path: Path) -> BvhClip:
+def read_bvh(path: str | Path) -> BvhClip:
     """The clip in a BVH file, nothing converted.
 
     Raises:
@@ -63,6 +63,7 @@ def read_bvh(path: Path) -> BvhClip:
             a line with another number of values than its channels, or a value that is not a finite number. Names
             the line.
     """
+    path = Path(path)
     lines = _read_lines(path)
     names, parents, offsets, channels, ends = zip(*_parse_hierarchy(lines))
     frame_count, frame_time = _parse_motion_header(lines)

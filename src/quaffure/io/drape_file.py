@@ -34,7 +34,7 @@ LARGEST_POSITION = 1e6
 """Limit of all positions [m]: a drape in millimetres is refused elsewhere, with what is wrong."""
 
 
-def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] | None = None) -> None:
+def write_drape(path: str | Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] | None = None) -> None:
     """Write a drape file, whole or not at all.
 
     Args:
@@ -43,6 +43,7 @@ def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] |
     Raises:
         InputError: `path` cannot be written, or the sequence breaks the contract of the file.
     """
+    path = Path(path)
     spec = SPEC if seq.body_translation is None else {**SPEC, **TRANSLATION}
     arrays = {name: np.asarray(getattr(seq, name), dtype=_dtype(name)) for name in spec}
     _check_meaning(arrays, check_arrays(arrays, spec, path, DRAPE_FILE), path)
@@ -52,12 +53,13 @@ def write_drape(path: Path, seq: DrapeSequence, more: Mapping[str, np.ndarray] |
         np.savez(file, meta=meta, **arrays, **held_parts_of(seq), **(more or {}))  # type: ignore[arg-type]  # taken for numpy's allow_pickle
 
 
-def read_drape(path: Path) -> DrapeSequence:
+def read_drape(path: str | Path) -> DrapeSequence:
     """Read a drape file, checking every key, shape and number.
 
     Raises:
         InputError: no such file, not a drape file, or a broken one.
     """
+    path = Path(path)
     optional = {**TRANSLATION, **HELD_PARTS_SPEC}
     found, sizes = read_arrays(path, {**SPEC, "meta": ((), TEXT)}, DRAPE_FILE, optional)
     held_parts = {name: found.pop(name) for name in HELD_PARTS_SPEC if name in found}

@@ -3,7 +3,7 @@
 import json
 import math
 import os
-import shutil
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from jaxtyping import Float32
 from quaffure.errors import InputError, refused
 from quaffure.frame_store import BatchState, Frames
 from quaffure.io.atomic import write_json
-from quaffure.io.kept_folder import KEPT, SETTINGS, WRITABLE, holds_batch, locked, read_settings
+from quaffure.io.kept_folder import KEPT, SETTINGS, WRITABLE, holds_batch, locked, read_settings, remove_files
 
 FORMAT_VERSION = 2
 
@@ -93,8 +93,10 @@ class FrameFolder:
         return Frames(*arrays)
 
     def discard(self) -> None:
-        """Remove the folder."""
-        shutil.rmtree(self.path, ignore_errors=True)
+        """Remove the files, and the folder if it is empty then."""
+        with suppress(OSError):
+            remove_files(self.path)
+            self.path.rmdir()
         self.close()
 
     def close(self) -> None:
@@ -105,8 +107,7 @@ class FrameFolder:
 
     def _start(self, frames: Frames) -> None:
         self.holds_frames = False
-        for file in self.path.iterdir():
-            file.unlink()
+        remove_files(self.path)
         self._shapes = {name: list(array.shape[1:]) for name, array in frames._asdict().items()}
         write_json(self.path / SETTINGS, {"settings": self._settings, "shapes": self._shapes})
 

@@ -44,7 +44,7 @@ FORMAT_VERSION = 2
 ROOT_SLACK = 2e-3  # m: between a strand's first vertex and its root on the scalp
 
 
-def write_groom(path: Path, groom: Groom, source: PlacedStrands | None = None) -> None:
+def write_groom(path: str | Path, groom: Groom, source: PlacedStrands | None = None) -> None:
     """Write a groom file, whole or not at all.
 
     Args:
@@ -53,6 +53,7 @@ def write_groom(path: Path, groom: Groom, source: PlacedStrands | None = None) -
     Raises:
         InputError: the folder of `path` is missing or not writable, or a groom of no strands or with NaN.
     """
+    path = Path(path)
     check_groom(groom)
     names = (*NUMBERS, *held_parts_of(groom))
     arrays = {name: getattr(groom, name).detach().cpu().numpy() for name in names}
@@ -64,12 +65,13 @@ def write_groom(path: Path, groom: Groom, source: PlacedStrands | None = None) -
         np.savez_compressed(file, format_version=np.array(FORMAT_VERSION), **texts, **arrays)  # type: ignore[arg-type]  # taken for numpy's allow_pickle
 
 
-def read_source(path: Path) -> PlacedStrands | None:
+def read_source(path: str | Path) -> PlacedStrands | None:
     """The strands that a groom was registered from, where its file has them.
 
     Raises:
         InputError: a broken file.
     """
+    path = Path(path)
     spec = {f"{SOURCE}{name}": kind for name, kind in SOURCE_SPEC.items()}
     if not array_names(path) & {*spec}:
         return None
@@ -99,7 +101,7 @@ def is_groom_file(path: Path) -> bool:
     return {*NUMBERS} <= array_names(path)
 
 
-def read_groom(path: Path, body: BodyModel) -> Groom:
+def read_groom(path: str | Path, body: BodyModel) -> Groom:
     """Read a groom file of this format version or an earlier one, checking every array.
 
     Args:
@@ -108,6 +110,7 @@ def read_groom(path: Path, body: BodyModel) -> Groom:
     Raises:
         InputError: no such file, not a groom file, a broken one, or one for another body.
     """
+    path = Path(path)
     optional: Spec = {**HELD_PARTS_SPEC, "format_version": ((), INTEGER)}
     present = array_names(path)
     spec = {

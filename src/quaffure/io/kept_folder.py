@@ -15,6 +15,7 @@ KEPT = "frames of an interrupted drape (remove the folder to start anew)"
 WRITABLE = "a folder for frames that can be written"
 PATTERN = ".*.frames"
 MOST = 2**31
+OWN_NAMES = "*.f32, settings.json, state-*.npy"
 _OURS = re.compile(rf"({'|'.join(Frames._fields)}|milliseconds)\.f32|settings\.json|state-\d+\.npy|\.quaffure-.*")
 
 
@@ -27,16 +28,17 @@ def locked(path: Path) -> int | None:
     """Make a folder and lock it; the descriptor that holds the lock, where the system has such locks.
 
     Raises:
-        InputError: another process holds it, or it cannot be made.
+        InputError: another process holds it, it cannot be made, or it is a link or holds what no run leaves.
     """
     with refused(path, WRITABLE, OSError):
         while True:
             path.mkdir(exist_ok=True)
+            _check_ours(path)
             try:
                 import fcntl
             except ImportError:
                 return None
-            descriptor = os.open(path, os.O_RDONLY)
+            descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if path.exists() and os.path.samestat(path.stat(), os.fstat(descriptor)):
@@ -45,6 +47,23 @@ def locked(path: Path) -> int | None:
                 os.close(descriptor)
                 raise InputError(path, "an output that no other run is making", "one that is being made") from error
             os.close(descriptor)  # of a folder that a sweep removed after it was opened
+
+
+def _check_ours(path: Path) -> None:
+    """Refuse a folder whose files are not all of a run: they are removed in the end."""
+    expected = f"no folder of this name, or one of frames alone ({OWN_NAMES})"
+    if path.is_symlink():
+        raise InputError(path, expected, "a link")
+    for file in path.iterdir():
+        if not _OURS.fullmatch(file.name) or file.is_dir():
+            raise InputError(path, expected, file.name)
+
+
+def remove_files(path: Path) -> None:
+    """Remove what runs leave in a folder."""
+    for file in path.iterdir():
+        if _OURS.fullmatch(file.name):
+            file.unlink()
 
 
 def holds_batch(path: Path) -> bool:
@@ -89,8 +108,7 @@ def remove_abandoned(path: Path) -> None:
             return
         if (path / SETTINGS).exists():
             read_settings(path)
-        for file in files:
-            file.unlink()
+        remove_files(path)
         path.rmdir()
     except (OSError, InputError):
         pass  # locked, not ours to remove, or damaged, which a user should hear of

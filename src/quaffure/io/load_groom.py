@@ -135,12 +135,13 @@ def _opened(groom: Groom) -> Groom:
     return groom if strands is groom.rest_strands else replace(groom, rest_strands=strands)
 
 
-def read_head(path: Path) -> HeadMesh:
+def read_head(path: str | Path) -> HeadMesh:
     """Vertices and triangles of a Wavefront `.obj` or a `.ply`; polygons are fanned, everything else is skipped.
 
     Raises:
         InputError: no such file, or no mesh in it.
     """
+    path = Path(path)
     points, faces = _ply_mesh(path) if path.suffix.lower() == ".ply" else _obj_mesh(path)
     if not len(faces) or faces.min() < 0 or faces.max() >= len(points):
         raise InputError(path, "a mesh of vertices and faces", f"{len(points)} vertices, {len(faces)} faces")

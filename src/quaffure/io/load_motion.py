@@ -1,5 +1,6 @@
 """Motion by name: a bundled clip or a file."""
 
+import os
 from pathlib import Path
 
 from quaffure.body.body_model import BodyModel, load_body
@@ -34,6 +35,8 @@ def load_motion(
         if joints is not None:
             raise InputError(joints, "a joint map for a motion file or a character", f"the bundled motion {name}")
         return bundled_clip(name, body)
+    if os.path.isdir(name):  # not Path.is_dir, which raises where the text is longer than a name can be
+        raise InputError(name, "a motion file", "a folder")
     if not file_and_clip(name)[0].suffix:
         raise InputError(
             f"motion '{name}'", f"a file or one of {', '.join(CLIP_NAMES)}", f"neither{did_you_mean(name, CLIP_NAMES)}"

@@ -1,7 +1,6 @@
 """Motion from a file of any format that is read here."""
 
 import re
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from quaffure.body.own_motion import is_own, own_motion
 from quaffure.body.retargeting import RETARGET_FPS, retarget_bvh
 from quaffure.errors import InputError, refused
 from quaffure.hair.character_morphs import surface_morphs
-from quaffure.input_file import check_input_file, file_and_clip, read_text
+from quaffure.input_file import check_input_file, file_and_clip, read_toml
 from quaffure.io.amass import read_amass
 from quaffure.io.bvh import read_bvh
 from quaffure.io.read_character import CHARACTER_SUFFIXES, read_character
@@ -86,9 +85,9 @@ def read_joint_map(path: Path) -> JointMap:
     Raises:
         InputError: it cannot be read, is no TOML, or names joints that the body lacks.
     """
-    # ValueError: TOML that is none, and numbers of thousands of digits, which Python neither reads nor writes.
-    with refused(path, "a joint map (.toml)", ValueError, RecursionError):
-        return joint_map_from(tomllib.loads(read_text(path, "a joint map (.toml)")), str(path))
+    tables = read_toml(path, "a joint map (.toml)")
+    with refused(path, "a joint map (.toml)", ValueError):  # numbers too long for Python to write
+        return joint_map_from(tables, str(path))
 
 
 def _read_npz_motion(path: Path, body: BodyModel) -> Motion:

@@ -31,7 +31,9 @@ UNSAVED_BYTES = 64e6
 """Frames in memory until they are written. A text file is kept whole."""
 
 
-def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[[], object] = lambda: None) -> None:
+def write_usd(
+    path: str | Path, drape: DrapeSequence | ExportClip, on_frame: Callable[[], object] = lambda: None
+) -> None:
     """Write the drape as a stage: z up, metres, time codes that count the frames of the drape, at its rate. In a
     character's scene it is y up, and the body is the character's skin.
 
@@ -46,6 +48,7 @@ def write_usd(path: Path, drape: DrapeSequence | ExportClip, on_frame: Callable[
     Raises:
         InputError: another suffix than .usd (binary), .usda or .usdc, or not writable.
     """
+    path = Path(path)
     check_suffix(path, *USD_SUFFIXES)
     clip = drape if isinstance(drape, ExportClip) else ExportClip(drape)
     per_layer = clip.settings.frames_per_layer

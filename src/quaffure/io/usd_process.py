@@ -9,7 +9,7 @@ PREFIX = "quaffure:"
 """Prefix of the primvars of held parts."""
 
 
-def read_usd_strands(path: Path) -> Strands:
+def read_usd_strands(path: str | Path) -> Strands:
     """All curves of a stage in world space, at each one's first time sample; the file's units and up axis are kept.
 
     Cubic bases and NURBS are evaluated, instances are read, and hidden curves, proxies and guides are left out where
@@ -19,4 +19,5 @@ def read_usd_strands(path: Path) -> Strands:
         InputError: the USD library is not installed; not a USD file, one that takes more time or memory than its size
             accounts for, or no curves in it.
     """
+    path = Path(path)
     return read_in_process("quaffure.io.usd_curves", path, "usd", "a USD file")

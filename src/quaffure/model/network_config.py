@@ -23,6 +23,17 @@ FILE_KEYS = {"views": "skin_features", "slides": "contact"}
 _KEYS_OF_FIELDS = {name: key for key, name in FILE_KEYS.items()}
 
 
+def _check_finite(config: Any) -> None:
+    """Refuse what no comparison with a limit finds.
+
+    Raises:
+        ValueError: NaN or infinity in a field.
+    """
+    for name, value in vars(config).items():
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError(f"expected a finite {name}, found {value}")
+
+
 @dataclass(frozen=True)
 class InitialShapeConfig:
     """Strands before the network (`quaffure.model.initial_shape`)."""
@@ -51,6 +62,7 @@ class InitialShapeConfig:
     """Share of a strand's weight by which other hair or the skin may push its tip."""
 
     def __post_init__(self) -> None:
+        _check_finite(self)
         if not (isinstance(self.passes, int) and 0 <= self.passes <= 16) or self.min_weight_share <= 0:
             raise ValueError(f"expected 0 to 16 passes and a weight share above 0, found {self}")
         rest = (self.least_disturbance, self.decay_length, self.tied_share, self.margin_slope, self.depth_share)
@@ -72,6 +84,7 @@ class DensityGridConfig:
     """Unit of the collision margin [m]."""
 
     def __post_init__(self) -> None:
+        _check_finite(self)
         if min(self.cell, self.excess_unit, self.slope_unit, self.margin_unit) <= 0:
             raise ValueError(f"expected a cell and units above 0, found {self}")
 
@@ -102,12 +115,13 @@ class ProjectionConfig:
     in weights of a metre of hair [m^2]. With less of it the energy is lower and more hair is inside the body."""
 
     def __post_init__(self) -> None:
+        _check_finite(self)
         least = min(self.clearance_share, self.clearance_slope, self.max_push, self.depth, self.most)
-        if self.spacing <= 0 or not least >= 0 or not math.isfinite(self.clearance_slope):
+        if self.spacing <= 0 or least < 0:
             raise ValueError(f"expected a spacing above 0, no share, slope, push or distance below it, found {self}")
         if not (isinstance(self.pushes, int) and 1 <= self.pushes <= 16):
             raise ValueError(f"expected 1 to 16 pushes, found {self.pushes!r}")
-        if not (0 <= self.push_relaxation < math.inf and 0 <= self.contact_stiffness < math.inf):
+        if min(self.push_relaxation, self.contact_stiffness) < 0:
             raise ValueError(f"expected no push relaxation or contact stiffness below 0, found {self}")
 
     def clearance(self, margin: Float[Tensor, "s n"], depth: Float[Tensor, "s 1"], most: float) -> Float[Tensor, "s n"]:

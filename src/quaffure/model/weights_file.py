@@ -41,7 +41,8 @@ def read_weights(path: Path, expected: str) -> tuple[dict[str, Tensor], dict[str
         InputError: no such file, a broken one, or weights that are not finite.
     """
     check_input_file(path, expected)
-    with refused(path, expected, OSError, SafetensorError), safe_open(path, framework="pt") as file:
+    # Kinds of numbers that torch cannot convert raise errors of torch.
+    with refused(path, expected, OSError, SafetensorError, RuntimeError), safe_open(path, framework="pt") as file:
         weights = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
         notes = dict(file.metadata() or {})
     # NaN is the least and the most of values that hold one; `isfinite` takes twenty times as long.

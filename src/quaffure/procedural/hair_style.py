@@ -1,14 +1,13 @@
 """The controls of a procedural hairstyle, named as in groom tools, and the styles of `assets/styles.toml`."""
 
 import json
-import tomllib
 from dataclasses import dataclass, is_dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 from quaffure.errors import InputError, refused
-from quaffure.input_file import read_text
+from quaffure.input_file import read_toml
 
 ASSETS = Path(str(files("quaffure") / "assets"))
 
@@ -157,9 +156,8 @@ def read_styles(path: Path) -> dict[str, HairStyle]:
     Raises:
         InputError: the file is not TOML, or has an unknown control or a value of the wrong type.
     """
-    # ValueError: TOML that is none, and numbers of thousands of digits, which Python neither reads nor writes.
-    with refused(path, "a TOML file", ValueError, RecursionError):
-        tables = tomllib.loads(read_text(path, "a TOML file"))
+    tables = read_toml(path, "a TOML file")
+    with refused(path, "a TOML file", ValueError):  # numbers too long for Python to write
         return {name: _style_part(HairStyle, table, f"{path.name}: {name}") for name, table in tables.items()}
 
 

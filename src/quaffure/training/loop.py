@@ -196,7 +196,8 @@ class Training(Generic[R]):
 def train(training: Training[Any], report: Callable[[int, Metrics], None]) -> None:
     """Continue a run to its end, logging, validating and saving on the way.
 
-    Asked to stop by SIGINT or SIGTERM, a run ends its step and saves first; where several processes share it, all do.
+    Asked to stop by SIGINT, SIGTERM or SIGHUP, a run ends its step and saves first; where several processes share it,
+    all do.
 
     Args:
         report: called after every step of the first process with the step and its metrics (`Training.steps`), after
@@ -204,7 +205,7 @@ def train(training: Training[Any], report: Callable[[int, Metrics], None]) -> No
 
     Raises:
         KeyboardInterrupt: after SIGINT.
-        SystemExit: after SIGTERM.
+        SystemExit: after SIGTERM or SIGHUP.
     """
     recipe: Recipe = training.recipe
     with stop_request() as stop:

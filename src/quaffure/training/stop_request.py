@@ -4,11 +4,12 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
+"""The last one comes when a terminal is closed; Windows has none."""
 EXIT_CODE_BASE = 128
 """A process that a signal ended has this exit code and the signal's number."""
 
@@ -32,7 +33,7 @@ class StopRequest:
 
         Raises:
             KeyboardInterrupt: after SIGINT.
-            SystemExit: after SIGTERM.
+            SystemExit: after another signal.
         """
         if self.signal == signal.SIGINT:
             raise KeyboardInterrupt
@@ -42,7 +43,8 @@ class StopRequest:
 
 @contextmanager
 def stop_request() -> Iterator[StopRequest]:
-    """Note the first SIGINT or SIGTERM in the block instead of raising it; the second one does what it did before."""
+    """Note the first of `SIGNALS` in the block instead of raising it; the second one does what it did before. A signal
+    that is ignored (`nohup`) stays so."""
     request, before = StopRequest(), dict[int, Any]()
     if threading.current_thread() is not threading.main_thread():
         yield request  # no signals arrive there
@@ -55,10 +57,12 @@ def stop_request() -> Iterator[StopRequest]:
     def note(number: int, frame: FrameType | None) -> None:
         request.signal = number
         restore()
-        print("stopping after this step; once more stops at once", file=sys.stderr)
+        with suppress(OSError):  # a terminal that is gone
+            print("stopping after this step; once more stops at once", file=sys.stderr)
 
     for number in SIGNALS:
-        before[number] = signal.signal(number, note)
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            before[number] = signal.signal(number, note)
     try:
         yield request
     finally:

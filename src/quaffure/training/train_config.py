@@ -11,6 +11,9 @@ from quaffure.energies.by_name import hair_terms
 from quaffure.errors import InputError
 from quaffure.model.network_config import NetworkConfig
 
+MOST_BODIES = 4096
+"""Limit of the bodies that a step is on; some 10 MB each."""
+LARGEST_SEED = 2**63
 LARGEST_COLLISION_MARGIN = 0.05
 """Hair farther from the body than this is not in contact with it [m]."""
 
@@ -51,6 +54,14 @@ class TrainConfig:
         hair_terms(self.elastic)
         counts = ("steps", "runs", "frames", "grooms_per_step", "log_every", "validate_every")
         refuse_impossible({name: getattr(self, name) for name in counts}, self.learning_rate, self.seed)
+        if self.runs * self.frames > MOST_BODIES:
+            raise InputError(
+                "--runs and --frames", f"at most {MOST_BODIES} bodies in a step", f"{self.runs * self.frames}"
+            )
+        if self.warmup < 0:
+            raise InputError("--warmup", "0 or more", f"{self.warmup}")
+        if not 0 < self.save_every_seconds < math.inf:
+            raise InputError("--save-every-seconds", "a number above 0", f"{self.save_every_seconds}")
         if not 0 < self.material.collision_margin <= LARGEST_COLLISION_MARGIN:
             raise InputError(
                 "--collision-margin", f"up to {LARGEST_COLLISION_MARGIN} m", f"{self.material.collision_margin}"
@@ -64,12 +75,12 @@ def refuse_impossible(counts: Mapping[str, int], learning_rate: float, seed: int
         counts: by the name of the setting.
 
     Raises:
-        InputError: a count below 1, a learning rate that is not above 0, or a negative seed.
+        InputError: a count below 1, a learning rate that is not above 0, or a seed that torch does not take.
     """
     for name, count in counts.items():
         if count < 1:
             raise InputError(f"--{name.replace('_', '-')}", "1 or more", f"{count}")
     if not 0 < learning_rate < math.inf:
         raise InputError("--learning-rate", "a number above 0", f"{learning_rate}")
-    if seed < 0:
-        raise InputError("--seed", "0 or more", f"{seed}")
+    if not 0 <= seed < LARGEST_SEED:
+        raise InputError("--seed", f"0 or more, below {LARGEST_SEED}", f"{seed}")

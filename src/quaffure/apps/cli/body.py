@@ -68,9 +68,9 @@ class ImportBody:
         )
         imported = import_body(character, digest, load_body(), settings, console.print)
         write_body(self.out, imported.body)
-        console.print(joint_map_text(imported.joint_map), markup=False, highlight=False, soft_wrap=True)
+        console.print(joint_map_text(imported.joint_map))
         for note in imported.notes:
-            console.print(note, markup=False, highlight=False, soft_wrap=True)
+            console.print(note)
         if self.picture is not None:
             _draw(self.picture, imported.body, imported.notes)
         console.print(f"written: {', '.join(str(path) for path in (self.out, self.picture) if path is not None)}")

@@ -53,12 +53,12 @@ class CharactersCommand:
             if value < 0:
                 raise InputError(option, "0 or more", f"{value}")
         rows = read_table(self.table)
+        read = [source for row in rows for source in (row.groom, row.motion, row.body) if source]
+        check_no_inputs(files_of(Path(row.out) for row in rows), read)
         for folder in {Path(row.out).parent for row in rows}:
             made_folder(folder, "a folder for drapes")
         check_outputs([Path(row.out) for row in rows], (self.table,))
         left = [row for row in rows if not Path(row.out).exists()]
-        read = (source for row in rows for source in (row.groom, row.motion, row.body) if source)
-        check_no_inputs(files_of(Path(row.out) for row in left), read)
         begin, failed = time.perf_counter(), {}
         workers, where = self._workers(len(left))
         console.print(f"{counted(len(rows), 'row')}, {len(rows) - len(left)} of them finished before; {where}")
@@ -68,9 +68,7 @@ class CharactersCommand:
                     update(advance=1)
                     if finished.error:
                         failed[finished.row.out] = finished.error
-                        console.print(
-                            f"{finished.row.out}: {finished.error}", markup=False, highlight=False, soft_wrap=True
-                        )
+                        console.print(f"{finished.row.out}: {finished.error}")
         finally:
             workers.close()
         seconds = time.perf_counter() - begin

@@ -2,26 +2,65 @@
 
 import json
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from datetime import timedelta
 from functools import partial
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from torch import nn
 
 from quaffure.benchmark.report import cell_text
+from quaffure.errors import refused
 from quaffure.training.loop import LAST, Training, train
 
-# If the output is not a terminal, rich would wrap tables at 80 columns. Commands with --json set `quiet`: then only
-# `print_json` writes to the output.
-console = Console() if sys.stdout.isatty() else Console(width=140)
+
+class PlainConsole(Console):
+    """Prints texts as they are: names and texts of files may look like markup, and lines are as long as they are.
+
+    Where nothing takes the output any more (a closed pipe, a full disk, a terminal that is gone), the work goes on
+    without it.
+
+    Args:
+        stderr: print on the error stream.
+
+    Attributes:
+        lost: why lines were not printed; empty where they were, or where a reader has closed its pipe.
+    """
+
+    lost = ""
+
+    def __init__(self, stderr: bool = False) -> None:
+        stream = sys.stderr if stderr else sys.stdout
+        # If the output is not a terminal, rich would wrap tables at 80 columns.
+        width = None if stream is not None and stream.isatty() else 140
+        super().__init__(stderr=stderr, width=width, markup=False, highlight=False, emoji=False, soft_wrap=True)
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print what `rich.console.Console.print` takes."""
+        try:
+            super().print(*objects, **options)
+        except OSError as error:
+            self.lost = str(error.strerror)
+            self.on_broken_pipe()
+
+    def on_broken_pipe(self) -> None:
+        """Print nothing from now on; rich would end the process."""
+        self.quiet = True
+        # Python flushes the stream when it ends, and would fail again.
+        if (stream := sys.stderr if self.stderr else sys.stdout) is not None:
+            with open(os.devnull, "wb") as nowhere, suppress(OSError, ValueError):
+                os.dup2(nowhere.fileno(), stream.fileno())
+
+
+# Commands with --json set `quiet`: then only `print_json` writes to the output.
+console = PlainConsole()
 Update = Callable[..., None]
 Text = Callable[[dict[str, float]], str]
 LEAST_SECONDS, MOST_SECONDS = 1.0, 20.0
@@ -57,7 +96,7 @@ def progress_bar(
         yield (lambda **changes: None) if options.get("disable") else lines.update
         return
     time_column = TimeRemainingColumn(elapsed_when_finished=True)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), time_column
+    columns = TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), time_column
     with Progress(*columns, console=to, **options) as progress:  # type: ignore[arg-type]
         yield partial(progress.update, progress.add_task(description, total=total, completed=done))
 
@@ -93,7 +132,7 @@ class ProgressLines:
         if self._done > before and self._done != self._total and now - self._printed >= interval:
             self._printed = now
             line = f"{self._done}{self._rest(now)}: {self._description}"
-            self._to.print(line, markup=False, highlight=False, soft_wrap=True)
+            self._to.print(line)
 
     def _rest(self, now: float) -> str:
         if self._total is None:
@@ -180,10 +219,15 @@ def print_rows(rows: Sequence[Mapping[str, object]], title: str) -> None:
     for column in rows[0]:
         table.add_column(column, overflow="fold", no_wrap=column == next(iter(rows[0])))
     for row in rows:
-        table.add_row(*(escape(cell_text(value)) for value in row.values()))  # [all] would be taken for a style
-    console.print(table)
+        table.add_row(*(cell_text(value) for value in row.values()))
+    console.print(table, soft_wrap=False)
 
 
 def print_json(value: object) -> None:
-    """Print plain JSON, for other programs."""
-    print(json.dumps(value, indent=1))
+    """Print plain JSON, for other programs.
+
+    Raises:
+        InputError: nothing takes it.
+    """
+    with refused("standard output", "a place that takes the JSON", OSError):
+        print(json.dumps(value, indent=1), flush=True)

@@ -198,7 +198,7 @@ class DrapeCommand:
             return clip_of_pictures(clip, self.strands, groom, body, in_video)
 
         for path, shown in shown_in(self.out, clip, pictured):
-            console.print(writing_text(path, len(clip.sequence)), markup=False, highlight=False, soft_wrap=True)
+            console.print(writing_text(path, len(clip.sequence)))
             write_output(path, shown)
             times.lap("pictures" if path.suffix.lower() in PICTURES else "files")
 

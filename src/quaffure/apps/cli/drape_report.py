@@ -65,7 +65,7 @@ def report_drape(sequence: DrapeSequence, checks: DrapeChecks, measured: DrapeMe
         print_rows([_table_row(key, named, draped[key]) for key in draped], title)
         console.print(f"means over frames unless marked as worst; definitions: {DEFINITIONS}")
     console.print(f"checked: {'; '.join(checks.findings()) or NO_FAULT}")
-    console.print(f"time: {times.text({DRAPING: _frame_text(sequence, times)})}", soft_wrap=True)
+    console.print(f"time: {times.text({DRAPING: _frame_text(sequence, times)})}")
 
 
 def _frame_text(sequence: DrapeSequence, times: Stopwatch) -> str:

@@ -139,7 +139,7 @@ def _strands(path: Path, body: BodyModel, frame: FileFrame) -> Summary:
         "too_far": report.unused.too_far,
         "stored_from_the_tip": report.turned,
         "single_strands_turned_round": report.turned_strands,
-        "root_distance_mm": [round(report.median_residual, 2), round(report.max_residual, 2)],
+        "root_distance_mm": {"median": round(report.median_residual, 2), "largest": round(report.max_residual, 2)},
         "inside_on_arrival_percent": round(100 * report.inside_before, 2),
     }
 

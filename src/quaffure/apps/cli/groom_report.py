@@ -12,7 +12,7 @@ from quaffure.io.load_groom import load_groom
 
 def loaded_groom(text: str, body: BodyModel, head: Path | None) -> Groom:
     """`load_groom`, printing the report where a strand file was fitted to our head."""
-    console.print(f"reading the groom {text}", markup=False, highlight=False, soft_wrap=True)
+    console.print(f"reading the groom {text}")
     reports: list[RegistrationReport] = []
     groom = load_groom(text, body, head, on_report=reports.append)
     for report in reports:
@@ -23,7 +23,7 @@ def loaded_groom(text: str, body: BodyModel, head: Path | None) -> Groom:
 
 def print_report(report: RegistrationReport) -> None:
     """What was guessed, which strands are used and why others are not, and how well they fit."""
-    console.print(str(report), markup=False, highlight=False, soft_wrap=True)
+    console.print(str(report))
 
 
 def print_shared_texels(kept: int, draped: int) -> None:
@@ -37,6 +37,4 @@ def print_shared_texels(kept: int, draped: int) -> None:
         console.print(
             f"draped: {draped} of these {kept}, one in each cell of a {TEXTURE_SIZE} x {TEXTURE_SIZE} grid over the "
             "scalp; quaffure drape --strands original shows all of them",
-            highlight=False,
-            soft_wrap=True,
         )

@@ -29,7 +29,7 @@ def motion_of(text: str, body: BodyModel, in_place: bool = False, joints: Path |
     """`load_motion`, printing what the file's reader guessed."""
     motion = load_motion(text, body, in_place, joints)
     for note in motion.notes:
-        console.print(f"{text}: {note}", markup=False, highlight=False)
+        console.print(f"{text}: {note}")
     return motion
 
 
@@ -39,7 +39,7 @@ def clip_of(text: str, body: BodyModel, in_place: bool, joints: Path | None, fra
     clip = motion.frames(frames)
     pose = calibration_pose(motion, body)
     if pose is not None and round((clip.start - motion.start) * motion.fps) < pose.frames:
-        console.print(f"{text}: {pose}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"{text}: {pose}")
     return clip
 
 
@@ -60,7 +60,7 @@ def character_space_of(
     if settings.skinned:
         raise InputError("--skinned", "the shipped body, or files without a skeleton", f"that of {space.origin.source}")
     moved = "its own skin moves the roots" if space.skin is not None else "in a motion that it does not have"
-    console.print(f"hair is written in the scene of {space.origin.source}, {moved}", markup=False, highlight=False)
+    console.print(f"hair is written in the scene of {space.origin.source}, {moved}")
     return space
 
 

@@ -53,7 +53,7 @@ class InspectCommand:
             print_json(summary)
             return
         for key, value in summary.items():
-            console.print(f"{_title(key)}: {_text(value)}", markup=False, highlight=False, soft_wrap=True)
+            console.print(f"{_title(key)}: {_text(value)}")
         if REFUSED not in summary:
             console.print(f"can be used as {_use(summary)}")
         if self.save_joints is not None:

@@ -31,6 +31,7 @@ from quaffure.apps.cli.train_code import TrainCodeCommand
 from quaffure.apps.cli.view import ViewCommand
 from quaffure.errors import InputError
 from quaffure.solvers.strand_newton import SETTLING_PASSES
+from quaffure.training.stop_request import EXIT_CODE_BASE, SIGNALS
 
 Command = (
     Annotated[DrapeCommand, tyro.conf.subcommand("drape")]
@@ -59,13 +60,17 @@ def main(arguments: list[str] | None = None) -> None:
     """Run `quaffure`. Exits with 2 and one line on the error stream for bad input."""
     if threading.current_thread() is threading.main_thread():
         # By default the process would end without removing the temporary files that it is writing.
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    console.quiet = False  # after a command with --json in the same process
+        for number in SIGNALS[1:]:
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` asks
+                signal.signal(number, lambda number, _: sys.exit(EXIT_CODE_BASE + number))
+    console.quiet, console.lost = False, ""  # after another command in the same process
     try:
         with announced_compiling(
             lambda: console.print("compiling kernels; first use of this feature only: up to some minutes")
         ):
             parse(arguments).run()
+        if console.lost:
+            raise InputError("standard output", "a place for what is printed; files are written", console.lost)
     except InputError as error:
         _refuse(str(error))
     except KeyboardInterrupt:

@@ -83,9 +83,9 @@ class RenderCommand:
         if space is not None:
             clip = placed_clip(clip, space)
         for path, shown in shown_in(self.out, clip, lambda in_video: self._pictured(clip, groom, body, in_video)):
-            console.print(writing_text(path, len(sequence)), markup=False, highlight=False, soft_wrap=True)
+            console.print(writing_text(path, len(sequence)))
             write_output(path, shown)
-        console.print(f"written: {written_text(self.out, clip.frames, self.export)}", soft_wrap=True)
+        console.print(f"written: {written_text(self.out, clip.frames, self.export)}")
 
     def _pictured(self, clip: ExportClip, groom: Groom | None, body: BodyModel, in_video: bool) -> ExportClip:
         """What pictures or videos show; a line is printed where it is the draped strands because of another body."""
@@ -93,5 +93,5 @@ class RenderCommand:
             groom = groom or groom_of_drape(clip.sequence, body, self.drape)
         except InputError as error:
             if self.strands is None:
-                console.print(f"the draped strands alone: {error}", markup=False, highlight=False, soft_wrap=True)
+                console.print(f"the draped strands alone: {error}")
         return clip_of_pictures(clip, self.strands, groom, body, in_video)

@@ -69,7 +69,7 @@ def clip_of_pictures(
             f"from the program that made them, or draw them alone ({OPTION} {GUIDES})"
         )
     for line in lines:
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(line)
     return replace(clip, interpolation=between)
 
 

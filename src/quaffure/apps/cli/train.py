@@ -29,6 +29,8 @@ from quaffure.training.train_decoder import DecoderRecipe, GroomedBody
 from quaffure.training.validation import prior_validation
 
 SHIPPED = "shipped"
+MOST_STYLES = 10_000
+"""Limit of `--family`; each takes up to a second to make and 2 MB."""
 """Name of the weights and of the body in the package."""
 
 
@@ -83,8 +85,8 @@ class TrainCommand:
         pose_features = self.config.network.pose_features
         if pose_features not in (0, FEATURE_COUNT):
             raise InputError("--pose-features", f"0 or {FEATURE_COUNT}", f"{pose_features}")
-        if self.family < 0:
-            raise InputError("--family", "0 or more", f"{self.family}")
+        if not 0 <= self.family <= MOST_STYLES:
+            raise InputError("--family", f"0 to {MOST_STYLES}", f"{self.family}")
         refuse_evaluation_data(self.groom, self.motion)
 
     @property

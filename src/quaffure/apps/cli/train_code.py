@@ -8,9 +8,8 @@ from statistics import mean
 from typing import Any
 
 import tyro
-from rich.console import Console
 
-from quaffure.apps.cli.console import Text, print_json, print_rows, progress_bar, run_training
+from quaffure.apps.cli.console import PlainConsole, Text, print_json, print_rows, progress_bar, run_training
 from quaffure.benchmark.evaluation_set import refuse_evaluation_data
 from quaffure.benchmark.groom_code_metrics import (
     code_metrics,
@@ -34,7 +33,7 @@ from quaffure.training.run_folder import RUN
 from quaffure.training.train_groom_code import AUTOENCODER, ENCODER, GroomCodeConfig, GroomCodeRecipe, finish
 
 # The standard output is for the results, which other programs may read.
-messages = Console(stderr=True)
+messages = PlainConsole(stderr=True)
 TRAINED = [name for name in STYLES if name not in HELD_OUT]
 # Seeds that no training uses.
 NEW_SEEDS = range(1000, 1003)

@@ -72,11 +72,12 @@ def is_taken(message: bytes) -> bool:
     """
     try:
         content = msgspec.msgpack.decode(message)
+        is_finite = _is_finite(content)
     except (msgspec.DecodeError, RecursionError) as error:
         raise ValueError("not a message") from error
     if not isinstance(content, dict) or not isinstance(content.get("type"), str):
         raise ValueError("not a message of viser")
-    return content["type"] in TAKEN and _sets_values(content) and _is_finite(content)
+    return content["type"] in TAKEN and _sets_values(content) and is_finite
 
 
 def _is_finite(content: object) -> bool:

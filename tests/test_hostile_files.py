@@ -31,6 +31,7 @@ from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.npz import read_numbers
 from quaffure.procedural import make_groom, read_styles
 from tests.synthetic_drape import drape, patch_of_strands
+from tests.training_runs import tiny_groom
 
 HOSTILE = Path(__file__).parents[2] / "shared" / "data" / "cases" / "hostile"
 FAR_TOO_LONG = "a" * 5000
@@ -272,6 +273,17 @@ def test_weights_of_numbers_that_torch_does_not_convert(tmp_path: Path) -> None:
     (tmp_path / "four.safetensors").write_bytes(len(header).to_bytes(8, "little") + header + bytes(4))
     with pytest.raises(InputError, match="expected a checkpoint"):
         load_network(tmp_path / "four.safetensors")
+
+
+@pytest.mark.parametrize("code", [0xD800, 0x110000, 2**32 - 1])
+def test_texts_of_arrays_that_are_no_characters(code: int, body: BodyModel, tmp_path: Path) -> None:
+    path = tmp_path / "groom.npz"
+    write_groom(path, tiny_groom(body))
+    with np.load(path, allow_pickle=False) as file:
+        arrays = dict(file)
+    np.savez(path, **(arrays | {"name": np.array([code], np.uint32).view("<U1").reshape(())}))
+    with pytest.raises(InputError, match="with text as name, found codes of no characters"):
+        read_groom(path, body)
 
 
 def weights_with(path: Path, **changes: object) -> Path:

@@ -24,6 +24,8 @@ FREE_BYTES = 2**24
 """What the arrays of any file may take [bytes]; beyond it at most `MOST_COMPRESSION` times the size of the file."""
 MOST_COMPRESSION = 32
 """Arrays of hair and motion shrink by less than 4, but zeros by 1000: a small file must not fill the memory."""
+SURROGATES, CODES = range(0xD800, 0xE000), 0x110000
+"""Codes of no characters, and how many there are."""
 SHOWN_NAMES = 5
 """Names of arrays by which an error says what a file holds instead."""
 PART_SIZE = 2**20
@@ -107,7 +109,7 @@ def read_arrays(
         _check_members(archive, spec, path)
         sizes = _check_headers({name: _header(archive, name, path) for name in spec}, spec, path, what)
         arrays = {name: _array(archive, name) for name in spec}
-    _check_finite(arrays, path, what)
+    _check_values(arrays, path, what)
     return arrays, sizes
 
 
@@ -119,7 +121,7 @@ def check_arrays(arrays: Mapping[str, np.ndarray], spec: Spec, source: Path, wha
     """
     headers = {name: Header(array.shape, array.dtype) for name, array in arrays.items()}
     sizes = _check_headers(headers, spec, source, what)
-    _check_finite(arrays, source, what)
+    _check_values(arrays, source, what)
     return sizes
 
 
@@ -188,15 +190,26 @@ def _check_headers(headers: Mapping[str, Header], spec: Spec, source: Path, what
     return {axis: size for axis, size in sizes.items() if isinstance(axis, str)}
 
 
-def _check_finite(arrays: Mapping[str, np.ndarray], source: Path, what: str) -> None:
+def _check_values(arrays: Mapping[str, np.ndarray], source: Path, what: str) -> None:
     for name, array in arrays.items():
+        if not _is_text(array):
+            raise InputError(source, f"{what} with text as {name}", "codes of no characters")
         # As float32, in which arrays are used: 1e300 is infinite there.
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             is_finite = array.dtype.kind != "f" or all(
                 np.isfinite(part.astype(np.float32, copy=False)).all() for part in parts_of(array)
             )
         if not is_finite:
             raise InputError(source, f"{what} with finite {name}", "NaN or infinity")
+
+
+def _is_text(array: np.ndarray) -> bool:
+    """Whether Python has all characters of an array, if it is one of texts; damaged ones end `str` with an error of
+    the interpreter."""
+    if array.dtype.kind != "U" or not array.dtype.itemsize:
+        return True
+    codes = np.ascontiguousarray(array).reshape(-1).view(np.uint32)
+    return bool(((codes < SURROGATES.start) | ((codes >= SURROGATES.stop) & (codes < CODES))).all())
 
 
 def parts_of(array: np.ndarray) -> Iterator[np.ndarray]:

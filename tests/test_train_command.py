@@ -267,7 +267,7 @@ def test_without_grooms_the_bundled_ones_are_trained_on(
         (["--groom", "bob", "--motion", "nod"], "not in the evaluation set"),
         (["--groom", "bob", "--pose-features", "5"], "0 or 111"),
         (["--groom", "bob", "--weights", "none.safetensors"], "no such file"),
-        (["--family", "-1"], "--family: expected 0 or more"),
+        (["--family", "-1"], "--family: expected 0 to 10000"),
         (["--groom", "bob", "--strand-layers", "0"], "strand_layers from 1 to 64"),
         (["--groom", "bob", "--learning-rate", "-1"], "--learning-rate: expected a number above 0"),
         (["--groom", "bob", "--seed", "-1"], "--seed: expected 0 or more"),

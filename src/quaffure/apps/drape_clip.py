@@ -119,7 +119,7 @@ def draw(
             or no OpenGL on this machine.
     """
     _check_drape(sequence)
-    if not (isinstance(frame, Integral) and 0 <= frame < len(sequence)):
+    if not (isinstance(frame, Integral) and -len(sequence) <= frame < len(sequence)):
         raise InputError("frame", f"a whole number from 0 to {len(sequence) - 1}", f"{frame!r}")
     if not (isinstance(size, Integral) and size in PICTURE_SIZES):
         raise InputError("size", f"{PICTURE_SIZES[0]} to {PICTURE_SIZES[-1]} pixels", f"{size!r}")

@@ -60,8 +60,8 @@ class TrainConfig:
             )
         if self.warmup < 0:
             raise InputError("--warmup", "0 or more", f"{self.warmup}")
-        if not 0 < self.save_every_seconds < math.inf:
-            raise InputError("--save-every-seconds", "a number above 0", f"{self.save_every_seconds}")
+        if not 0 <= self.save_every_seconds < math.inf:
+            raise InputError("--save-every-seconds", "0 or more", f"{self.save_every_seconds}")
         if not 0 < self.material.collision_margin <= LARGEST_COLLISION_MARGIN:
             raise InputError(
                 "--collision-margin", f"up to {LARGEST_COLLISION_MARGIN} m", f"{self.material.collision_margin}"

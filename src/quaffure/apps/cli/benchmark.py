@@ -181,7 +181,7 @@ def _write_files(out: Path, content: dict[str, object], plot: Callable[[Any, Pat
     """
     write_json(out, content)
     if not is_installed("matplotlib"):
-        return f"written: {out}; no plot without matplotlib: pip install 'quaffure\\[docs]'"
+        return f"written: {out}; no plot without matplotlib: pip install 'quaffure[docs]'"
     from quaffure.benchmark import plots
 
     plot(plots, out.with_suffix(".png"))

@@ -216,7 +216,7 @@ class EvaluateCommand:
             f"{results['drapes_made']} drapes made, {results['drapes_fetched']} read from {self.shared.cache}"
         )
         if len(written) == 2:
-            console.print("no picture without matplotlib: pip install 'quaffure\\[docs]'")
+            console.print("no picture without matplotlib: pip install 'quaffure[docs]'")
         console.print(f"written: {', '.join(map(str, written))}")
 
     def _announced(self, cases: Iterable[EvaluationCase]) -> Iterator[EvaluationCase]:

@@ -155,7 +155,9 @@ def matrix_of(record: FbxRecord) -> Float[np.ndarray, "4 4"]:
     rows = record.floats(16)
     matrix = rows.reshape(-1, 4, 4)[0].T if len(rows) == 1 else record.fail("16 numbers", f"{rows.size}")
     matrix[3] = (0, 0, 0, 1)
-    if not abs(np.linalg.det(matrix)) > 0:
+    with np.errstate(all="ignore"):  # numbers near the limits of float64
+        has_inverse = abs(np.linalg.det(matrix)) > 0
+    if not has_inverse:
         record.fail("a matrix with an inverse", "none")
     return matrix
 

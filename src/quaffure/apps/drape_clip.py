@@ -42,15 +42,16 @@ def drape_clip(
     Raises:
         InputError: a groom or a shape that cannot be draped, or a name in place of what is loaded by it.
     """
+    draper = draper or CoherentDraper()
     for found, kind, call in (
         (groom, Groom, "quaffure.load_groom(name)"),
         (motion, Motion, "quaffure.load_motion(name)"),
-        (draper or CoherentDraper(), Draper, "quaffure.load_model().draper"),
+        (draper, Draper, "quaffure.load_model().draper"),
     ):
         if not isinstance(found, kind):
             raise InputError(kind.__name__.lower(), f"a {kind.__name__}, such as {call}", f"{found!r:.60}")
     shape = torch.zeros(SHAPE_COUNT) if body_shape is None else body_shape
-    return drape_motion(draper or CoherentDraper(), groom, body or load_body(), motion, shape)
+    return drape_motion(draper, groom, body or load_body(), motion, shape)
 
 
 def save_drape(

@@ -49,10 +49,10 @@ def check_output(path: Path, *suffixes: str, inputs: Iterable[str | Path | None]
         InputError: another suffix, no folder to write into, a folder or a pipe of that name, or an input or a file that
             one names.
     """
-    if path.suffix.lower() not in suffixes and os.path.isdir(path):  # not Path.is_dir, which raises for long names
-        raise InputError(path, f"a file to write, of suffix {', '.join(suffixes)}", "a folder")
     if path.suffix.lower() not in suffixes:
-        raise InputError(path, f"an output of suffix {', '.join(suffixes)}", f"suffix '{path.suffix}'")
+        # Not Path.is_dir, which raises for long names.
+        found = "a folder" if os.path.isdir(path) else f"suffix '{path.suffix}'"
+        raise InputError(path, f"an output of suffix {', '.join(suffixes)}", found)
     check_writable(check_place(path).parent, path)
     check_not_input(path, inputs)
 

@@ -12,7 +12,7 @@ from quaffure.errors import InputError
 from quaffure.model.network_config import NetworkConfig
 
 MOST_BODIES = 4096
-"""Limit of the bodies that a step is on; some 10 MB each."""
+"""Limit of the bodies that a step is on, all of which are in memory at once."""
 LARGEST_SEED = 2**63
 LARGEST_COLLISION_MARGIN = 0.05
 """Hair farther from the body than this is not in contact with it [m]."""

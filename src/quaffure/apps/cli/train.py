@@ -30,7 +30,7 @@ from quaffure.training.validation import prior_validation
 
 SHIPPED = "shipped"
 MOST_STYLES = 10_000
-"""Limit of `--family`; each takes up to a second to make and 2 MB."""
+"""Limit of `--family`; all of its grooms are made at the start and kept."""
 """Name of the weights and of the body in the package."""
 
 

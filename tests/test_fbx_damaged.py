@@ -18,6 +18,10 @@ from tests.test_fbx import CUBE, QUADS, bound_pair, kind, read
 ABOVE, BELOW, GEOMETRY, CLUSTER = 1001, 1002, 1005, 1007
 """Numbers of objects of a `bound_pair`."""
 
+SMALL = np.eye(4).ravel()
+SMALL[:2] = 0.0, 3e-319
+"""A matrix whose first pivot is so small that one over it is not finite."""
+
 
 def whole() -> FbxFile:
     """A file with everything: two joints, a skin, a shape, layers and an animation."""
@@ -133,6 +137,7 @@ REFUSED: dict[str, tuple[Change, str]] = {
     "short matrix": (value("Deformer", "Transform", np.zeros(12), of=1), "rows of 16 numbers, found 12"),
     "two matrices": (value("Deformer", "Transform", np.zeros(32), of=1), "16 numbers, found 32"),
     "flat matrix": (value("Deformer", "Transform", np.zeros(16), of=1), "a matrix with an inverse"),
+    "small matrix": (value("Deformer", "Transform", SMALL, of=1), "a matrix with an inverse"),
     "shape": (value("Geometry", "Indexes", np.int32([8]), of=1), "vertices below 8"),
     "differences": (value("Geometry", "Vertices", np.zeros(6), of=1), "1 differences, as many as vertices, found 2"),
     "keys that go back": (value("AnimationCurve", "KeyTime", np.int64([5, 1])), "times that do not decrease"),

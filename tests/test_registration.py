@@ -26,6 +26,7 @@ from quaffure.hair.head_alignment import FINE_ROUNDS, TRIAL_ROUNDS, Similarity, 
 from quaffure.hair.registration import nearest_on_scalp
 from quaffure.hair.registration_report import HeadFit
 from quaffure.hair.scalp_target import ScalpTarget, scalp_target
+from quaffure.hair.strands import checked_strands
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, make_groom
 from tests.scenes import Registered
@@ -309,6 +310,18 @@ def test_a_tip_beyond_all_measure_raises_no_warning(groom: Groom, body: BodyMode
     strands = Strands(few.reshape(-1, 3), np.full(len(few), few.shape[1]), "damaged")
     with pytest.raises(InputError):
         register_groom(strands, body, "damaged")
+
+
+def test_a_strand_out_of_reach_is_refused(groom: Groom, body: BodyModel) -> None:
+    """Beyond the second distance the lengths of edges have no squares in float32."""
+    few = groom.rest_strands[:: len(groom.rest_strands) // 40][:40].numpy().astype(float)
+    few[3, 12, 0] = 11.0
+    strands = as_file(few)
+    with pytest.raises(InputError, match="strands within 10 m of the body's origin, found 39 of 40 there"):
+        register_groom(strands, body, "damaged", frame=FileFrame("z", "-y", "m"))
+    few[3, 12, 0] = 1e20
+    with pytest.raises(InputError, match="finite coordinates within 1e.09, found NaN, infinity or more in 1 of 960"):
+        checked_strands(few.reshape(-1, 3), strands.counts, "damaged")
 
 
 @pytest.mark.shared_data

@@ -16,6 +16,7 @@ from quaffure.hair.clearance import inside_share, pushed_out
 from quaffure.hair.file_frame import MIRROR, UNKNOWN, FileFrame
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_alignment import GroomAlignment, align_groom, standing_groom
+from quaffure.hair.groom_checks import LARGEST_COORDINATE
 from quaffure.hair.head_alignment import Alignment, misfit, refine
 from quaffure.hair.registration_report import (
     FARTHEST_ROOT,
@@ -90,8 +91,8 @@ def register_groom(
         frame: what is known of the file's axes and unit.
 
     Raises:
-        InputError: too few strands, roots that do not cover a part of a head, or a poor fit; strands said to stand on
-            this body whose roots are not on its scalp.
+        InputError: too few strands, roots that do not cover a part of a head, or a poor fit; strands that reach beyond
+            `LARGEST_COORDINATE`; strands said to stand on this body whose roots are not on its scalp.
     """
     usable, degenerate = without_degenerate(_mirrored(strands, frame))
     found, alignment, head_fit = _aligned(usable, body, head, frame)
@@ -107,6 +108,7 @@ def register_groom(
     placed = torch.from_numpy((aligned if frame.registered else aligned + offset[:, None])[near]).float()
     if not frame.registered:
         placed[:, 0] = closest[kept]
+    _check_reach(placed, strands.source)
     inside = inside_share(placed, surface)
     if inside > MOST_INSIDE_ON_ARRIVAL:
         fit = f"at most {100 * MOST_INSIDE_ON_ARRIVAL:g} % of the vertices inside the body (--up, --forward, --units)"
@@ -266,3 +268,10 @@ def _check_fit(source: str, residual: Float[np.ndarray, " s"], near: Bool[np.nda
     if median > LARGEST_MEDIAN_RESIDUAL:
         fit = f"roots that fit a scalp to {1e3 * LARGEST_MEDIAN_RESIDUAL:.0f} mm in the median"
         raise InputError(source, fit, f"{1e3 * median:.1f} mm in the best of all units and axes")
+
+
+def _check_reach(placed: Float[Tensor, "s n 3"], source: str) -> None:
+    reaches = int((placed.abs() <= LARGEST_COORDINATE).all(dim=2).all(dim=1).sum())
+    if reaches < len(placed):
+        expected = f"strands within {LARGEST_COORDINATE:g} m of the body's origin"
+        raise InputError(source, expected, f"{reaches} of {len(placed)} there")

@@ -18,6 +18,8 @@ UNASKED = {STIFFNESS_SCALE: 1.0, GOAL_WEIGHT: 0.0, TIE_VERTEX: -1}
 """Their values where nothing is asked for."""
 SCALE_SLACK = 1e-5
 """float32 rounds; a scale this much below 1 is taken as 1."""
+LARGEST_FILE_COORDINATE = 1e9
+"""Limit of coordinates in any unit: squares stay far from the overflow of float32."""
 
 
 def held_parts_of(owner: object) -> dict[str, Any]:
@@ -98,7 +100,8 @@ def checked_strands(
         attributes: what else it says of them.
 
     Raises:
-        InputError: no strand is left, the counts do not add up, or a coordinate is not finite.
+        InputError: no strand is left, the counts do not add up, or a coordinate is not finite or beyond
+            `LARGEST_FILE_COORDINATE`.
     """
     points = np.ascontiguousarray(points, dtype=np.float32).reshape(-1, 3)
     counts = np.asarray(counts, dtype=np.int64)
@@ -109,7 +112,9 @@ def checked_strands(
     strands = replace(every.select(counts >= 2), dropped=bald)
     if len(strands) == 0:
         raise InputError(source, "at least one strand of two or more points", "no strands")
-    bad = int(np.count_nonzero(~np.isfinite(strands.points).all(axis=1)))
+    is_usable = np.abs(strands.points) <= LARGEST_FILE_COORDINATE  # not so of NaN
+    bad = int(np.count_nonzero(~is_usable.all(axis=1)))
     if bad:
-        raise InputError(source, "finite coordinates", f"NaN or infinity in {bad} of {len(strands.points)} points")
+        expected = f"finite coordinates within {LARGEST_FILE_COORDINATE:g}"
+        raise InputError(source, expected, f"NaN, infinity or more in {bad} of {len(strands.points)} points")
     return strands

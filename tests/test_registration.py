@@ -320,7 +320,7 @@ def test_a_strand_out_of_reach_is_refused(groom: Groom, body: BodyModel) -> None
     with pytest.raises(InputError, match="strands within 10 m of the body's origin, found 39 of 40 there"):
         register_groom(strands, body, "damaged", frame=FileFrame("z", "-y", "m"))
     few[3, 12, 0] = 1e20
-    with pytest.raises(InputError, match="finite coordinates within 1e.09, found NaN, infinity or more in 1 of 960"):
+    with pytest.raises(InputError, match=r"finite coordinates within 1e.09, found NaN, infinity or more in 1 of 960"):
         checked_strands(few.reshape(-1, 3), strands.counts, "damaged")
 
 

@@ -222,6 +222,18 @@ def test_near_rest_one_pass_is_exact(groom: Groom) -> None:
     assert float((after / before.mean()).max()) < 0.1
 
 
+def test_settling_goes_on_where_it_was_left() -> None:
+    """Two calls are one: neither damping nor what the hair around pushes with is lost between them."""
+    scene = posed_scene(sphere_groom(strands=300))
+    energy = HairEnergy(scene.groom, terms=hair_terms("rod"))
+    at_once, in_parts = (StrandDescent(energy, scene, direction=_pulled_inwards(scene)) for _ in range(2))
+    at_once.settle(6)
+    for _ in range(6):
+        in_parts.settle(1)
+    assert in_parts.settled_energy == at_once.settled_energy
+    np.testing.assert_array_equal(in_parts.direction, at_once.direction)
+
+
 def test_held_edges_keep_their_posed_directions_and_free_hair_falls() -> None:
     groom = _half_held()
     turn = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

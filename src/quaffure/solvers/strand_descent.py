@@ -162,10 +162,14 @@ class StrandDescent:
 
     def settle(self, passes: int) -> None:
         """Passes with all terms. The energy of all hair is never higher at the end than at the start."""
-        for _ in range(passes):
+        if self._best is not None and np.array_equal(self.direction, self._best.direction):
+            # Nothing has moved since the last passes: the energy has not risen, although it has not fallen.
+            self._model_surroundings(self._best.gradient_of_others, self._damping)
+        else:
             self._update_other_hair()
+        for _ in range(passes):
             self._move(self._k_body_collision, self._control.most_turn, self._anywhere, self._control.backtracks)
-        self._update_other_hair()
+            self._update_other_hair()
 
     def follow(self, passes: int, most_move: float, most_moved: float) -> None:
         """Passes with all terms, in each of which no vertex moves by more than `most_move` [m], and in all since

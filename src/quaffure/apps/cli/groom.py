@@ -235,7 +235,7 @@ def _summary(groom: Groom) -> str:
 
 def _describe(tie: FoundTie) -> str:
     form = "wound up at" if tie.wound else "to"
-    return f"{tie.strands} {form} {' '.join(f'{value:.2f}' for value in tie.centre)} m"
+    return f"{tie.strands} {form} {' '.join(f'{value:z.2f}' for value in tie.centre)} m"
 
 
 def held_parts_of_strands(groom: Groom) -> np.ndarray:

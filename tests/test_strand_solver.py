@@ -16,6 +16,7 @@ from quaffure.drape_motion import drape_motion
 from quaffure.energies import HairEnergy, Loading, hair_terms, sag_free_rest
 from quaffure.energies.gravity import NO_ACCELERATION
 from quaffure.hair import Groom
+from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, PosedScene, Scene
 from quaffure.solvers import (
     CoherentDraper,
@@ -28,6 +29,7 @@ from quaffure.solvers import (
     StrandNewtonSetting,
     energy_and_gradient,
     solver,
+    strand_descent,
 )
 from quaffure.solvers.strand_kernels import DensityModel, Evaluation, model_surroundings, take_strands
 from quaffure.solvers.strand_recursion import LEAST_ALIGNMENT, StrandModel, newton_rotations
@@ -232,6 +234,20 @@ def test_settling_goes_on_where_it_was_left() -> None:
         in_parts.settle(1)
     assert in_parts.settled_energy == at_once.settled_energy
     np.testing.assert_array_equal(in_parts.direction, at_once.direction)
+
+
+def test_dense_hair_settles_lower_where_swings_end_half_way(body: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = clip_scene(make_groom("long_straight", body), body, "bow", slice(60, 61))
+    draper = StrandNewtonDraper()
+    energy = draper.energy_of(scene)
+
+    def settled() -> float:
+        return float(energy.per_vertex(energy.total(draper.drape(scene), scene))[0])
+
+    with_swings_halved = settled()
+    nothing = np.zeros(0, np.int64), np.zeros((0, 23, 3))
+    monkeypatch.setattr(strand_descent, "between_swings", lambda last, before: nothing)
+    assert with_swings_halved < settled() - 1e-3
 
 
 def test_held_edges_keep_their_posed_directions_and_free_hair_falls() -> None:

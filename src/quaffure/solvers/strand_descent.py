@@ -36,6 +36,7 @@ from quaffure.solvers.strand_kernels import (
 )
 from quaffure.solvers.strand_recursion import StrandModel, newton_rotations
 from quaffure.solvers.stray_strands import APART, nearest_of, stands_apart
+from quaffure.solvers.swings import Pass, between_swings
 from quaffure.types import Float, Positions, Tensor
 
 FREE_TURN = 1.5
@@ -130,6 +131,7 @@ class StrandDescent:
         self.direction = _float32(directors(scene.posed[0]) if direction is None else direction).copy()
         self.passes, self.moved = 0, np.zeros(strands, np.float32)
         self._damping, self._best = 0.0, None  # type: float, _State | None
+        self._last: Pass | None = None  # of `settle`
         # Stiffness of contact that `_now` was evaluated with; None where the directions have changed since.
         self._k_of_now: np.float32 | None = None
         self._start: np.ndarray | None = None
@@ -144,7 +146,7 @@ class StrandDescent:
 
     def run_free(self, passes: int) -> None:
         """Passes without contact and without density; tails cohere."""
-        self._best = None
+        self._best = self._last = None
         for _ in range(passes):
             self._surround_by_tails()
             self._move(np.float32(0.0), FREE_TURN, self._anywhere, backtracks=0)
@@ -152,7 +154,7 @@ class StrandDescent:
     def resolve_contact(self, share: float) -> None:
         """Push vertices that are within `share` of their margins out of the body, from root to tip; the new start."""
         resolve_strands(self.direction, self._hair, self._rod.goal_weight, self._body, np.float32(share))
-        self._best = self._k_of_now = self._start = None
+        self._best = self._last = self._k_of_now = self._start = None
 
     def run_with_contact(self, passes: int) -> None:
         """Passes with contact and without density; tails cohere."""
@@ -168,7 +170,11 @@ class StrandDescent:
         else:
             self._update_other_hair()
         for _ in range(passes):
+            start, before = self.direction.copy(), self._last
             self._move(self._k_body_collision, self._control.most_turn, self._anywhere, self._control.backtracks)
+            self._last = Pass(self.direction.copy(), self.direction - start, 1 + before.index if before else 0)
+            if before is not None and before.index > 0:
+                self._go_between(self._last, before)
             self._update_other_hair()
 
     def follow(self, passes: int, most_move: float, most_moved: float) -> None:
@@ -205,7 +211,7 @@ class StrandDescent:
         strays, others = np.flatnonzero(is_stray), np.flatnonzero(may_be & ~is_stray)
         if len(strays) and len(others):
             self.direction[strays] = self.direction[nearest_of(self._hair.root, strays, others)]
-            self._best = self._k_of_now = self._start = None
+            self._best = self._last = self._k_of_now = self._start = None
         return len(strays)
 
     @property
@@ -243,6 +249,13 @@ class StrandDescent:
             self._best = _State(total, self.direction.copy(), gradient)
             self._damping = 0.5 * self._damping if self._damping > 0.1 else 0.0
         self._model_surroundings(self._best.gradient_of_others, self._damping)
+
+    def _go_between(self, last: Pass, before: Pass) -> None:
+        """Move strands that swing to between where the two passes ended."""
+        swinging, direction = between_swings(last, before)
+        self.direction[swinging] = direction
+        hair = self._hair, self._rod, self._around, self._body
+        evaluate_strands(self.direction, swinging, *hair, self._k_body_collision, self._now)
 
     def _with_other_hair(self) -> tuple[float, np.ndarray]:
         """Energy of all terms [J], and the gradient of those between strands."""

@@ -172,8 +172,8 @@ class StrandDescent:
         for _ in range(passes):
             start, before = self.direction.copy(), self._last
             self._move(self._k_body_collision, self._control.most_turn, self._anywhere, self._control.backtracks)
-            self._last = Pass(self.direction.copy(), self.direction - start, 1 + before.index if before else 0)
-            if before is not None and before.index > 0:
+            self._last = Pass(self.direction.copy(), self.direction - start, 1 + before.number if before else 0)
+            if before is not None and before.number > 0:
                 self._go_between(self._last, before)
             self._update_other_hair()
 

@@ -20,12 +20,12 @@ class Pass(NamedTuple):
     Attributes:
         reached: unit directions where it ended [strand edge 3].
         change: from where it began.
-        index: of the pass, since the strands began to settle.
+        number: of passes before it since the strands began to settle.
     """
 
     reached: Float[np.ndarray, "s e 3"]
     change: Float[np.ndarray, "s e 3"]
-    index: int
+    number: int
 
 
 def between_swings(last: Pass, before: Pass) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k e 3"]]:

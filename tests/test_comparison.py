@@ -35,13 +35,14 @@ from quaffure.benchmark.machine_facts import machine
 from quaffure.benchmark.metrics import metrics, total_energy
 from quaffure.body import CLIP_NAMES, BodyModel, Motion, bundled_clip
 from quaffure.drape_motion import drape_motion
-from quaffure.energies import Gravity, HairEnergy, HairState, SelfCollision, terms_of_design
+from quaffure.draper import Draper
+from quaffure.energies import Gravity, HairEnergy, HairState, Loading, SelfCollision, hair_terms, terms_of_design
 from quaffure.hair import Groom
 from quaffure.model import DirectionNetwork, NetworkConfig, NeuralDraper, build_network
 from quaffure.model.quaffure_model import WEIGHTS
 from quaffure.procedural import HELD_OUT, STYLES, make_groom
 from quaffure.scene import HairScene, Scene
-from quaffure.solvers import AdamDraper, SettledDraper, StrandNewtonDraper, XpbdDraper, XpbdSetting
+from quaffure.solvers import AdamDraper, DesignSolver, SettledDraper, StrandNewtonDraper, XpbdDraper, XpbdSetting
 from quaffure.types import Energy, Float, Positions, Tensor
 
 STRANDS = 40
@@ -222,6 +223,13 @@ def test_whatever_decides_a_drape_is_in_its_key(tmp_path: Path, case: Evaluation
     assert not known(of=moved(1e-4, slice(7, 8)))
     assert not known(of=replace(case, groom=replace(case.groom, root_uv=case.groom.root_uv + 1e-2)))
     assert not known(of=replace(case, groom=case.groom.select(torch.arange(STRANDS - 1))))
+    for part, value in {"stiffness_scale": 1.0, "goal_weight": 1e-5, "tie_vertex": 3}.items():
+        shape = (STRANDS,) if part == "tie_vertex" else (STRANDS, case.groom.rest_strands.shape[1] - 1)
+        held = replace(case.groom, **{part: torch.full(shape, value)})
+        assert not known(of=replace(case, groom=held))
+        key = draper.cache.groom_key(held)
+        assert draper.cache.groom_key(replace(held, name="another")) == key
+        assert draper.cache.groom_key(replace(held, **{part: torch.full(shape, 2 * value)})) != key
     assert not known(of=replace(case, body_shape=case.body_shape + 1e-6))
     assert not known(of=replace(case, motion=replace(case.motion, body_pose=case.motion.body_pose + 1e-6)))
 
@@ -247,8 +255,31 @@ def test_weights_settings_and_material_are_in_the_key_of_a_draper() -> None:
         draper_key(PosedDraper()),
         draper_key(AdamDraper(terms=(Gravity(),))),
         draper_key(AdamDraper(terms=(SelfCollision(),))),
+        draper_key(XpbdDraper(terms=hair_terms("rod"))),
+        draper_key(StrandNewtonDraper()),
+        draper_key(StrandNewtonDraper(terms=hair_terms("rod"))),
+        draper_key(StrandNewtonDraper(terms=hair_terms("rod", stiffness=2.0))),
     }
-    assert len(keys) == 8
+    assert len(keys) == 12
+
+
+def test_a_draper_that_starts_from_another_knows_the_loadings_that_both_know(groom: Groom, body: BodyModel) -> None:
+    soft = Loading(stiffness=0.5)
+
+    def drapes(draper: Draper) -> bool:
+        return Method("row", draper).drapes(groom, body, soft)
+
+    newton = StrandNewtonDraper()
+    of_directions, of_displacements = (
+        NeuralDraper(build_network(NetworkConfig(output=output, texel_channels=4, strand_width=8)), HairMaterial())
+        for output in ("directions", "displacement")
+    )
+    assert drapes(newton)
+    assert drapes(SettledDraper(of_directions, newton, 3))
+    assert not drapes(SettledDraper(of_displacements, newton, 3))
+    assert drapes(SettledDraper(PosedDraper(), newton, 3))
+    assert drapes(DesignSolver("lbfgs", HairMaterial(), start=of_directions))
+    assert not drapes(DesignSolver("lbfgs", HairMaterial(), start=of_displacements))
 
 
 class _Shifted(DirectionNetwork):

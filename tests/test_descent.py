@@ -22,6 +22,7 @@ from quaffure.solvers import (
     energy_and_gradient,
     solver,
 )
+from quaffure.solvers.descent import Directions
 from quaffure.solvers.stopping import relative_gradient, without_tensions
 from tests.scenes import bent_inwards, posed_scene, sphere_groom
 from tests.test_xpbd import strands_by_hand
@@ -64,6 +65,18 @@ def test_free_strands_descend_towards_the_closed_form(
     assert least < most
     assert share < (most - report.energy) / (most - least) < 1.001
     assert torch.equal(draped[:, :, 0], scene.posed[:, :, 0])
+
+
+@pytest.mark.parametrize("acceleration", [(0.0, 0.0, 0.0), (3.0, 0.0, -9.0)])
+def test_descent_starts_from_the_equilibrium_under_the_acceleration_of_the_energy(
+    acceleration: tuple[float, float, float],
+) -> None:
+    scene = posed_scene(sphere_groom(strands=12))
+    energy = HairEnergy(scene.groom, SOFT, hair_terms(acceleration=acceleration))
+    pull = energy.rest.rest_length * energy.rest.mass_beyond / SOFT.k_cosserat
+    expected = scene.director + pull[..., None] * torch.tensor(acceleration)
+    expected = torch.nn.functional.normalize(expected, dim=-1)
+    torch.testing.assert_close(Directions(energy, scene).values.detach(), expected)
 
 
 def test_lbfgs_on_directions_pushes_the_sag_out_of_the_body_and_keeps_lengths() -> None:

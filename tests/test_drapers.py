@@ -109,10 +109,10 @@ def test_a_reference_of_another_motion_is_refused() -> None:
 
 
 def test_every_name_of_the_list_makes_its_draper() -> None:
-    """`xpbd_paper` is `xpbd` with the paper's setting; `groomgen` needs weights of the user."""
+    """`groomgen` needs weights of the user."""
     for name in DRAPERS:
         if name != GROOMGEN:
-            assert make_draper(name).name == {"xpbd_paper": "xpbd"}.get(name, name)
+            assert make_draper(name).name == name
     assert {*LIVE_DRAPERS} < {*DRAPERS}
     with pytest.raises(InputError, match="draper: expected one of"):
         make_draper("comb")

@@ -383,6 +383,27 @@ def test_a_perfect_fit_costs_nothing_and_is_fitted_to_the_end(body: BodyModel, m
     assert rounds[-1] == FINE_ROUNDS - TRIAL_ROUNDS
 
 
+def test_held_parts_of_a_registered_groom_stay_at_their_vertices(groom: Groom, body: BodyModel) -> None:
+    """Also where vertices are not evenly spaced, as after an edit."""
+    few = groom.rest_strands[::20].clone()
+    few[:, 12] = 0.1 * few[:, 11] + 0.9 * few[:, 13]
+    edges = torch.arange(23).expand(len(few), -1)
+    held = {
+        "stiffness_scale": 1.0 + edges,
+        "goal_weight": 1e-5 * (edges < 5),
+        "tie_vertex": torch.full((len(few),), 12),
+    }
+    file = as_file(few.numpy())
+    points = {
+        name: np.pad(held[name].numpy(), ((0, 0), (0, 1)), "edge").ravel()
+        for name in ("stiffness_scale", "goal_weight")
+    }
+    file = replace(file, **points, tie_vertex=held["tie_vertex"].numpy())
+    again, _ = register_groom(file, body, "again", frame=FileFrame(registered=True))
+    for name, values in held.items():
+        torch.testing.assert_close(getattr(again, name), values, check_dtype=False)
+
+
 def test_a_registered_groom_is_not_moved(groom: Groom, body: BodyModel) -> None:
     few, known = groom.rest_strands[::20], FileFrame(registered=True)
     again, report = register_groom(as_file(few.numpy()), body, "again", frame=known)

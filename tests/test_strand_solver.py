@@ -403,6 +403,12 @@ def test_limits_of_a_frame_grow_with_its_time(
     assert setting.most_move == follower.setting.most_move
 
 
+def test_frames_of_a_short_time_keep_the_passes_that_damping_compares() -> None:
+    setting = CoherentSetting().over(1 / 60)
+    assert (setting.passes, setting.most_passes) == (2, 2)
+    assert setting.most_moved == pytest.approx(0.019)
+
+
 def test_hair_falls_no_further_behind_where_frames_are_left_out(body: BodyModel) -> None:
     groom, shape = few_strands(body), torch.zeros(10)
     motion = bundled_clip("neck_turn", body).frames("20:53")

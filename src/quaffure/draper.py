@@ -80,7 +80,8 @@ class StoppingReport:
     Attributes:
         energy: mean energy of the samples [J].
         relative_gradient: of the worst sample, as `quaffure.solvers.stopping` defines it.
-        iterations: energy evaluations, of a part of the strands in proportion; sweeps of XPBD.
+        iterations: energy evaluations, of a part of the strands in proportion; sweeps of XPBD; of
+            `strand_newton` the passes that led to the shape that is returned.
         seconds: wall time.
     """
 

@@ -13,9 +13,10 @@ from quaffure.energies.by_name import MODIFIED_COSSERAT, ROD
 from quaffure.errors import InputError
 from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_model import PAPER, load_model
-from quaffure.solvers.by_name import PAPER_XPBD, SOLVERS, solver
+from quaffure.solvers.by_name import SOLVERS, solver
 from quaffure.solvers.coherent_clip import CoherentDraper
 from quaffure.solvers.strand_newton import StrandNewtonDraper
+from quaffure.solvers.xpbd import PaperXpbdDraper
 
 POSED, NEURAL, GROOMGEN = PosedDraper.name, NeuralDraper.name, GroomGenDraper.name
 STRAND_NEWTON = StrandNewtonDraper.name
@@ -32,7 +33,7 @@ def elastic_model_of(name: str, model: str | None = None) -> str:
         name: one of `DRAPERS`.
         model: shipped weights by their name (`quaffure.model.MODELS`).
     """
-    return MODIFIED_COSSERAT if name in (PAPER_XPBD, GROOMGEN) or model == PAPER else ROD
+    return MODIFIED_COSSERAT if name in (PaperXpbdDraper.name, GROOMGEN) or model == PAPER else ROD
 
 
 def load_trained(name: str, weights: str | Path | None = None) -> tuple[Draper, dict[str, str]]:

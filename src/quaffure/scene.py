@@ -73,7 +73,7 @@ class BodyBatch:
         return self.body.skin(self.body_shape, rotations, positions, self.offsets)
 
     def rows(self, rows: slice) -> "BodyBatch":
-        """Some of the bodies, not posed again."""
+        """Some of the bodies; their joints are not posed again, their skins are."""
         surfaces = (None if values is None else values[rows] for values in (self.offsets, self.vertices))
         part = BodyBatch(self.body, self.body_pose[rows], self.body_shape[rows], *surfaces)
         part.__dict__["joints"] = self.joints.rows(rows)

@@ -9,7 +9,9 @@ import torch
 from quaffure.digest import array_digest
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
+from quaffure.hair.strands import held_parts_of
 from quaffure.io.atomic import replacing
+from quaffure.io.held_parts import HELD_PARTS_SPEC
 from quaffure.io.output_path import made_folder
 from quaffure.npz import REAL, TEXT, Spec, read_arrays
 from quaffure.types import Float, Tensor
@@ -19,6 +21,8 @@ SAME_GROOM = 1e-5
 DRAPE: Spec = {"strands": (("S", "N", 3), (np.float32,)), "milliseconds": ((), REAL), "machine": ((), TEXT)}
 """Times below zero are unknown."""
 GROOM: Spec = {"rest_strands": (("S", "N", 3), REAL), "root_uv": (("S", 2), REAL)}
+HELD_PARTS_TOLERANCE = 1e-5
+"""Relative: held parts are the same where none differs by more."""
 
 
 @dataclass(frozen=True)
@@ -65,30 +69,35 @@ class DrapeCache:
             np.savez(temporary, strands=drape.strands.numpy(), milliseconds=taken, machine=drape.machine, made=made)
 
     def groom_key(self, groom: Groom) -> str:
-        """Digest of the groom in this folder that is the same within `SAME_GROOM`; where there is none, of this one,
-        which the folder keeps.
+        """Digest of the groom in this folder that is the same within `SAME_GROOM` and `HELD_PARTS_TOLERANCE`; where
+        there is none, of this one, which the folder keeps.
 
         No groom is the same to the last bit on another processor or freshly compiled.
         """
-        strands, root_uv = groom.rest_strands.numpy(), groom.root_uv.numpy()
+        own = {name: getattr(groom, name).numpy() for name in GROOM}
+        own |= {name: values.numpy() for name, values in held_parts_of(groom).items()}
         folder = made_folder(self.folder / "grooms", "a folder for grooms")
         for path in sorted(folder.glob("*.npz")):
-            kept = _read_arrays(path, GROOM)
-            if _same(kept.get("rest_strands"), strands) and _same(kept.get("root_uv"), root_uv):
+            if _is_same(_read_arrays(path, GROOM, HELD_PARTS_SPEC), own):
                 return path.stem
-        key = array_digest(strands, root_uv)
+        key = array_digest(*own.values())
         with replacing(folder / f"{key}.npz") as temporary:
-            np.savez(temporary, rest_strands=strands, root_uv=root_uv)
+            np.savez(temporary, **own)
         return key
 
 
-def _read_arrays(path: Path, spec: Spec) -> dict[str, np.ndarray]:
+def _read_arrays(path: Path, spec: Spec, optional: Spec | None = None) -> dict[str, np.ndarray]:
     """Nothing of a file that is lost or damaged."""
     try:
-        return read_arrays(path, spec, "a file of the cache")[0]
+        return read_arrays(path, spec, "a file of the cache", optional)[0]
     except InputError:
         return {}
 
 
-def _same(kept: np.ndarray | None, own: np.ndarray) -> bool:
-    return kept is not None and kept.shape == own.shape and bool(np.abs(kept - own).max() <= SAME_GROOM)
+def _is_same(kept: dict[str, np.ndarray], own: dict[str, np.ndarray]) -> bool:
+    """Whether arrays of a file are those of a groom."""
+    if kept.keys() != own.keys() or any(kept[name].shape != values.shape for name, values in own.items()):
+        return False
+    if any(np.abs(kept[name] - own[name]).max() > SAME_GROOM for name in GROOM):
+        return False
+    return all(np.allclose(kept[name], own[name], HELD_PARTS_TOLERANCE, 0.0) for name in own.keys() - GROOM.keys())

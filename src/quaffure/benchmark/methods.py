@@ -49,9 +49,7 @@ class Method:
             return False
         if loading == STANDARD_LOADING:
             return True
-        if isinstance(self.draper, NeuralDraper):
-            return self.draper.reads_loading
-        return isinstance(self.draper, LoadDependentDraper)
+        return _reads_loading(self.draper)
 
     def with_loading(self, loading: Loading) -> Draper:
         """The draper under a loading that it knows."""
@@ -59,6 +57,14 @@ class Method:
             return self.draper
         assert isinstance(self.draper, LoadDependentDraper)
         return self.draper.with_loading(loading)
+
+
+def _reads_loading(draper: Draper) -> bool:
+    """Whether a draper, and the one that it starts from, knows other loadings than the standard one."""
+    if isinstance(draper, NeuralDraper):
+        return draper.reads_loading
+    start: Draper | None = getattr(draper, "start", None)
+    return isinstance(draper, LoadDependentDraper) and (start is None or _reads_loading(start))
 
 
 def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:

@@ -24,10 +24,10 @@ from quaffure.solvers.by_name import Solver
 from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
 from quaffure.solvers.stopping import energy_and_gradient, relative_gradient
 from quaffure.solvers.strand_newton import StrandNewtonDraper, StrandNewtonSetting
-from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting, paper_setting
+from quaffure.solvers.xpbd import PaperXpbdDraper, XpbdDraper, XpbdSetting, paper_setting
 from quaffure.types import Positions
 
-PAPER = "xpbd_paper"
+PAPER = PaperXpbdDraper.name
 PAPER_STEPS = 2
 """Steps that are measured of the paper's 30; the time of all is extrapolated."""
 

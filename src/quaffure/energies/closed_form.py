@@ -9,7 +9,11 @@ from quaffure.types import EdgeVectors, Float, RestLengths, Scalar, Tensor
 
 
 def equilibrium_vectors(
-    director: EdgeVectors, rest_length: RestLengths, mass_beyond: Float[Tensor, "s e"], k_cosserat: Scalar
+    director: EdgeVectors,
+    rest_length: RestLengths,
+    mass_beyond: Float[Tensor, "s e"],
+    k_cosserat: Scalar,
+    acceleration: tuple[float, float, float] = GRAVITY,
 ) -> EdgeVectors:
     """d3 + (l M / k) g: along the edges at the minimum of Eqs. 6 and 9, dimensionless.
 
@@ -17,4 +21,4 @@ def equilibrium_vectors(
     by it they are the edges at the minimum when no edge may change its length.
     """
     pull = rest_length * mass_beyond / k_cosserat
-    return director + pull[..., None] * director.new_tensor(GRAVITY)
+    return director + pull[..., None] * director.new_tensor(acceleration)

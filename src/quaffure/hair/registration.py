@@ -27,6 +27,7 @@ from quaffure.hair.registration_report import (
 )
 from quaffure.hair.resample import (
     has_length,
+    held_parts_by_strand,
     resample_by_arc_length,
     resample_held_parts,
     without_degenerate,
@@ -84,8 +85,8 @@ def register_groom(
     groom's own head, if given, to our head) with a similarity transform. Strands stored from tip to root are turned
     round, and those of a beard or of eyebrows are left out. Each strand is then translated so that its root is the
     nearest point of the scalp; strands are projected out of the body with their lengths kept. Their stiffness, goals
-    and ties are kept. Strands of a groom that stands on this body already stay where they are, and are resampled only
-    where they have another number of vertices.
+    and ties are kept, but for strands that are turned round. Strands of a groom that stands on this body already stay
+    where they are, and are resampled only where they have another number of vertices.
 
     Args:
         frame: what is known of the file's axes and unit.
@@ -115,7 +116,7 @@ def register_groom(
         raise InputError(strands.source, fit, f"{100 * inside:.0f} % in the best fit")
     rest = placed if frame.registered else pushed_out(placed, surface)
     # Held parts count vertices from the root: a file that stores tips first knows none.
-    parts = {} if found.turned else resample_held_parts(usable)
+    parts = {} if found.turned else _held_parts(usable, frame)
     held_parts = {
         part: torch.from_numpy(_unasked_where(values, found.turned_strands, part)[kept_parts][near])
         for part, values in parts.items()
@@ -150,7 +151,7 @@ def _aligned(
     strands: Strands, body: BodyModel, head: HeadMesh | None, frame: FileFrame
 ) -> tuple[GroomAlignment, Alignment, HeadFit | None]:
     """Which strands are which, the transform to our body, and how a head fits ours."""
-    if frame.registered and (strands.counts == VERTICES_PER_STRAND).all():
+    if _keeps_vertices(strands, frame):
         polylines = strands.points.reshape(-1, VERTICES_PER_STRAND, 3).astype(np.float64)
     else:
         polylines = resample_by_arc_length(strands, VERTICES_PER_STRAND).astype(np.float64)
@@ -164,6 +165,15 @@ def _aligned(
     if frame.mirror:
         head = HeadMesh(head.vertices @ MIRROR, head.faces[:, ::-1])
     return found, *_align_heads(found.alignment, head, found.polylines[found.on_scalp][:, 0], body)
+
+
+def _keeps_vertices(strands: Strands, frame: FileFrame) -> bool:
+    return frame.registered and bool((strands.counts == VERTICES_PER_STRAND).all())
+
+
+def _held_parts(strands: Strands, frame: FileFrame) -> dict[str, np.ndarray]:
+    """Held parts, as in `Groom`, on the vertices that the strands get."""
+    return held_parts_by_strand(strands) if _keeps_vertices(strands, frame) else resample_held_parts(strands)
 
 
 def _unasked_where(values: np.ndarray, turned: Bool[np.ndarray, " s"], part: str) -> np.ndarray:

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
 from quaffure.hair.strand_attributes import concatenate_attributes
-from quaffure.hair.strands import GOAL_WEIGHT, HELD_PARTS, STIFFNESS_SCALE, TIE_VERTEX, UNASKED, Strands
+from quaffure.hair.strands import GOAL_WEIGHT, HELD_PARTS, STIFFNESS_SCALE, TIE_VERTEX, UNASKED, Strands, held_parts_of
 
 # A strand shorter than this share of the median strand is a point, not a hair.
 SHORTEST = 0.02
@@ -129,6 +129,14 @@ def resample_held_parts(strands: Strands, vertices: int = VERTICES_PER_STRAND) -
         nearest = np.rint(place * (vertices - 1)).astype(np.int64)
         parts[TIE_VERTEX] = np.where(strands.tie_vertex >= 0, nearest, -1)
     return parts
+
+
+def held_parts_by_strand(strands: Strands) -> dict[str, np.ndarray]:
+    """Those of `HELD_PARTS` that the strands have, as in `Groom`; all strands have as many points."""
+    return {
+        name: values if name == TIE_VERTEX else values.reshape(len(strands), -1)[:, :-1]
+        for name, values in held_parts_of(strands).items()
+    }
 
 
 def _check_lengths(strands: Strands) -> None:

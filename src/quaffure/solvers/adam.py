@@ -18,7 +18,7 @@ TERM_VARIABLES_RATE = 0.03
 
 
 class AdamDraper(DescentDraper):
-    """Minimizes `HairEnergy` over directions, from the closed-form gravity equilibrium.
+    """Minimizes `HairEnergy` over directions, with Eqs. 6 and 9 from their closed-form equilibrium, else as posed.
 
     Of 0.03, 0.1, 0.3 and 0.6 the rate of 0.3 went lowest after 100 and after 300 steps, on a straight and on a curly
     groom: see the sweep in docs/solvers.md.

@@ -15,7 +15,7 @@ from quaffure.scene import Scene
 from quaffure.solvers.adam import AdamDraper, AdamPositionsDraper
 from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
 from quaffure.solvers.strand_newton import StrandNewtonDraper
-from quaffure.solvers.xpbd import XpbdDraper, paper_setting
+from quaffure.solvers.xpbd import PaperXpbdDraper, XpbdDraper
 from quaffure.types import Positions
 
 
@@ -41,11 +41,9 @@ def _with_terms(kind: Callable[..., Draper]) -> Callable[[HairMaterial, Terms | 
     return lambda material, terms: kind(material, terms=terms)
 
 
-PAPER_XPBD = "xpbd_paper"
 _OF_TERMS = (AdamDraper, AdamPositionsDraper, LbfgsDraper, LbfgsPositionsDraper, XpbdDraper)
 _DRAPERS: dict[str, Callable[[HairMaterial, Terms | None], Draper]] = {
-    **{kind.name: _with_terms(kind) for kind in (StrandNewtonDraper, *_OF_TERMS)},
-    PAPER_XPBD: lambda material, terms: XpbdDraper(material, paper_setting(), terms),
+    **{kind.name: _with_terms(kind) for kind in (StrandNewtonDraper, *_OF_TERMS, PaperXpbdDraper)},
     PosedDraper.name: lambda material, terms: PosedDraper(material),
 }
 SOLVERS = tuple(_DRAPERS)

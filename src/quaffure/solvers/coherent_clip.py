@@ -22,6 +22,8 @@ from quaffure.types import Float, Positions, RestLengths, Tensor
 
 FRAME_SECONDS = 1 / 30
 """Time between frames that settings are meant for [s]."""
+LEAST_PASSES = 2
+"""Of a frame: `OscillationDamping` compares the displacements of two."""
 BLENDED_EDGES = 6
 """Edges from the root over which a strand that turns less than its scalp goes over to the smaller angle."""
 
@@ -61,12 +63,12 @@ class CoherentSetting:
 
     def over(self, seconds: float) -> "CoherentSetting":
         """The setting for frames that are further apart, or nearer: hair and roots are as fast as before, and hair
-        has as many passes a second, so that it does not fall behind."""
+        has as many passes a second, so that it does not fall behind, but `LEAST_PASSES` a frame."""
         frames = seconds / FRAME_SECONDS
         return replace(
             self,
-            passes=max(1, round(frames * self.passes)),
-            most_passes=max(1, round(frames * self.most_passes)),
+            passes=max(LEAST_PASSES, round(frames * self.passes)),
+            most_passes=max(LEAST_PASSES, round(frames * self.most_passes)),
             most_moved=frames * self.most_moved,
             most_with_head=frames * self.most_with_head,
             cut_distance=frames * self.cut_distance,
@@ -77,8 +79,9 @@ class CoherentSetting:
 class CoherentDraper:
     """Drapes the frames of a clip in the order in which they come, by Newton's method on single strands.
 
-    The first frame, one of another or a changed groom, and one after a cut are settled as `StrandNewtonDraper` does.
-    The same frames in the same order give the same bits with any number of threads.
+    The first frame, one of another or a changed groom, and one after a cut are settled as `StrandNewtonDraper` does;
+    strands that then stand apart rejoin the others. The same frames in the same order give the same bits with any
+    number of threads.
 
     Attributes:
         draper: of frames that start anew.

@@ -57,7 +57,8 @@ def _own_start(energy: HairEnergy, scene: HairScene) -> EdgeVectors:
     vectors = scene.director.clone()
     if not {StretchShear, Gravity} <= {type(term) for term in energy.terms}:
         return vectors
-    return equilibrium_vectors(vectors, energy.rest.rest_length, energy.rest.mass_beyond, energy.material.k_cosserat)
+    rest, k_cosserat = energy.rest, energy.material.k_cosserat
+    return equilibrium_vectors(vectors, rest.rest_length, rest.mass_beyond, k_cosserat, energy.acceleration)
 
 
 class Offsets:

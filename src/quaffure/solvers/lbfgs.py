@@ -16,7 +16,8 @@ HISTORY_SIZE = 20
 
 
 class LbfgsDraper(DescentDraper):
-    """Minimizes `HairEnergy` over directions, from the closed-form gravity equilibrium; lengths are kept exactly.
+    """Minimizes `HairEnergy` over directions, with Eqs. 6 and 9 from their closed-form equilibrium, else as posed.
+    Lengths are kept exactly.
 
     Unlike those of the other drapers, its last bits depend on the number of threads: torch's optimizer takes inner
     products by MKL.

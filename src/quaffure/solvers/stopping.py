@@ -45,7 +45,8 @@ def energy_and_gradient(
 
 
 def relative_gradient(energy: HairEnergy, positions: Positions, gradient: Positions) -> Float[Tensor, " b"]:
-    """Norm of the gradient without what tensions balance, over the norm of gravity's whole gradient."""
+    """Norm of the gradient without what tensions balance, over the norm of that of the weight on earth, which gravity
+    that is tilted or missing leaves as it is."""
     weights = STANDARD_GRAVITY * energy.rest.mass[:, 1:].norm()
     return without_tensions(positions, gradient).flatten(1).norm(dim=1) / weights
 

@@ -146,7 +146,7 @@ class StrandDescent:
 
     def run_free(self, passes: int) -> None:
         """Passes without contact and without density; tails cohere."""
-        self._best = self._last = None
+        self._forget()
         for _ in range(passes):
             self._surround_by_tails()
             self._move(np.float32(0.0), FREE_TURN, self._anywhere, backtracks=0)
@@ -154,10 +154,11 @@ class StrandDescent:
     def resolve_contact(self, share: float) -> None:
         """Push vertices that are within `share` of their margins out of the body, from root to tip; the new start."""
         resolve_strands(self.direction, self._hair, self._rod.goal_weight, self._body, np.float32(share))
-        self._best = self._last = self._k_of_now = self._start = None
+        self._forget()
 
     def run_with_contact(self, passes: int) -> None:
         """Passes with contact and without density; tails cohere."""
+        self._forget()
         for _ in range(passes):
             self._surround_by_tails()
             self._move(self._k_body_collision, self._control.most_turn, self._anywhere, self._control.backtracks)
@@ -211,7 +212,7 @@ class StrandDescent:
         strays, others = np.flatnonzero(is_stray), np.flatnonzero(may_be & ~is_stray)
         if len(strays) and len(others):
             self.direction[strays] = self.direction[nearest_of(self._hair.root, strays, others)]
-            self._best = self._last = self._k_of_now = self._start = None
+            self._forget()
         return len(strays)
 
     @property
@@ -229,6 +230,10 @@ class StrandDescent:
     def settled_energy(self) -> float:
         """Energy of all terms where `settle` has ended [J]; infinite before."""
         return math.inf if self._best is None else self._best.energy
+
+    def _forget(self) -> None:
+        """Take the directions of now for the start."""
+        self._best = self._last = self._k_of_now = self._start = None
 
     def _evaluate(self, k_body_collision: np.float32) -> None:
         """Bring `_now` up to date, where it is not."""

@@ -96,7 +96,7 @@ class StrandNewtonDraper:
         self.material = material or HairMaterial()
         self.setting = setting or StrandNewtonSetting()
         self.loading = STANDARD_LOADING
-        self._terms = terms
+        self.terms = terms
         self._energy: tuple[GroomCopy, tuple[BodyModel | None, Loading], HairEnergy] | None = None
 
     def with_loading(self, loading: Loading) -> "StrandNewtonDraper":
@@ -107,7 +107,7 @@ class StrandNewtonDraper:
                 hair.
         """
         loading.check()
-        if self._terms is not None:
+        if self.terms is not None:
             raise InputError(f"solver {self.name}", "no energy terms, to drape under another loading", "terms")
         other = StrandNewtonDraper(self.material, self.setting)
         other.loading = loading
@@ -123,10 +123,10 @@ class StrandNewtonDraper:
         Raises:
             InputError: the draper has no terms, and the scene no body on which hair was designed.
         """
-        body = None if self._terms is not None else self._body_of(scene)
+        body = None if self.terms is not None else self._body_of(scene)
         of, kept = (body, self.loading), self._energy
         if kept is None or not kept[0].is_of(scene.groom) or kept[1] != of:
-            terms = self._terms
+            terms = self.terms
             if body is not None:
                 terms = terms_of_design(scene.groom, body, self.material, self.loading)
             kept = GroomCopy(scene.groom), of, HairEnergy(scene.groom, self.material, terms)

@@ -5,11 +5,12 @@ u_(i+1) = u_i + l_i theta_i x t_i, so that lengths stay. What lies beyond an edg
 (u_i, theta_(i-1)) alone; eliminating theta_i from it costs a few products of 3 x 3 matrices, and no matrix of a whole
 strand is ever formed. Per edge the model of the energy is
 
-    (theta_i - theta_(i-1))^T D_i (theta_i - theta_(i-1)) / 2 + max(F_i . t_i, 0) l_i |theta_i x t_i|^2 / 2
+    (theta_i - theta_(i-1))^T D_i (theta_i - theta_(i-1)) / 2 + (max(F_i . t_i, 0) l_i + w_i) |theta_i x t_i|^2 / 2
 
 and per vertex G . u + u^T (c n n^T + h I) u / 2: D_i is the Gauss-Newton matrix of the joint, F_i the force on all
-beyond the edge (tension stiffens), G the gradient of the whole energy, c and n stiffness and normal of the contact and
-h a stiffness in all directions. Twist is theta's part along the edge; eliminated with the rest, it is quasi-static.
+beyond the edge (tension stiffens), w_i the weight of its goal, G the gradient of the whole energy, c and n stiffness
+and normal of the contact and h a stiffness in all directions. Twist is theta's part along the edge; eliminated with the
+rest, it is quasi-static.
 """
 
 from typing import NamedTuple

@@ -2,7 +2,8 @@
 
 All strands move at once, each against the others where they were, so that neighbours that give way to each other go too
 far, and come back in the next pass. Their rest is between: Anderson's acceleration [Anderson 1965] of depth one, strand
-by strand, and nothing for strands that go on in their direction, where it would extrapolate.
+by strand, and nothing for strands that go on in their direction, where it would extrapolate. A pass that was undone
+counts as the others: without it the energy ends higher.
 """
 
 from typing import NamedTuple

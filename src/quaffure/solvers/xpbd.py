@@ -143,7 +143,7 @@ class XpbdDraper:
             refuse_other_terms(self.name, terms)
         self.material = material or HairMaterial()
         self.setting = setting or XpbdSetting()
-        self._terms = terms
+        self.terms = terms
 
     def drape(self, scene: HairScene) -> Positions:
         return self.solve(scene)[0]
@@ -151,7 +151,7 @@ class XpbdDraper:
     def solve(self, scene: HairScene) -> tuple[Positions, StoppingReport]:
         """Draped vertices [m] and where the solver stopped; its iterations are the sweeps of one sample."""
         begin = time.perf_counter()
-        energy = HairEnergy(scene.groom, self.material, self._terms)
+        energy = HairEnergy(scene.groom, self.material, self.terms)
         draped = torch.empty_like(scene.posed)
         for sample in range(len(draped)):
             hair = HairInMotion(scene.sample(sample), energy)
@@ -161,6 +161,19 @@ class XpbdDraper:
         seconds = time.perf_counter() - begin
         sweeps = self.setting.steps * self.setting.iterations
         return draped, stopping_report(energy, scene, draped, sweeps, seconds)
+
+
+class PaperXpbdDraper(XpbdDraper):
+    """`XpbdDraper` with the paper's setting, `paper_setting`."""
+
+    name = "xpbd_paper"
+
+    def __init__(self, material: HairMaterial | None = None, terms: Terms | None = None) -> None:
+        """
+        Raises:
+            InputError: as `XpbdDraper` does.
+        """
+        super().__init__(material, paper_setting(), terms)
 
 
 class HairInMotion:

@@ -76,8 +76,8 @@ def test_frames_are_kept(tmp_path: Path) -> None:
     store.close()
     again = folder(tmp_path / "frames", resume=True)
     assert (len(again), again.milliseconds) == (TOTAL, store.milliseconds)
-    assert again.follows is not None
-    np.testing.assert_array_equal(again.follows, STATE + 2)
+    assert again.draper_state is not None
+    np.testing.assert_array_equal(again.draper_state, STATE + 2)
 
 
 @pytest.mark.parametrize("name", Frames._fields)
@@ -90,8 +90,8 @@ def test_what_a_killed_run_left_of_a_batch_is_cut_off(tmp_path: Path, name: str)
         np.save(tmp_path / "frames" / "state-4.npy", STATE)  # removed after a batch is whole
         again = folder(tmp_path / "frames", resume=True)
         assert (len(again), again.milliseconds) == (BATCH, [0.0])
-        assert again.follows is not None
-        np.testing.assert_array_equal(again.follows, STATE)
+        assert again.draper_state is not None
+        np.testing.assert_array_equal(again.draper_state, STATE)
         for number, batch in enumerate([*batches()][1:], 1):
             again.append(batch, BatchState(float(number)))
         for expected, found in zip(WHOLE, again.frames()):
@@ -233,7 +233,7 @@ def test_kept_frames_of_other_strands_are_refused(tiny_groom_file: Path, body: B
         drape_motion(PosedDraper(HairMaterial()), fewer, body, motion, torch.zeros(10), store=store)
     draper = CoherentDraper(solver("strand_newton"))
     with pytest.raises(InputError, match="state: expected numbers"):
-        draper.follow(Scene(groom, BodyBatch(body, motion.body_pose, torch.zeros(2, 10))), torch.zeros(3, 7))
+        draper.resume(Scene(groom, BodyBatch(body, motion.body_pose, torch.zeros(2, 10))), torch.zeros(3, 7))
 
 
 def test_a_disk_that_is_full_in_the_first_batch_leaves_nothing(

@@ -102,6 +102,6 @@ def test_a_clip_goes_on_from_its_state(body: BodyModel) -> None:
     first.drape(half)
     assert first.state is not None
     assert float(first.state[:, -1].max()) > 0.0
-    later.follow(half, first.state)
+    later.resume(half, first.state)
     rest = Scene(groom, BodyBatch(body, scene.bodies.body_pose[2:], scene.bodies.body_shape[2:]))
     assert torch.equal(later.drape(rest), whole[2:])

@@ -339,13 +339,13 @@ def test_more_passes_never_raise_the_energy(body: BodyModel) -> None:
 
 def test_clips_follow_the_last_frame(body: BodyModel) -> None:
     scene = clip_scene(few_strands(body), body, "neck_turn", slice(20, 26))
-    setting = CoherentSetting(most_moved=0.02)
+    setting = CoherentSetting(max_frame_displacement=0.02)
     follower = CoherentDraper(setting=setting)
     draped = torch.cat([follower.drape(_part(scene, frame)) for frame in range(6)])
     tips, roots, posed = draped[:, :, -1], draped[:, :, 0], scene.posed[:, :, -1]
     own = tips.diff(dim=0).norm(dim=-1)
     carried = torch.maximum(roots.diff(dim=0).norm(dim=-1), posed.diff(dim=0).norm(dim=-1))
-    assert float((own - carried).max()) < setting.most_moved + 0.01
+    assert float((own - carried).max()) < setting.max_frame_displacement + 0.01
     energy = follower.draper.energy_of(scene)
     assert float(energy.per_vertex(energy.total(draped, scene)).max()) < 0.0
     together = CoherentDraper(setting=setting).drape(scene)
@@ -360,7 +360,7 @@ def test_hair_does_not_sweep_around_a_head_that_turns_fast(body: BodyModel) -> N
     scene = Scene(few_strands(body), BodyBatch(body, poses, torch.zeros(5, 10)))
     limited, unlimited = (
         float(jumps(CoherentDraper(setting=setting).drape(scene), scene.posed).max())
-        for setting in (CoherentSetting(), CoherentSetting(most_with_head=1.0))
+        for setting in (CoherentSetting(), CoherentSetting(max_head_sweep=1.0))
     )
     assert limited < 0.05 < unlimited
 
@@ -384,7 +384,7 @@ def test_a_motion_is_draped_the_same_whatever_was_draped_before(body: BodyModel)
     follower = CoherentDraper()
     once = drape_motion(follower, groom, body, motion, torch.zeros(10)).strands
     again = drape_motion(follower, groom, body, motion, torch.zeros(10)).strands
-    continued = drape_motion(follower, groom, body, motion, torch.zeros(10), follows=True).strands
+    continued = drape_motion(follower, groom, body, motion, torch.zeros(10), continues=True).strands
     assert np.array_equal(again, once)
     assert not np.array_equal(continued, once)
 
@@ -397,16 +397,16 @@ def test_limits_of_a_frame_grow_with_its_time(
     motion = bundled_clip("neck_turn", body).frames(f"30:34:{step}")
     drape_motion(follower, few_strands(body, count=5), body, motion, torch.zeros(10))
     setting = follower.setting.over(follower.frame_seconds)
-    assert (setting.passes, setting.most_passes) == passes
-    assert setting.most_moved == pytest.approx(moved)
-    assert setting.most_with_head == pytest.approx(step * follower.setting.most_with_head)
-    assert setting.most_move == follower.setting.most_move
+    assert (setting.passes, setting.max_passes) == passes
+    assert setting.max_frame_displacement == pytest.approx(moved)
+    assert setting.max_head_sweep == pytest.approx(step * follower.setting.max_head_sweep)
+    assert setting.max_pass_displacement == follower.setting.max_pass_displacement
 
 
 def test_frames_of_a_short_time_keep_the_passes_that_damping_compares() -> None:
     setting = CoherentSetting().over(1 / 60)
-    assert (setting.passes, setting.most_passes) == (2, 2)
-    assert setting.most_moved == pytest.approx(0.019)
+    assert (setting.passes, setting.max_passes) == (2, 2)
+    assert setting.max_frame_displacement == pytest.approx(0.019)
 
 
 def test_hair_falls_no_further_behind_where_frames_are_left_out(body: BodyModel) -> None:

@@ -34,7 +34,7 @@ def drape_motion(
     motion: Motion,
     body_shape: Rows,
     on_frames: Callable[[Positions, Scene], None] = lambda draped, scene: None,
-    follows: bool = False,
+    continues: bool = False,
     store: FrameStore | None = None,
 ) -> DrapeSequence:
     """Drape the frames in their order, each by itself unless the draper follows from frame to frame.
@@ -44,7 +44,8 @@ def drape_motion(
     Args:
         body_shape: beta [10], a tensor, an array or a list [standard deviations].
         on_frames: called with each batch of frames' drapes and scene, in place.
-        follows: the frames follow those that the draper draped last, at its rate; otherwise the first is settled anew.
+        continues: the frames follow those that the draper draped last, at its rate; otherwise the first is settled
+            anew.
         store: keeps the frames, along the path of the motion; those that it holds already are not draped again, but
             passed to `on_frames`. In memory, where none is given.
 
@@ -56,7 +57,7 @@ def drape_motion(
         strands out, in batches of `FRAMES_AT_ONCE`, the first batch left out where there are others.
     """
     store, shape = FramesInMemory() if store is None else store, shape_of(body_shape)
-    if isinstance(draper, ClipDraper) and not follows:
+    if isinstance(draper, ClipDraper) and not continues:
         draper.restart()
         draper.frame_seconds = 1 / motion.fps
     stored = len(store)
@@ -71,8 +72,8 @@ def drape_motion(
         path = _path(motion, rows)
         if rows.stop <= stored:
             draped = torch.from_numpy(store.frames().strands[rows] - path[:, None, None])
-            if rows.stop == stored and isinstance(draper, ResumableDraper) and store.follows is not None:
-                draper.follow(scene, torch.from_numpy(store.follows))
+            if rows.stop == stored and isinstance(draper, ResumableDraper) and store.draper_state is not None:
+                draper.resume(scene, torch.from_numpy(store.draper_state))
         else:
             draped = draper.drape(scene).detach()
             milliseconds = 1000 * (time.perf_counter() - start) / len(body_pose)

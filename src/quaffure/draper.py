@@ -68,7 +68,7 @@ class ResumableDraper(ClipDraper, Protocol):
     @property
     def state(self) -> Float[Tensor, "s k"] | None: ...
 
-    def follow(self, scene: Scene, state: Float[Tensor, "s k"]) -> None:
+    def resume(self, scene: Scene, state: Float[Tensor, "s k"]) -> None:
         """Continue from the last of these frames, after which `state` was this, as if it had been draped here."""
         ...
 

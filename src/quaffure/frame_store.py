@@ -27,11 +27,11 @@ class BatchState:
 
     Attributes:
         milliseconds: wall time of one of its drapes.
-        follows: what the next frame follows from (`ResumableDraper.state`); None where frames are alone.
+        draper_state: what the next frame follows from (`ResumableDraper.state`); None where frames are alone.
     """
 
     milliseconds: float
-    follows: Float32[np.ndarray, "s k"] | None = None
+    draper_state: Float32[np.ndarray, "s k"] | None = None
 
 
 @runtime_checkable
@@ -48,8 +48,8 @@ class FrameStore(Protocol):
         ...
 
     @property
-    def follows(self) -> Float32[np.ndarray, "s k"] | None:
-        """`BatchState.follows` of the last batch."""
+    def draper_state(self) -> Float32[np.ndarray, "s k"] | None:
+        """`BatchState.draper_state` of the last batch."""
         ...
 
     def append(self, frames: Frames, state: BatchState) -> None:
@@ -76,8 +76,8 @@ class FramesInMemory:
         return [state.milliseconds for state in self._states]
 
     @property
-    def follows(self) -> Float32[np.ndarray, "s k"] | None:
-        return self._states[-1].follows if self._states else None
+    def draper_state(self) -> Float32[np.ndarray, "s k"] | None:
+        return self._states[-1].draper_state if self._states else None
 
     def append(self, frames: Frames, state: BatchState) -> None:
         self._batches.append(frames)

@@ -92,13 +92,13 @@ def _resumed(path: Path) -> tuple[object, ...]:
     """As a drape that is continued by `--resume`."""
     store = continued(path, resume=True)
     try:
-        kept, follows = len(store), store.follows
+        kept, state = len(store), store.draper_state
         if kept and [array.shape[1:] for array in store.frames()] != [array.shape[1:] for array in WHOLE]:
             raise InputError(path, "frames of the groom and the body", "others")  # as drape_motion
         for first, batch in zip(range(0, TOTAL, BATCH), batches()):
             if first >= kept:
                 store.append(batch, BatchState(1.0))
-        return [np.array(array) for array in store.frames()], follows, store.milliseconds
+        return [np.array(array) for array in store.frames()], state, store.milliseconds
     finally:
         store.close()
 

@@ -51,7 +51,7 @@ class FrameFolder:
         return self._count
 
     @property
-    def follows(self) -> Float32[np.ndarray, "s k"] | None:
+    def draper_state(self) -> Float32[np.ndarray, "s k"] | None:
         """What the frame after the last batch follows from, where frames follow each other."""
         path = self._state_path(self._count)
         if not path.exists():
@@ -75,8 +75,8 @@ class FrameFolder:
             if not self._count:
                 self._start(frames)
             count = self._count + len(frames.strands)
-            if state.follows is not None:
-                np.save(self._state_path(count), state.follows)
+            if state.draper_state is not None:
+                np.save(self._state_path(count), state.draper_state)
             # The number of whole frames is that in the smallest file, so the batch counts once all of them are there.
             for name, array in frames._asdict().items():
                 self._extend(name, np.ascontiguousarray(array, dtype="<f4"))
@@ -144,7 +144,7 @@ class FrameFolder:
         for name, array in self.frames()._asdict().items():
             if not all(np.isfinite(frame).all() for frame in array):
                 raise ValueError(f"NaN or infinity in {name}")
-        _ = self.follows  # damage of which is found now
+        _ = self.draper_state  # damage of which is found now
 
     def _frame_bytes(self, name: str) -> int:
         return 4 * math.prod(self._shapes[name])

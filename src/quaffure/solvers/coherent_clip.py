@@ -34,10 +34,10 @@ class CoherentSetting:
 
     Attributes:
         passes: of a frame, at least.
-        most_passes: of a frame in which strands still move.
-        most_move, most_moved: displacement of a vertex in a pass and in a frame, on top of the head's and of what a
-            limb pushes, to first order [m].
-        most_with_head: displacement of a tip with the head, on top of what its root and its posed tip move [m]. Hair
+        max_passes: of a frame in which strands still move.
+        max_pass_displacement, max_frame_displacement: of a vertex, on top of the head's displacement and of what a limb
+            pushes, to first order [m].
+        max_head_sweep: displacement of a tip with the head, on top of what its root and its posed tip move [m]. Hair
             that hangs far from where it was posed would otherwise sweep around a head that turns fast.
         still: displacement in the last pass below which a strand is at rest [m].
         moving_share: of the strands above which further passes follow.
@@ -49,10 +49,10 @@ class CoherentSetting:
     """
 
     passes: int = 2
-    most_passes: int = 4
-    most_move: float = 0.01
-    most_moved: float = 0.038
-    most_with_head: float = 0.012
+    max_passes: int = 4
+    max_pass_displacement: float = 0.01
+    max_frame_displacement: float = 0.038
+    max_head_sweep: float = 0.012
     still: float = 0.003
     moving_share: float = 0.1
     cut_distance: float = 0.25
@@ -68,9 +68,9 @@ class CoherentSetting:
         return replace(
             self,
             passes=max(LEAST_PASSES, round(frames * self.passes)),
-            most_passes=max(LEAST_PASSES, round(frames * self.most_passes)),
-            most_moved=frames * self.most_moved,
-            most_with_head=frames * self.most_with_head,
+            max_passes=max(LEAST_PASSES, round(frames * self.max_passes)),
+            max_frame_displacement=frames * self.max_frame_displacement,
+            max_head_sweep=frames * self.max_head_sweep,
             cut_distance=frames * self.cut_distance,
             cut_angle=frames * self.cut_angle,
         )
@@ -115,7 +115,7 @@ class CoherentDraper:
             return None
         return torch.cat([last.direction.flatten(1), torch.from_numpy(last.damping)[:, None]], dim=1)
 
-    def follow(self, scene: Scene, state: Float[Tensor, "s k"]) -> None:
+    def resume(self, scene: Scene, state: Float[Tensor, "s k"]) -> None:
         """Continue from the last of these frames, after which `state` was this, as if it had been draped here.
 
         Raises:
@@ -140,8 +140,8 @@ class CoherentDraper:
             descent, self.is_moving = self.draper.descend(energy, scene), False
             self._gather_strays(descent, scene)
         else:
-            most_with_head = self.setting.over(self.frame_seconds).most_with_head
-            direction = last.rotated_to(frame, scene.groom.rest_lengths, most_with_head)
+            max_head_sweep = self.setting.over(self.frame_seconds).max_head_sweep
+            direction = last.rotated_to(frame, scene.groom.rest_lengths, max_head_sweep)
             descent = self._followed(energy, scene, direction, last.damping)
             self.is_moving = self._moves(descent)
         self._last = replace(
@@ -165,9 +165,9 @@ class CoherentDraper:
         descent.strand_damping = damping
         # A limb may sweep through hair faster than hair may move in a frame.
         descent.resolve_contact(0.0)
-        descent.follow(setting.passes, setting.most_move, setting.most_moved)
-        while descent.passes < setting.most_passes and self._moves(descent):
-            descent.follow(1, setting.most_move, setting.most_moved)
+        descent.run_limited(setting.passes, setting.max_pass_displacement, setting.max_frame_displacement)
+        while descent.passes < setting.max_passes and self._moves(descent):
+            descent.run_limited(1, setting.max_pass_displacement, setting.max_frame_displacement)
         return descent
 
     def _moves(self, descent: StrandDescent) -> bool:
@@ -201,17 +201,17 @@ class _Frame:
     direction: Float[Tensor, "s e 3"]
     damping: np.ndarray
 
-    def rotated_to(self, frame: "_Frame", lengths: RestLengths, most_with_head: float) -> Float[Tensor, "s e 3"]:
+    def rotated_to(self, frame: "_Frame", lengths: RestLengths, max_head_sweep: float) -> Float[Tensor, "s e 3"]:
         """The directions of the edges, rotated as the scalp has rotated.
 
-        Where that would move a tip by `most_with_head` [m] more than its root and its posed tip move, edges beyond the
-        first ones rotate by a smaller angle.
+        Where that would move a tip by `max_head_sweep` [m] more than its root and its posed tip move, edges beyond
+        the first ones rotate by a smaller angle.
         """
         turn = frame.rotation @ self.rotation.transpose(-1, -2)
         direction = self.direction.to(turn)
         shift, to_tip = frame.root - self.root, (lengths[..., None] * direction).sum(1)
         moved = (shift + torch.einsum("sij,sj->si", turn, to_tip) - to_tip).norm(dim=-1)
-        allowed = torch.maximum(shift.norm(dim=-1), (frame.posed_tip - self.posed_tip).norm(dim=-1)) + most_with_head
+        allowed = torch.maximum(shift.norm(dim=-1), (frame.posed_tip - self.posed_tip).norm(dim=-1)) + max_head_sweep
         share = (allowed / moved.clamp(min=1e-6)).clamp(max=1.0)
         edge = torch.arange(1, direction.shape[1] + 1, device=turn.device)
         shares = 1 - (1 - share[:, None]) * (edge / BLENDED_EDGES).clamp(max=1.0)

@@ -81,7 +81,7 @@ class StrandDescent:
         direction: unit direction of every edge [strand edge 3].
         passes: done so far.
         moved: largest displacement of a vertex of each strand in the last pass [m].
-        strand_damping: of every strand while it follows, see `OscillationDamping`.
+        strand_damping: of every strand in limited passes, see `OscillationDamping`.
     """
 
     def __init__(
@@ -136,7 +136,7 @@ class StrandDescent:
         self._k_of_now: np.float32 | None = None
         self._start: np.ndarray | None = None
         self.strand_damping = np.zeros(strands, np.float32)
-        self._displacement: np.ndarray | None = None  # of the last pass of `follow`
+        self._displacement: np.ndarray | None = None  # of the last limited pass
 
     @property
     def positions(self) -> Positions:
@@ -178,9 +178,10 @@ class StrandDescent:
                 self._go_between(self._last, before)
             self._update_other_hair()
 
-    def follow(self, passes: int, most_move: float, most_moved: float) -> None:
-        """Passes with all terms, in each of which no vertex moves by more than `most_move` [m], and in all since
-        the start by more than `most_moved` [m], both to first order. The energy may rise: hair that follows a
+    def run_limited(self, passes: int, pass_displacement: float, total_displacement: float) -> None:
+        """Passes with all terms, in each of which no vertex moves by more than `pass_displacement` [m], and in
+        all since
+        the start by more than `total_displacement` [m], both to first order. The energy may rise: hair that follows a
         head is on its way."""
         oscillation = self._control.oscillation
         for _ in range(passes):
@@ -190,7 +191,7 @@ class StrandDescent:
             if self._start is None:
                 self._start = before
             gone = largest_displacements(before, self._start)
-            limit = np.clip(most_moved - gone, 0.0, most_move)
+            limit = np.clip(total_displacement - gone, 0.0, pass_displacement)
             self._move(self._k_body_collision, self._control.most_turn, limit, self._control.backtracks)
             moved, moved_before = self._now.positions - before, self._displacement
             if moved_before is not None:

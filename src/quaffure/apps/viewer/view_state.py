@@ -99,9 +99,9 @@ class ViewState:
         draper = self._loaded_draper()
         with network_clock(draper) as network_times:
             shape = torch.tensor(self.body_shape)
-            sequence = drape_motion(draper, self.groom, self.body, pose, shape, follows=True)
+            sequence = drape_motion(draper, self.groom, self.body, pose, shape, continues=True)
         sequence.meta["frame"] = self.frame
-        if isinstance(draper, CoherentDraper | LoadDependentDraper):
+        if isinstance(draper, CoherentDraper | LoadDependentDraper) and getattr(draper, "reads_loading", True):
             sequence.meta.update(asdict(self.loading))
         return Drape(self, sequence, sum(network_times) if network_times else None)
 

@@ -1,8 +1,11 @@
 """`quaffure crowd`: tables, rows that fail, rows that are there already."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import torch
 
 from quaffure import InputError, load_motion
 from quaffure.apps import character_table
@@ -10,6 +13,7 @@ from quaffure.apps.character_table import CharacterRow, drape_row, read_table
 from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
 from quaffure.io import read_drape
+from quaffure.procedural import make_groom
 
 HEADER = "groom,motion,frames,out,stiffness,seed,shape\n"
 
@@ -102,15 +106,48 @@ def test_rows_that_cannot_be_draped_are_refused(tmp_path: Path, values: dict[str
     assert not (tmp_path / "a.npz").exists()
 
 
-@pytest.mark.parametrize(("motion", "expected"), [("nod", ""), ("character.glb#Run", "character.glb#Run")])
-def test_rows_are_written_in_their_own_animation(
-    motion: str, expected: str, body: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_rows_take_motion_files(tmp_path: Path) -> None:
+    pose = np.zeros((2, 81), np.float32)
+    pose[1, 3 * 12] = 0.1
+    np.savez(tmp_path / "moves.npz", body_pose=pose, fps=30.0)
+    row = CharacterRow("crew_cut", str(tmp_path / "moves.npz"), str(tmp_path / "a.npz"))
+    drape_row(row, "neural")
+    assert len(read_drape(tmp_path / "a.npz")) == 2
+
+
+def test_more_frames_than_a_format_takes_are_refused_before_the_drape(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """So that the file's skin moves the roots."""
+    draped: list[object] = []
+    monkeypatch.setattr(character_table, "drape_clip", lambda *args: draped.append(args))
+    with pytest.raises(InputError, match=r"a\.hair: expected .*one frame"):
+        drape_row(CharacterRow("bob", "nod", str(tmp_path / "a.hair"), "0:2"), "neural")
+    assert not draped
+
+
+def test_a_seed_makes_other_strands_on_a_body_of_the_table_too(
+    body: BodyModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(character_table, "_body", lambda path: body)
+    found = [character_table._groom.__wrapped__("crew_cut", seed, "own.npz").rest_strands for seed in (0, 1)]
+    assert torch.equal(found[1], make_groom("crew_cut", body, 1).rest_strands)
+    assert found[0].shape != found[1].shape or not torch.equal(*found)
+
+
+@pytest.mark.parametrize(
+    ("motion", "of_body", "expected"),
+    [("nod", "own.npz", ""), ("character.glb#Run", "own.npz", "character.glb#Run"), ("walk.bvh", "", "")],
+)
+def test_rows_are_written_in_their_own_animation(
+    motion: str, of_body: str, expected: str, body: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that the file's skin moves the roots; the shipped body has no file."""
     written: list[str] = []
     for name in ("_groom", "_draper", "drape_clip"):
         monkeypatch.setattr(character_table, name, lambda *args: None)
+    origin = object() if of_body else None
+    monkeypatch.setattr(character_table, "_body", lambda path: SimpleNamespace(origin=origin))
     monkeypatch.setattr(character_table, "_motion", lambda *args: load_motion("nod", body))
     monkeypatch.setattr(character_table, "save_drape", lambda drape, path, *, body, motion: written.append(motion))
-    drape_row(CharacterRow("bob", motion, str(tmp_path / "a.usd")), "neural")
+    drape_row(CharacterRow("bob", motion, str(tmp_path / "a.usd"), body=of_body), "neural")
     assert written == [expected]

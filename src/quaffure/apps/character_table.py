@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 
+from quaffure.apps.cli.outputs import check_frames
 from quaffure.apps.drape_clip import drape_clip, save_drape
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.body.clips import CLIP_NAMES
@@ -118,13 +119,15 @@ def drape_row(row: CharacterRow, draper: str) -> None:
     seed = _number(row, "seed", row.seed)
     if not (seed.is_integer() and 0 <= seed < 2**32):
         raise InputError(f"seed of {row.out}", f"a whole number from 0 to {2**32 - 1}", f"'{row.seed}'")
+    check_frames((Path(row.out),), range(len(motion)))
     groom, own_draper = (
         _groom(row.groom, int(seed), row.body),
         _draper(draper, _number(row, "stiffness", row.stiffness)),
     )
     body = _body(row.body)
     drape = drape_clip(groom, motion, shape, own_draper, body)
-    save_drape(drape, row.out, body=body, motion="" if row.motion in CLIP_NAMES else row.motion)
+    is_own = body.origin is not None and row.motion not in CLIP_NAMES
+    save_drape(drape, row.out, body=body, motion=row.motion if is_own else "")
 
 
 @lru_cache(KEPT)
@@ -134,7 +137,7 @@ def _body(path: str) -> BodyModel:
 
 @lru_cache(KEPT)
 def _groom(name: str, seed: int, body: str) -> Groom:
-    return make_groom(name, load_body(), seed) if name in STYLES and not body else load_groom(name, _body(body))
+    return make_groom(name, _body(body), seed) if name in STYLES else load_groom(name, _body(body))
 
 
 @lru_cache(KEPT)

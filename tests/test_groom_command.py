@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from quaffure import InputError
+from quaffure import InputError, load_groom
 from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import check_outputs
 from quaffure.apps.cli.style_settings import ABOVE_ZERO, with_settings
 from quaffure.body import BodyModel, load_body
-from quaffure.io import load_source, read_groom, write_groom
+from quaffure.hair import RegistrationReport
+from quaffure.io import load_source, read_groom, read_source, write_groom
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural import STYLES, HairStyle, hair_style, make_groom
 from tests.test_groom_files import hair_bytes, tfx4_bytes
@@ -243,6 +244,10 @@ def test_import_finds_ties_and_keeps_those_of_the_file(
     main([*arguments, "--ties", "none"])
     assert "ties were not searched for" in capfd.readouterr().out
     assert read_groom(out, body).tie_vertex is None
+    reports: list[RegistrationReport] = []
+    loaded = load_groom(tmp_path / "tail.npz", body, on_report=reports.append)
+    assert loaded.tie_vertex is not None
+    assert f"ties found: {len(groom)} of {len(groom)} strands are tied" in str(reports[0])
     usd = tmp_path / "tail.usdc"
     write_groom(tmp_path / "own.npz", groom)
     main(["drape", str(tmp_path / "own.npz"), "--draper", "posed", "--frames", "0:1", "--out", str(usd)])
@@ -270,6 +275,18 @@ def test_hold_edits_a_region_of_the_scalp(tmp_path: Path, body: BodyModel, capfd
     assert torch.equal(twice.tie_vertex >= 0, groom.root_uv[:, 1] > 0.67)
     main(["groom", "hold", str(tied), "--release", "--out", str(free)])
     assert not read_groom(free, body).held_edges.any()
+
+
+def test_hold_keeps_the_strands_that_a_groom_was_registered_from(tmp_path: Path, body: BodyModel) -> None:
+    rest = make_groom("bob", body).rest_strands[::60]
+    np.savez(tmp_path / "bob.npz", strands=rest.numpy())
+    imported, held = tmp_path / "imported.npz", tmp_path / "held.npz"
+    main(["groom", "import", str(tmp_path / "bob.npz"), "--registered", "--out", str(imported)])
+    main(["groom", "hold", str(imported), "--length", "0.05", "--out", str(held)])
+    before, after = read_source(imported), read_source(held)
+    assert before is not None
+    assert after is not None
+    np.testing.assert_array_equal(after.points, before.points)
 
 
 def test_bad_holds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from quaffure import InputError
+from quaffure import InputError, load_groom
 from quaffure.body import BodyModel
 from quaffure.geometry import Surface
 from quaffure.hair import (
@@ -413,8 +413,14 @@ def test_a_registered_groom_is_not_moved(groom: Groom, body: BodyModel) -> None:
     again, _ = register_groom(as_file(100 * few.numpy() @ Y_UP.T), body, "again", frame=frame)
     assert torch.allclose(again.rest_strands, few, atol=1e-5)
     above = as_file(few.numpy() + np.float32([0, 0, 0.02]))
-    with pytest.raises(InputError, match="within 2 mm of this body's scalp, as --registered says, found 5 of 31 there"):
+    with pytest.raises(InputError, match=r"most roots within 2 mm of this body's scalp, .*, found 5 of 31 there"):
         register_groom(above, body, "above", frame=known)
+    few = few.clone()
+    few[:9, :, 2] += 0.02  # eyebrows, say
+    most, report = register_groom(as_file(few.numpy()), body, "most", frame=known)
+    assert report.unused.too_far == len(few) - len(most) > 0
+    assert "with a root more than 2 mm from the scalp" in str(report)
+    assert torch.equal(most.rest_strands[-20:], few[-20:])
 
 
 @pytest.mark.parametrize(
@@ -483,3 +489,8 @@ def test_a_groom_that_arrives_inside_the_body_is_warned_of(registered: Registere
     assert "(--head)" in str(inside)
     assert "warning: 31 %" in str(replace(inside, head=HeadFit(2.0, 4.0)))
     assert "--head" not in str(replace(inside, head=HeadFit(2.0, 4.0)))
+
+
+def test_a_head_mesh_without_a_file_to_register_is_refused(body: BodyModel) -> None:
+    with pytest.raises(InputError, match=r"head\.obj: expected no head mesh .*, found the bundled groom bob"):
+        load_groom("bob", body, Path("head.obj"))

@@ -6,6 +6,7 @@ import torch
 
 from quaffure.energies.rod import joint_stiffness
 from quaffure.hair.groom import Groom
+from quaffure.hair.tie_detection import find_ties
 from quaffure.types import Bool, Float, Int, RestLengths, Tensor
 
 GOAL_STIFFNESS = 200.0
@@ -33,6 +34,18 @@ def with_ties(groom: Groom, tie_vertex: Int[Tensor, " s"]) -> Groom:
     """The groom with ties and the goals of the edges before them, in addition to goals that it has."""
     tied = replace(groom, tie_vertex=tie_vertex)
     return replace(tied, goal_weight=goal_weight_of(tied))
+
+
+def with_found_ties(groom: Groom) -> tuple[Groom, str]:
+    """The groom with its ties, searched for where it says nothing of any, and a line on them."""
+    count = len(groom)
+    if groom.tie_vertex is not None:
+        return groom, f"ties of the file: {int((groom.tie_vertex >= 0).sum())} of {count} strands are tied"
+    tie_vertex, found = find_ties(groom)
+    if not found:
+        return groom, "no ties found"
+    tied = f"{int((tie_vertex >= 0).sum())} of {count} strands are tied (groom import --ties none leaves them free)"
+    return with_ties(groom, tie_vertex), f"ties found: {tied}: {', '.join(map(str, found))}"
 
 
 def released(groom: Groom, strands: Bool[Tensor, " s"]) -> Groom:

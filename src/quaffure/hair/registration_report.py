@@ -10,6 +10,8 @@ from quaffure.hair.file_frame import FileFrame
 
 FARTHEST_ROOT = 0.035
 """Largest distance of a root from the scalp [m]; others are dropped."""
+ROOT_SLACK = 2e-3
+"""The same of a groom that stands on this body already [m]."""
 MUCH_INSIDE = 0.15
 """Share of the vertices inside the body above which a fit is doubtful."""
 LARGEST_MEDIAN_RESIDUAL = 0.012
@@ -59,6 +61,7 @@ class RegistrationReport:
         on_scalp: whether each strand of the file stands on the scalp, and is not left out or dropped.
         inside_before, inside_after: share of vertices, without the roots, inside the body: when aligned and at the end.
         head: how the groom's own head fits ours, where it is given.
+        ties: a line on ties, where they were searched for.
     """
 
     source: str
@@ -83,6 +86,7 @@ class RegistrationReport:
     inside_before: float
     inside_after: float
     head: HeadFit | None = None
+    ties: str = ""
 
     @property
     def dropped(self) -> int:
@@ -90,9 +94,10 @@ class RegistrationReport:
         return sum(self.unused)
 
     def __str__(self) -> str:
-        """Seven lines or fewer, for who made the groom."""
+        """Eight lines or fewer, for who made the groom."""
         lines = (
-            f"{self.source}: {self._axes}", self._strands, self._turns, self._fit, self._head, self._skin, self._warning
+            f"{self.source}: {self._axes}", self._strands, self._turns, self._fit, self._head, self._skin,
+            self._warning, self.ties,
         )  # fmt: skip
         return "\n".join(line for line in lines if line)
 
@@ -111,11 +116,12 @@ class RegistrationReport:
 
     @property
     def _strands(self) -> str:
+        reach = ROOT_SLACK if self.frame.registered else FARTHEST_ROOT
         total = self.kept + self.dropped + self.beard + self.eyebrows
         reasons = {
             "bald roots (fewer than two points)": self.unused.too_few_points,
             "far shorter than the others": self.unused.without_length,
-            f"with a root more than {1e3 * FARTHEST_ROOT:.0f} mm from the scalp": self.unused.too_far,
+            f"with a root more than {1e3 * reach:.0f} mm from the scalp": self.unused.too_far,
             "of a beard": self.beard,
             "of eyebrows": self.eyebrows,
         }

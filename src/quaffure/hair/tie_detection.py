@@ -74,6 +74,10 @@ class FoundTie:
     wound: bool
     root_spread: float
 
+    def __str__(self) -> str:
+        form = "wound up at" if self.wound else "to"
+        return f"{self.strands} {form} {' '.join(f'{value:z.2f}' for value in self.centre)} m"
+
 
 class _Samples(NamedTuple):
     """Points along all strands, more than `LEAST_ARC` from the roots on.

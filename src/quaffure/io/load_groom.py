@@ -9,6 +9,7 @@ import numpy as np
 
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import VERTICES_PER_STRAND
+from quaffure.energies.held_parts import with_found_ties
 from quaffure.errors import InputError
 from quaffure.hair.file_frame import UNKNOWN, FileFrame
 from quaffure.hair.folds import without_folds
@@ -48,6 +49,7 @@ def load_groom(
     """
     body = body or load_body()
     if isinstance(groom, str) and groom in STYLES:
+        _check_no_head(head, f"the bundled groom {groom}")
         return make_groom(groom, body)
     path = Path(groom)
     # Not Path.exists, which raises where the text is longer than a name can be.
@@ -57,15 +59,22 @@ def load_groom(
             groom, f"a bundled groom ({', '.join(names)}) or a file", f"neither{did_you_mean(path, names)}"
         )
     if path.suffix.lower() == ".npz" and is_groom_file(path):
+        _check_no_head(head, f"the groom file {path}")
         loaded = _read_groom(path, body)
         if loaded.rest_strands.shape[1] != VERTICES_PER_STRAND:
             found = f"{loaded.rest_strands.shape[1]}"
             raise InputError(path, f"{VERTICES_PER_STRAND} vertices a strand", found)
         return _opened(select_guides(loaded))
     mesh = read_head(head) if head is not None else None
-    registered, _, report = _registered(read_strands(path), body, path.stem, mesh, frame)
-    on_report(report)
+    registered, _, report = register_strands(read_strands(path), body, path.stem, mesh, frame)
+    registered, ties = with_found_ties(registered)
+    on_report(replace(report, ties=ties))
     return _opened(select_guides(registered))
+
+
+def _check_no_head(head: Path | None, groom: str) -> None:
+    if head is not None:
+        raise InputError(head, "no head mesh with a groom that is registered already", groom)
 
 
 def _read_groom(path: Path, body: BodyModel) -> Groom:
@@ -86,11 +95,15 @@ def _stands_on(path: Path, body: BodyModel) -> bool:
     return True
 
 
-def _registered(
+def register_strands(
     strands: Strands, body: BodyModel, name: str, head: HeadMesh | None, frame: FileFrame
 ) -> tuple[Groom, Strands, RegistrationReport]:
     """Strands on a body, as they were registered, and the report of it: on an imported body those that were made on its
-    character stay where they are."""
+    character stay where they are.
+
+    Raises:
+        InputError: as `register_groom`.
+    """
     if body.origin is not None and head is None and frame == UNKNOWN:
         points = body.origin.body_from_file(strands.points).astype(np.float32)
         standing = replace(strands, points=points, attributes=strands.attributes.scaled(1 / body.origin.scale))
@@ -125,7 +138,7 @@ def load_source(
             raise InputError(path, "the strand file itself", "a groom file of another body, whose source stays on it")
         return source
     mesh = read_head(head) if head is not None else None
-    _, strands, report = _registered(read_strands(path), body, path.stem, mesh, frame)
+    _, strands, report = register_strands(read_strands(path), body, path.stem, mesh, frame)
     return place_strands(strands, report, body)
 
 

@@ -15,20 +15,19 @@ from quaffure.apps.cli.outputs import check_packages
 from quaffure.apps.cli.style_settings import with_settings
 from quaffure.body.body_model import BodyModel, load_body
 from quaffure.config import VERTICES_PER_STRAND
-from quaffure.energies.held_parts import with_ties
+from quaffure.energies.held_parts import with_found_ties
 from quaffure.errors import InputError
 from quaffure.hair.file_frame import FileFrame
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_checks import check_values
-from quaffure.hair.registration import HeadMesh, register_groom
+from quaffure.hair.registration import HeadMesh
 from quaffure.hair.registration_report import RegistrationReport
 from quaffure.hair.resample import concatenate_strands, resample_by_arc_length, without_degenerate
 from quaffure.hair.scalp_texture import select_guides
 from quaffure.hair.source_strands import place_strands
 from quaffure.hair.strands import Strands
-from quaffure.hair.tie_detection import FoundTie, find_ties
 from quaffure.io.groom_file import write_groom
-from quaffure.io.load_groom import read_head
+from quaffure.io.load_groom import read_head, register_strands
 from quaffure.io.output_path import check_output
 from quaffure.io.read_strands import read_strands
 from quaffure.procedural.generator import LICENCE, make_groom
@@ -140,8 +139,10 @@ class ImportGroom:
         strands = concatenate_strands(parts)
         mesh = None if self.head is None else read_head(self.head)
         with console.status("registering strands"):
-            groom, report = register_groom(strands, body, self.out.stem, mesh, self.licence, frame=frame)
-        groom, ties = self._with_ties(groom)
+            groom, strands, report = register_strands(strands, body, self.out.stem, mesh, frame)
+        is_searched = self.ties == "auto" or groom.tie_vertex is not None
+        groom, ties = with_found_ties(groom) if is_searched else (groom, "ties were not searched for")
+        groom = replace(groom, licence=self.licence)
         guides = select_guides(groom)
         source = place_strands(strands, report, body)
         write_groom(self.out, guides, source if self.parts == "keep" else source.select(source.on_scalp))
@@ -153,18 +154,6 @@ class ImportGroom:
         console.print(f"{self.out}: {_summary(guides)}")
         if self.picture is not None:
             self._draw(self.picture, strands, mesh, guides, report, body)
-
-    def _with_ties(self, groom: Groom) -> tuple[Groom, str]:
-        """The groom with its ties, and what to say of them."""
-        if groom.tie_vertex is not None:
-            return groom, f"ties of the file: {int((groom.tie_vertex >= 0).sum())} of {len(groom)} strands are tied"
-        if self.ties == "none":
-            return groom, "ties were not searched for"
-        tie_vertex, found = find_ties(groom)
-        if not found:
-            return groom, "no ties found"
-        tied = f"{int((tie_vertex >= 0).sum())} of {len(groom)} strands are tied (--ties none leaves them free)"
-        return with_ties(groom, tie_vertex), f"ties found: {tied}: {', '.join(_describe(tie) for tie in found)}"
 
     def _draw(
         self,
@@ -231,11 +220,6 @@ def _summary(groom: Groom) -> str:
     centimetres = 100 * groom.strand_lengths
     low, mean, high = (float(value) for value in (centimetres.min(), centimetres.mean(), centimetres.max()))
     return f"{len(groom)} strands of {low:.1f} to {high:.1f} cm, {mean:.1f} cm in the mean"
-
-
-def _describe(tie: FoundTie) -> str:
-    form = "wound up at" if tie.wound else "to"
-    return f"{tie.strands} {form} {' '.join(f'{value:z.2f}' for value in tie.centre)} m"
 
 
 def held_parts_of_strands(groom: Groom) -> np.ndarray:

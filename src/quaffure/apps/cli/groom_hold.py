@@ -13,7 +13,7 @@ from quaffure.energies.held_parts import held_up_to, released, tied_at
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_checks import LONGEST_STRAND
-from quaffure.io.groom_file import write_groom
+from quaffure.io.groom_file import is_groom_file, read_source, write_groom
 from quaffure.io.load_groom import load_groom
 from quaffure.io.output_path import check_output
 from quaffure.types import Bool, Tensor
@@ -67,7 +67,9 @@ class HoldGroom:
             changed = tied_at(groom, strands, self.tie)
         else:
             changed = released(groom, strands)
-        write_groom(self.out, replace(changed, name=self.out.stem))
+        path = Path(self.groom)
+        source = read_source(path) if path.suffix.lower() == ".npz" and is_groom_file(path) else None
+        write_groom(self.out, replace(changed, name=self.out.stem), source)
         held = 100 * float(changed.held_edges.float().mean())
         console.print(
             f"{self.out}: changed {int(strands.sum())} of {len(groom)} strands; {held:.0f} % of all edges are held"

@@ -150,6 +150,15 @@ def test_standardised_codes_decode_the_same(samples: list[GroomSample]) -> None:
     assert codes.mean(0).abs().max() < 1e-2
 
 
+def test_the_code_of_one_groom_is_moved_and_not_scaled(samples: list[GroomSample]) -> None:
+    network = GroomAutoencoder(NARROW)
+    textures = batch_of(samples, samples).textures[:1]
+    with torch.no_grad():
+        network.standardise(network.encoder(textures))
+        code = network.encoder(textures)
+    assert code.abs().max() < 1e-4
+
+
 def test_the_mean_of_one_groom_is_that_groom(samples: list[GroomSample]) -> None:
     mean = mean_strands(samples[:1])
     own = decoded_channels(samples[0].features.float())

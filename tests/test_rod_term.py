@@ -5,14 +5,15 @@ from dataclasses import replace
 import pytest
 import torch
 
-from quaffure import InputError
+from quaffure import HairMaterial, InputError
+from quaffure.backend import Backend
 from quaffure.body import BodyModel, bundled_clip
 from quaffure.energies import HairEnergy, RodRest, hair_terms, sag_free_rest, stress_free_rest
 from quaffure.hair import Groom
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, PosedScene, Scene
 from quaffure.solvers import LbfgsDraper, StrandNewtonDraper
-from quaffure.types import Float, Tensor
+from quaffure.types import Float, Positions, Tensor
 from tests.scenes import few_strands, upright_scene
 
 
@@ -102,6 +103,64 @@ def test_stress_free_hair_is_as_stiff_and_as_held_as_the_groom_asks(body: BodyMo
     assert energy(replace(groom, stiffness_scale=torch.full_like(asked, 3.0))) == pytest.approx(3 * free, rel=1e-4)
     tied = replace(groom, tie_vertex=torch.full((len(groom),), 3))
     assert energy(tied) > 2 * free
+
+
+def _bent(scene: Scene) -> Positions:
+    return scene.posed + 0.01 * torch.randn(scene.posed.shape, generator=torch.Generator().manual_seed(0))
+
+
+def test_a_stiffness_that_changes_in_place_counts(body: BodyModel) -> None:
+    groom = few_strands(body, count=5)
+    scene = upright_scene(groom, body)
+    stiffness = torch.ones_like(groom.rest_lengths)
+    energy = HairEnergy(groom, terms=hair_terms("rod", stiffness=stiffness)).only("elastic")
+    soft = energy.total(_bent(scene), scene)
+    stiffness.mul_(3)
+    torch.testing.assert_close(energy.total(_bent(scene), scene), 3 * soft)
+
+
+def test_every_gradient_by_the_stiffness_is_computed_or_refused(body: BodyModel) -> None:
+    groom = few_strands(body, count=5)
+    scene = upright_scene(groom, body)
+    stiffness = torch.ones_like(groom.rest_lengths).requires_grad_()
+    terms = hair_terms("rod", stiffness=stiffness)
+    energy = HairEnergy(groom, terms=terms, backend=Backend.TORCH)
+    energy.by_term(_bent(scene), scene)
+    for times in (1, 2):
+        energy.total(_bent(scene), scene).sum().backward()
+        assert stiffness.grad is not None
+        own = float(energy.by_term(_bent(scene), scene)["elastic"])
+        assert float((stiffness.grad * stiffness.detach()).sum()) == pytest.approx(times * own, rel=1e-4)
+    compiled = HairEnergy(groom, terms=terms)
+    assert float(compiled.by_term(_bent(scene), scene)["elastic"]) == pytest.approx(own, rel=1e-4)
+    with pytest.raises(ValueError, match="expected stiffness without gradient"):
+        compiled.total(_bent(scene), scene)
+
+
+def test_a_gradient_by_the_pose_is_computed_or_refused(body: BodyModel) -> None:
+    groom, pose = few_strands(body, count=5), torch.zeros(1, 81, requires_grad=True)
+    energy = HairEnergy(groom, terms=hair_terms("rod"), backend=Backend.TORCH).without("body_collision")
+    scene = Scene(groom, BodyBatch(body, pose, torch.zeros(1, 10)))
+    hair = _bent(scene).detach()
+    energy.total(hair, scene).sum().backward()
+    assert pose.grad is not None
+    assert float(pose.grad.abs().max()) > 0
+    with pytest.raises(ValueError, match="expected a body without gradient"):
+        HairEnergy(groom, terms=hair_terms("rod")).only("elastic").total(hair, scene)
+    scene = Scene(groom, BodyBatch(body, pose, torch.zeros(1, 10)))
+    energy.by_term(hair, scene)
+    with pytest.raises(ValueError, match="expected a scene posed with gradient"):
+        energy.total(hair, scene)
+
+
+def test_hair_without_a_skin_keeps_its_design_by_itself(body: BodyModel) -> None:
+    groom, material = few_strands(body, count=5), HairMaterial(k_body_collision=0.0)
+    design = sag_free_rest(groom, body, material)
+    assert not bool(design.support.any())
+    scene = upright_scene(groom, body)
+    energy = HairEnergy(groom, material, hair_terms("rod", design))
+    assert bool(torch.isfinite(energy.total(scene.posed, scene)).all())
+    assert bool(torch.isfinite(design.collision_margin).all())
 
 
 def test_rotation_of_posed_strands_is_found_from_their_shape(body: BodyModel) -> None:

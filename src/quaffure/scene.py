@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+import torch
+
 from quaffure.body.body_model import BodyModel, PosedBody
 from quaffure.body.kinematics import PosedJoints, pose_joints
 from quaffure.body.pose_features import HEAD
@@ -120,7 +122,8 @@ class PosedScene:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A groom on a batch of bodies. Properties are computed once, when read, and differentiable in pose and shape.
+    """A groom on a batch of bodies. Properties are computed once, when read; where that is done with gradient, they are
+    differentiable in pose and shape.
 
     Raises:
         InputError: a groom that no hair can be computed of (`quaffure.hair.groom_checks.check_groom`).
@@ -157,3 +160,16 @@ class Scene:
 
 
 HairScene = Scene | PosedScene
+
+
+def check_gradient(scene: "HairScene") -> None:
+    """Refuse to differentiate a scene in a pose or shape without whose gradient it was posed before.
+
+    Raises:
+        ValueError: it was first read under `torch.no_grad`, as drapers and metrics do.
+    """
+    if not (isinstance(scene, Scene) and torch.is_grad_enabled()):
+        return
+    bodies = scene.bodies
+    if (bodies.body_pose.requires_grad or bodies.body_shape.requires_grad) and not scene.posed.requires_grad:
+        raise ValueError("expected a scene posed with gradient, found one first read under torch.no_grad; make another")

@@ -87,9 +87,11 @@ def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:
         if name in rows or not re.fullmatch(r"\w[\w.-]*", name):
             raise InputError(f"weights '{name}={path}'", f"another name than {', '.join(rows)}", f"'{name}'")
         draper, notes = load_trained(name, path)
-        if draper.material != material:
-            raise InputError(path, f"weights for hair of {material}, as all rows", f"{draper.material}")
         rows[name] = Method(name, draper, notes=notes)
+    for row in rows.values():
+        if row.draper.material != material:
+            source = str(weights.get(row.name) or f"draper {row.name}")
+            raise InputError(source, f"weights for hair of {material}, as all rows", f"{row.draper.material}")
     for name in names:
         if name == GROOMGEN and name not in rows:
             raise InputError(f"draper {name}", f"--weights {name}=FILE with it: none are shipped", "none")

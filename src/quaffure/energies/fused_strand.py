@@ -62,7 +62,7 @@ def strand_energy(
         ValueError: a coordinate is not finite, or a gradient is required that is not computed here.
     """
     check_finite(positions)
-    if director.requires_grad or surface.vertices.requires_grad:
+    if torch.is_grad_enabled() and (director.requires_grad or surface.vertices.requires_grad):
         raise ValueError("expected directors and a body without gradient: `Backend.TORCH` differentiates those")
     vertices = positions.detach().contiguous()
     gradient, per_strand = torch.empty_like(vertices), np.empty((*vertices.shape[:2], len(TERMS)), np.float64)

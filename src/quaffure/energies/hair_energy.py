@@ -24,7 +24,7 @@ from quaffure.energies.stretch import Stretch
 from quaffure.energies.stretch_shear import StretchShear
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
-from quaffure.scene import HairScene
+from quaffure.scene import HairScene, check_gradient
 from quaffure.types import Energy, Float, Positions, Tensor
 
 Variables = Mapping[str, Tensor]
@@ -96,7 +96,12 @@ class HairEnergy:
         return copy(self)._use(terms)
 
     def total(self, positions: Positions, scene: HairScene, variables: Variables | None = None) -> Energy:
-        """Sum of all terms [J], differentiable in the positions [m] and the variables."""
+        """Sum of all terms [J], differentiable in the positions [m] and the variables.
+
+        Raises:
+            ValueError: a gradient is required that is not computed here, or of a term that returns other energies.
+        """
+        check_gradient(scene)
         energies = []
         if self._on_strands:
             energies.append(self._strand_kernel(positions, scene)[0])
@@ -178,7 +183,8 @@ class HairEnergy:
         stiffness = {"k_cosserat": StretchShear, "k_stretch": Stretch, "k_body_collision": BodyCollision}
         absent = {name: 0.0 for name, kind in stiffness.items() if kind not in self._on_strands}
         self._strand_material = replace(self.material, **absent)
-        self._prepared: WeakKeyDictionary[HairScene, dict[str, Any]] = WeakKeyDictionary()
+        # By scene: versions of the terms' tensors, and what the terms prepared.
+        self._prepared: WeakKeyDictionary[HairScene, tuple[list[int | None], dict[str, Any]]] = WeakKeyDictionary()
         return self
 
     def _strand_kernel(self, positions: Positions, scene: HairScene) -> tuple[Energy, Float[Tensor, "b 4"]]:
@@ -187,6 +193,12 @@ class HairEnergy:
         )
 
     def _state(self, positions: Positions, scene: HairScene, variables: Variables | None) -> HairState:
-        if scene not in self._prepared:
-            self._prepared[scene] = {term.name: term.prepare(self.rest, scene) for term in self.terms}
-        return HairState(positions, self.rest, self.material, variables or {}, self._prepared[scene])
+        tensors = [value for term in self.terms for value in vars(term).values() if isinstance(value, Tensor)]
+        versions = [None if tensor.is_inference() else tensor._version for tensor in tensors]
+        kept = self._prepared.get(scene)
+        if kept is None or kept[0] != versions:
+            kept = versions, {term.name: term.prepare(self.rest, scene) for term in self.terms}
+            # What has a graph serves one gradient, and what was made without gradient none.
+            if not any(tensor.requires_grad for tensor in tensors):
+                self._prepared[scene] = kept
+        return HairState(positions, self.rest, self.material, variables or {}, kept[1])

@@ -81,8 +81,8 @@ def fused_rod(positions: Positions, rest: RodArrays, rotation: RootRotations) ->
         ValueError: a coordinate is not finite, or the gradient by the rotations is asked for.
     """
     check_finite(positions)
-    if rotation.requires_grad:
-        raise ValueError("expected rotations without gradient: `energy_rod` differentiates those")
+    if torch.is_grad_enabled() and rotation.requires_grad:
+        raise ValueError("expected a body without gradient: `Backend.TORCH` differentiates it")
     energy, gradient = rod_energies_and_gradient(positions, rest, rotation)
     return with_gradient(positions, energy.double().sum(dim=1).to(positions), gradient)
 

@@ -32,12 +32,18 @@ class PosedRod:
 
     @cached_property
     def arrays(self) -> RodArrays:
-        """The rest shape as kernels read it."""
+        """The rest shape as kernels read it.
+
+        Raises:
+            ValueError: the gradient by the stiffness is asked for.
+        """
+        if torch.is_grad_enabled() and self.rest.bending_stiffness.requires_grad:
+            raise ValueError("expected stiffness without gradient: `Backend.TORCH` differentiates it")
         return rod_arrays(self.rest, self.rest.rest_twist.dtype)
 
     def fused_energy(self, positions: Positions) -> Energy:
         """The rods' energy [J] by the compiled kernel, differentiable in the positions [m] alone."""
-        return fused_rod(positions, self.arrays, self.rotation.detach())
+        return fused_rod(positions, self.arrays, self.rotation)
 
 
 @dataclass(frozen=True)

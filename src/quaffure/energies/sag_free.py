@@ -139,12 +139,14 @@ def sag_free_rest(
     weight = STANDARD_GRAVITY * state.mass
     forces = StrandForces.of(strands, weight, normal, held, *joint_stiffness(state.rest_length, own_scale))
     available = (1 - (distance - SUPPORT_DISTANCE).clamp(min=0) / SUPPORT_FADE).clamp(0, 1)
+    if not material.k_body_collision:  # no skin
+        available[:] = 0
     available[:, 0] = 0
     available[:, 1:][held] = 0
     support = solve_support(forces, available)
     support = torch.where(support > LEAST_SUPPORT * weight.mean(), support, 0.0)
     margin = torch.minimum(state.collision_margin, distance)
-    pressed = distance + (support / (3 * material.k_body_collision)).sqrt()
+    pressed = distance + (support / max(3 * material.k_body_collision, 1e-30)).sqrt()
     moments = transmitted_moments(forces, support)
     scale = _scale_for_preload(forces, moments)
     contact = 2 * (3 * material.k_body_collision * support).sqrt()

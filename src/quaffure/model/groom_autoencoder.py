@@ -68,8 +68,10 @@ class GroomAutoencoder(nn.Module):
 
     @torch.no_grad()
     def standardise(self, codes: Float[Tensor, "b 16"]) -> None:
-        """Move and scale the code so that `codes` have mean 0 and variance 1; what is decoded stays the same."""
-        mean, scale = codes.mean(0), codes.std(0).clamp(min=1e-6)
+        """Move and scale the code so that `codes` have mean 0 and variance 1, of one groom
+        mean 0; what is decoded stays the same."""
+        mean = codes.mean(0)
+        scale = codes.std(0).clamp(min=1e-6) if len(codes) > 1 else torch.ones_like(mean)
         to_code, from_code = self.encoder.to_code, self.decoder.texture.dense[0]
         to_code.weight /= scale[:, None]
         to_code.bias.copy_((to_code.bias - mean) / scale)

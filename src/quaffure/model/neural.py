@@ -19,7 +19,7 @@ from quaffure.model.cpu_backend import CpuBackend, CpuTrainingBackend
 from quaffure.model.prepared_groom import PreparedGroom, prepare_groom
 from quaffure.model.quaffure_network import DirectionNetwork, QuaffureNetwork
 from quaffure.model.torch_backend import DisplacementBackend, TorchBackend
-from quaffure.scene import BodyBatch, Scene
+from quaffure.scene import BodyBatch, Scene, check_gradient
 from quaffure.types import Positions, Tensor
 
 
@@ -128,7 +128,11 @@ class NeuralDraper:
 
         By the backend `TORCH` differentiable in pose, shape and the stiffness of each edge too, not in the
         encoder's weights.
+
+        Raises:
+            ValueError: the scene was posed without the gradient that its pose or shape requires.
         """
+        check_gradient(scene)
         kind: type[TorchBackend] = CpuTrainingBackend if self._kind is Backend.CPU else TorchBackend
         prepared = [self.prepared(scene.groom, scene.bodies.body)] * len(scene.bodies.body_pose)
         return torch.cat(list(drape(self._torch_backend(kind, projects), prepared, scene.bodies)))

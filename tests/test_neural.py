@@ -1,3 +1,4 @@
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -199,6 +200,20 @@ def test_a_file_that_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
 def test_the_shipped_model_drapes(groom: Groom) -> None:
     model = load_model()
     assert model.drape(groom, torch.zeros(2, 81), torch.zeros(2, 10)).shape == (2, len(groom), 24, 3)
+
+
+def test_grooms_are_coded_again_by_another_encoder(groom: Groom) -> None:
+    model = load_model()
+    network = deepcopy(model.draper.network)
+    draper = NeuralDraper(network, model.draper.material)
+    scene = Scene(groom, BodyBatch(model.body, torch.zeros(1, 81), torch.zeros(1, 10)))
+    draper.drape(scene)
+    kept = draper.prepared(groom, model.body)
+    for part, stays in ((network.decoder, True), (network.encoder, False)):
+        with torch.no_grad():
+            next(part.parameters()).mul_(1.5)
+        draper.drape(scene)
+        assert (draper.prepared(groom, model.body) is kept) == stays
 
 
 def test_the_papers_configuration_is_shipped_and_knows_one_loading(groom: Groom) -> None:

@@ -27,7 +27,8 @@ class Loading:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Loading) or self.acceleration != other.acceleration:
             return False
-        return torch.equal(torch.as_tensor(self.stiffness), torch.as_tensor(other.stiffness))
+        own, others = torch.as_tensor(self.stiffness), torch.as_tensor(other.stiffness)
+        return own.device == others.device and torch.equal(own, others)
 
     def __hash__(self) -> int:
         return hash(self.acceleration)

@@ -88,6 +88,7 @@ class NeuralDraper:
         self._prepared: GroomCache[WeakKeyDictionary[BodyModel, PreparedGroom]] = GroomCache()
         self._stiffened: WeakKeyDictionary[PreparedGroom, tuple[Tensor, int, PreparedGroom]] = WeakKeyDictionary()
         self._made: tuple[object, DrapeBackend] | None = None
+        self._encoder_weights: list[tuple[int, int]] = []
 
     def with_loading(self, loading: Loading) -> "NeuralDraper":
         """The same network under another loading; grooms that were prepared stay so.
@@ -109,16 +110,18 @@ class NeuralDraper:
 
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of every sample [m, world], without gradient."""
+        backend = self.backend()  # before: with other weights what was prepared is forgotten
         prepared = [self.prepared(scene.groom, scene.bodies.body)] * len(scene.bodies.body_pose)
         with torch.no_grad():
-            hair = list(drape(self.backend(), prepared, scene.bodies))
+            hair = list(drape(backend, prepared, scene.bodies))
         return hair[0] if len(hair) == 1 else torch.cat(hair)
 
     def drape_grooms(self, grooms: Sequence[Groom], bodies: BodyBatch) -> list[Positions]:
         """Each groom draped on the body of its row [m, world], without gradient; the rows in order."""
+        backend = self.backend()
         prepared = [self.prepared(groom, bodies.body) for groom in grooms]
         with torch.no_grad():
-            return list(drape(self.backend(), prepared, bodies))
+            return list(drape(backend, prepared, bodies))
 
     def deform(self, scene: Scene, projects: bool = False) -> Positions:
         """Vertices [m, world], differentiable in the network's weights.
@@ -170,6 +173,10 @@ class NeuralDraper:
                     weights += (weight.data_ptr(), None if weight.is_inference() else weight._version)
         state = (layers, weights, self.loading, self.bf16)
         if self._made is None or self._made[0] != state:
+            encoder = [(weight.data_ptr(), weight._version) for weight in self.network.encoder.parameters()]
+            if self._made is not None and encoder != self._encoder_weights:
+                self._prepared = GroomCache()  # codes of grooms among it
+            self._encoder_weights = encoder
             if self._kind is Backend.CPU and self.network.config.predicts_directions:
                 network = cast(DirectionNetwork, self.network)
                 made: DrapeBackend = CpuBackend(network, self.loading, self.bf16)

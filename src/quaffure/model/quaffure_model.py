@@ -13,6 +13,7 @@ from quaffure.body.pose_limits import Rows, rows_of
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
+from quaffure.hair.groom_cache import GroomCache
 from quaffure.hair.groom_checks import check_groom
 from quaffure.model.checkpoint import load_network
 from quaffure.model.cpu_backend import BATCH
@@ -39,6 +40,7 @@ class Quaffure:
 
     def __init__(self, body: BodyModel, draper: NeuralDraper, notes: dict[str, str]) -> None:
         self.body, self.draper, self.notes = body, draper, notes
+        self._moved: GroomCache[Groom] = GroomCache()  # to the body's device; what was prepared of them is kept by them
 
     def __repr__(self) -> str:
         return f"Quaffure({self.draper.name} on {self.body!r})"
@@ -129,7 +131,9 @@ class Quaffure:
         if found.dtype is not expected.dtype:
             raise InputError(groom.name, f"vertices in {expected.dtype}", f"{found.dtype}")
         check_groom(groom, len(self.body.faces))
-        return groom if found.device == expected.device else groom.to(expected.device)
+        if found.device == expected.device:
+            return groom
+        return self._moved.of(groom, lambda: groom.to(expected.device))
 
 
 def _check_no_gradient(poses: Tensor, shapes: Tensor) -> None:

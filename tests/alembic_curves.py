@@ -13,8 +13,8 @@ def write_curves(path: Path, objects: dict[str, dict[str, Any]]) -> None:
 
     Args:
         objects: by name, `points` [P,3] and `counts` of each; and `basis`, the `move` of its transform, `frames` in
-            which its points fall, whether it is `hidden`, `guide` of each curve, and other `integers` and `texts` of
-            each, or one of all, by name.
+            which its points fall, whether it is `hidden`, the `tool` of its transform, `guide` of each curve, and other
+            `integers` and `texts` of each, or one of all, by name.
     """
     archive = Abc.OArchive(str(path))
     for name, curves in objects.items():
@@ -22,6 +22,8 @@ def write_curves(path: Path, objects: dict[str, dict[str, Any]]) -> None:
         move = AbcGeom.XformSample()
         move.setTranslation(V3d(*curves.get("move", (0, 0, 0))))
         node.getSchema().set(move)
+        if "tool" in curves:
+            Abc.OStringProperty(node.getSchema().getUserProperties(), "groom_tool").setValue(curves["tool"])
         if curves.get("hidden"):
             visibility = AbcGeom.CreateVisibilityProperty(node, 0)
             visibility.setValue(int(AbcGeom.ObjectVisibility.kVisibilityHidden))

@@ -1,5 +1,6 @@
 """Alembic files of grooms: numbers followed by hand, the schema of Unreal's importer, and pairs of asset and cache."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from quaffure.apps.cli.main import main
 from quaffure.body import BodyModel
 from quaffure.hair import ExportClip, ExportSettings, Groom
 from quaffure.io import write_drape
+from quaffure.io.read_strands import read_strands
 from tests.export_clips import FRAMES, export_clip
 from tests.synthetic_drape import drape, patch_of_strands
 from tests.training_runs import tiny_groom
@@ -20,6 +22,7 @@ from alembic3d import Abc, AbcGeom  # noqa: E402
 
 from quaffure.io.alembic_groom import write_groom_asset, write_groom_cache  # noqa: E402
 from scripts import check_unreal_groom  # noqa: E402
+from tests.alembic_curves import write_curves  # noqa: E402
 
 STRANDS = 300
 
@@ -68,6 +71,36 @@ def test_one_vertex_and_one_root_by_hand(tmp_path: Path, groom: Groom, body: Bod
     assert "(x, y, z) m of the drape is (100 x, -100 y, 100 z)" in str(
         Abc.GetArchiveInfo(Abc.IArchive(str(tmp_path / "groom.abc")))
     )
+
+
+@pytest.mark.parametrize("write", [write_groom_asset, write_groom_cache])
+def test_what_is_written_for_unreal_is_read_in_the_axes_of_the_drape(
+    write: Callable[[Path, ExportClip], None], tmp_path: Path
+) -> None:
+    """Hair of one side is not read as its mirror image: (x, y, z) m is read as (100 x, 100 y, 100 z)."""
+    strands = patch_of_strands((1.0, 0.5, 0.3))
+    clip = ExportClip(drape(strands))
+    write(tmp_path / "hair.abc", clip)
+    assert (points_of(tmp_path / "hair.abc", "strands", 0)[..., 1] < 0).all()
+    found = read_strands(tmp_path / "hair.abc")
+    np.testing.assert_allclose(found.points, 100 * strands.reshape(-1, 3), rtol=1e-6)
+    assert found.attributes.width is not None
+    np.testing.assert_allclose(found.attributes.width, 100 * clip.widths, rtol=1e-6)
+    as_read, _, _, _ = np.linalg.lstsq(clip.points(0), found.points, rcond=None)
+    assert np.linalg.det(as_read) == pytest.approx(1e6, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("tool", "y"), [("quaffure 0.0.1", -1), ("quaffurette 1.0", 1), ("Another 2 (quaffure)", 1), ("", 1)]
+)
+def test_only_grooms_of_this_package_are_mirrored_as_they_are_read(tool: str, y: int, tmp_path: Path) -> None:
+    """Those of all of its versions; before the transforms that other programs put around them."""
+    points = np.arange(9.0).reshape(3, 3)
+    hair = {"points": points, "counts": [3], "move": (1, 2, 3)}
+    others = {"points": points + 20, "counts": [3]}
+    write_curves(tmp_path / "hair.abc", {"hair": hair | {"tool": tool}, "others": others})
+    expected = np.concatenate([points * [1, y, 1] + [1, 2, 3], points + 20])
+    np.testing.assert_array_equal(read_strands(tmp_path / "hair.abc").points, expected)
 
 
 def test_unreals_schema_finds_no_fault(pair: tuple[Path, Path]) -> None:

@@ -152,7 +152,7 @@ def test_arrays_with_roots_and_with_padding(tmp_path: Path) -> None:
     assert read_strands(tmp_path / "padded.npy").counts.tolist() == [4, 2]
     padded[0, 1] = np.nan
     np.save(tmp_path / "holed.npy", padded)
-    with pytest.raises(InputError, match="NaN or infinity in 1"):
+    with pytest.raises(InputError, match="NaN, infinity or more in 1"):
         read_strands(tmp_path / "holed.npy")
     np.savez(tmp_path / "more_roots.npz", strands=relative, roots=POINTS)
     with pytest.raises(InputError, match=r"finite roots \[2, 3\]"):

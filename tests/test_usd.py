@@ -1,8 +1,9 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pxr import Usd, UsdGeom, UsdValidation
+from pxr import Sdf, Usd, UsdGeom, UsdValidation
 
 from quaffure import InputError
 from quaffure.geometry import farthest_points
@@ -101,6 +102,73 @@ def test_reader_applies_transforms_and_joins_prims(tmp_path: Path) -> None:
     strands = read_usd_strands(tmp_path / "curves.usda")
     assert strands.counts.tolist() == [2, 3, 2]
     np.testing.assert_allclose(strands.points[5:], [[0, 1, 5], [0, 2, 5]], atol=1e-6)
+
+
+@pytest.mark.parametrize("vertices", [2, 4, 7])
+def test_held_parts_of_strands_of_few_vertices_are_read(vertices: int, tmp_path: Path) -> None:
+    strands = patch_of_strands((0.0, 1.0, 0.0), vertices)
+    random, shape = np.random.default_rng(0), (len(strands), vertices - 1)
+    held = replace(
+        drape(strands),
+        stiffness_scale=1 + random.random(shape, np.float32),
+        goal_weight=random.random(shape, np.float32),
+        tie_vertex=random.integers(-1, vertices, len(strands)),
+    )
+    write_usd(tmp_path / "held.usda", held)
+    found = read_usd_strands(tmp_path / "held.usda")
+    np.testing.assert_array_equal(found.points.reshape(strands.shape), strands)
+    np.testing.assert_array_equal(found.tie_vertex, held.tie_vertex)
+    for name in ("stiffness_scale", "goal_weight"):
+        np.testing.assert_array_equal(getattr(found, name).reshape(-1, vertices)[:, :-1], getattr(held, name))
+    write_usd(tmp_path / "free.usda", drape(strands))
+    assert (read_usd_strands(tmp_path / "free.usda").counts > vertices).all()
+
+
+@pytest.mark.parametrize(
+    ("flags", "lengths"), [([1, 0], [3]), ([1, 1], [2, 3]), ([0, 0], [2, 3]), ([1], [2, 3]), ([1, 0, 1], [2, 3])]
+)
+def test_guides_by_unreals_primvar_are_left_out_where_there_are_others(
+    flags: list[int], lengths: list[int], tmp_path: Path
+) -> None:
+    """Of each curve, of all of them, or of another number, which says nothing."""
+    stage = stage_of_curves(tmp_path / "hair.usda", "/Hair")
+    primvars = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Hair"))
+    interpolation = UsdGeom.Tokens.constant if len(flags) == 1 else UsdGeom.Tokens.uniform
+    primvars.CreatePrimvar("groom_guide", Sdf.ValueTypeNames.IntArray, interpolation).Set(flags)
+    primvars.CreatePrimvar("groom_id", Sdf.ValueTypeNames.IntArray, UsdGeom.Tokens.uniform).Set([2, 3])
+    stage.Save()
+    found = read_usd_strands(tmp_path / "hair.usda")
+    assert found.counts.tolist() == lengths
+    assert found.attributes.identifier is not None
+    assert found.attributes.identifier.tolist() == lengths
+
+
+@pytest.mark.parametrize("kind", [Sdf.ValueTypeNames.Int, Sdf.ValueTypeNames.Bool])
+def test_a_primvar_of_one_number_makes_guides_of_all_curves(kind: Sdf.ValueTypeName, tmp_path: Path) -> None:
+    stage = stage_of_curves(tmp_path / "hair.usda", "/Hair", "/Guides")
+    UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Guides")).CreatePrimvar("groom_guide", kind).Set(True)
+    stage.Save()
+    found = read_usd_strands(tmp_path / "hair.usda")
+    assert (found.counts.tolist(), found.attributes.group_names) == ([2, 3], ("/Hair",))
+
+
+def test_guides_that_another_program_gives_the_default_purpose_stay_guides(tmp_path: Path) -> None:
+    path = tmp_path / "drape.usda"
+    write_usd(path, ExportClip(drape(STRANDS), settings=ExportSettings(guides=True)))
+    stage = Usd.Stage.Open(str(path))
+    UsdGeom.BasisCurves.Get(stage, "/Drape/Hair/Guides").GetPurposeAttr().Set(UsdGeom.Tokens.default_)
+    stage.Save()
+    assert len(read_usd_strands(path)) == len(STRANDS)
+
+
+def stage_of_curves(path: Path, *names: str) -> Usd.Stage:
+    """A stage with prims of a curve of two points and one of three each."""
+    stage = Usd.Stage.CreateNew(str(path))
+    for name in names:
+        curves = UsdGeom.BasisCurves.Define(stage, name)
+        curves.CreatePointsAttr([(i, 0, 0) for i in range(5)])
+        curves.CreateCurveVertexCountsAttr([2, 3])
+    return stage
 
 
 def test_bad_input_is_named(tmp_path: Path) -> None:

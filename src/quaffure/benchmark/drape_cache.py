@@ -22,7 +22,7 @@ DRAPE: Spec = {"strands": (("S", "N", 3), (np.float32,)), "milliseconds": ((), R
 """Times below zero are unknown."""
 GROOM: Spec = {"rest_strands": (("S", "N", 3), REAL), "root_uv": (("S", 2), REAL)}
 HELD_PARTS_TOLERANCE = 1e-5
-"""Relative: held parts are the same where none differs by more."""
+"""Held parts are the same where none differs by a larger share."""
 
 
 @dataclass(frozen=True)

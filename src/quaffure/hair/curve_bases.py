@@ -37,10 +37,14 @@ def is_basis_valid(counts: Counts, basis: str, wrap: str) -> bool:
     return bool((counts >= {PERIODIC: 3, PINNED: 2}.get(wrap, 4)).all())
 
 
-def passes_its_points(counts: Counts, basis: str, wrap: str) -> bool:
-    """Whether curves pass all of their points, so many that these are the polyline, with all that the file says of
-    them."""
-    return basis == CATMULL_ROM and wrap == PINNED and bool((counts >= DENSE).all())
+def passes_its_points(basis: str, wrap: str) -> bool:
+    """Whether curves pass all of their points."""
+    return basis == CATMULL_ROM and wrap == PINNED
+
+
+def is_dense(counts: Counts) -> bool:
+    """Whether curves that pass all of their points have so many that these are the polyline."""
+    return bool((counts >= DENSE).all())
 
 
 def cubic_polylines(points: Points, counts: Counts, basis: str, wrap: str) -> Polylines:

@@ -25,6 +25,7 @@ from quaffure.hair.curve_bases import (
 from quaffure.hair.resample import concatenate_strands
 from quaffure.hair.strand_attributes import StrandAttributes, groups_of, per_point, per_strand
 from quaffure.hair.strands import Strands, checked_strands, checked_times
+from quaffure.io.alembic_process import TOOL_PROPERTY, WRITER
 from quaffure.io.strand_process import serve, write_strands
 
 BASES = {
@@ -34,6 +35,8 @@ BASES = {
 }
 GUIDE = "groom_guide"
 """Unreal's attribute of a curve: 1 for a guide."""
+DRAPE_FROM_UNREAL = np.diag([1.0, -1.0, 1.0, 1.0])
+"""From the axes in which `quaffure.io.alembic_groom` writes to those of the drape, but for the unit."""
 MOST_OBJECTS = 100_000
 
 
@@ -41,7 +44,7 @@ class _Object(NamedTuple):
     """An object of the archive.
 
     Attributes:
-        world: from its own space to the archive's; for row vectors.
+        world: from its own space to the archive's, right-handed if this package wrote it; for row vectors.
         hidden: whether it or one above it is.
     """
 
@@ -96,7 +99,18 @@ def _world(child: Any, parent: _Object) -> np.ndarray:
     sample = schema.getValue()
     matrix = sample.getMatrix()
     own = np.array([[matrix[row][column] for column in range(4)] for row in range(4)])
-    return own @ parent.world if sample.getInheritsXforms() else own
+    world = own @ parent.world if sample.getInheritsXforms() else own
+    return DRAPE_FROM_UNREAL @ world if _is_ours(schema) else world
+
+
+def _is_ours(schema: Any) -> bool:
+    """Whether a node is the topmost one of a groom that any version of this package wrote."""
+    properties = schema.getUserProperties()
+    header = properties.getPropertyHeader(TOOL_PROPERTY) if properties.valid() else None
+    if header is None or not Abc.IStringProperty.matches(header):
+        return False
+    tool = Abc.IStringProperty(properties, TOOL_PROPERTY)
+    return tool.getNumSamples() > 0 and str(tool.getValue()).split()[:1] == [WRITER]
 
 
 def _is_hidden(child: Any, parent: _Object) -> bool:

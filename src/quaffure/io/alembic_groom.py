@@ -2,8 +2,9 @@
 
 Attributes, their types and scopes are those of schema 1.5 of Epic's "Alembic for Grooms Specification". Unreal's
 importer reads coordinates as they are, in centimetres and in its own axes: left-handed, z up. So (x, y, z) in metres is
-written as (100 x, -100 y, 100 z): a body that faces -y here faces +y there, as in an FBX file of it. An asset and the
-cache of its animation have the same curves in the same order.
+written as (100 x, -100 y, 100 z): a body that faces -y here faces +y there, as in an FBX file of it. Our reader
+recognizes these files by `groom_tool`, and negates y again; other axes need another mark. An asset and the cache of its
+animation have the same curves in the same order.
 """
 
 import json
@@ -19,6 +20,7 @@ from jaxtyping import Float32, Int32
 
 from quaffure.errors import InputError
 from quaffure.hair.export_clip import HAIR_COLOUR, MOST_POINTS, ExportClip
+from quaffure.io.alembic_process import TOOL_PROPERTY, WRITER
 from quaffure.io.atomic import replacing, replacing_together
 from quaffure.io.library_process import library_environment
 from quaffure.io.output_path import check_suffix
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
 
 ALEMBIC_SUFFIX = ".abc"
 VERSION = {"groom_version_major": 1, "groom_version_minor": 5}
-TOOL = f"quaffure {version('quaffure')}"
+TOOL = f"{WRITER} {version(WRITER)}"
 CENTIMETRES = 100.0
 UNREAL_FROM_WORLD = np.array([CENTIMETRES, -CENTIMETRES, CENTIMETRES], dtype=np.float32)
 CONVENTIONS = "centimetres, left-handed axes, z up, as in Unreal: (x, y, z) m of the drape is (100 x, -100 y, 100 z)"
@@ -156,7 +158,7 @@ def _description(clip: ExportClip, attributes: dict[str, list[_Attribute]], what
         "top": TOP,
         "integers": VERSION,
         "texts": {
-            "groom_tool": TOOL,
+            TOOL_PROPERTY: TOOL,
             "groom_properties": json.dumps({"file": what, "conventions": CONVENTIONS, **meta}, ensure_ascii=False),
         },
         "curves": curves,

@@ -31,7 +31,8 @@ STRAND_READERS: dict[str, Callable[[Path], Strands]] = {
 
 
 def read_strands(path: Path) -> Strands:
-    """Strands of a file, in its own units and axes; its suffix, in any case, selects the format.
+    """Strands of a file, in its own units and axes; its suffix, in any case, selects the format. Alembic files that
+    this package wrote for Unreal, left-handed, are read right-handed (`read_alembic_strands`).
 
     Raises:
         InputError: no such file, a folder, a suffix without a reader, or what the format's reader refuses.

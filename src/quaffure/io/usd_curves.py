@@ -24,6 +24,7 @@ from quaffure.hair.curve_bases import (
     closed_polylines,
     cubic_polylines,
     is_basis_valid,
+    is_dense,
     nurbs_polylines,
     passes_its_points,
 )
@@ -38,6 +39,8 @@ from quaffure.io.usd_process import PREFIX
 COLOURS = ("groom_color", "displayColor")
 ROOT_UVS = ("groom_root_uv", "st", "uv")
 """Primvars of colours and of texture coordinates at roots, the first that there is."""
+GUIDE = "groom_guide"
+"""Unreal's primvar of a curve: 1 for a guide."""
 
 
 def main(path: Path) -> int:
@@ -58,7 +61,9 @@ def _read_stage(path: Path) -> Strands:
                 curves.append(UsdGeom.Curves(prim))
             elif prim.IsA(UsdGeom.Boundable):
                 others.add(str(prim.GetTypeName()))
-        parts = [_with_attributes(_read_curves(curve, path), curve) for curve in _rendered(curves)]
+        read = [(_with_attributes(_read_curves(curve, path), curve), _guides(curve)) for curve in _rendered(curves)]
+        parts = [strands.select(~guides) for strands, guides in read if not guides.all()]
+        parts = parts or [strands for strands, _ in read]
         if not parts:
             only = f", only {', '.join(sorted(others))}" if others else ""
             found = f"no strands: no curves{only}"
@@ -114,13 +119,15 @@ def _read_curves(curve: UsdGeom.Curves, path: Path) -> Strands:
         return Strands(*_nurbs(UsdGeom.NurbsCurves(curve.GetPrim()), points, counts, time), str(path))
     curves = UsdGeom.BasisCurves(curve.GetPrim())
     basis, wrap = str(curves.GetBasisAttr().Get()), str(curves.GetWrapAttr().Get())
+    # By default curves are cubic Beziers: polylines of programs that write no type mostly have another number of points
+    # than these can have.
     is_linear = str(curves.GetTypeAttr().Get()) == LINEAR or not is_basis_valid(counts, basis, wrap)
-    if is_linear or passes_its_points(counts, basis, wrap):
-        # By default curves are cubic Beziers: polylines of programs that write no type mostly have another number of
-        # points than these can have.
-        parts = _read_held_parts(curve, counts, path)
-        if is_linear and wrap == PERIODIC:
-            return Strands(*closed_polylines(points, counts), str(path))
+    through_points = is_linear or passes_its_points(basis, wrap)
+    parts = _read_held_parts(curve, counts, path) if through_points else {}
+    if is_linear and wrap == PERIODIC:
+        return Strands(*closed_polylines(points, counts), str(path))
+    # Held parts are those of a drape's edges, each from a point to the next, however few.
+    if is_linear or parts or (through_points and is_dense(counts)):
         return Strands(points, counts, str(path), **parts)
     return Strands(*cubic_polylines(points, counts, basis, wrap), str(path))
 
@@ -131,18 +138,13 @@ def _with_attributes(strands: Strands, curve: UsdGeom.Curves) -> Strands:
     counts = np.array(curve.GetCurveVertexCountsAttr().Get(time) or [], dtype=np.int64)
     api = UsdGeom.PrimvarsAPI(curve)
 
-    def primvar(name: str, columns: int) -> np.ndarray:
-        found = api.FindPrimvarWithInheritance(name)
-        values = found.ComputeFlattened(time) if found.HasValue() else None
-        array = np.array([] if values is None else values, dtype=np.float64)
-        return array.reshape(-1, columns) if columns > 1 and array.size % columns == 0 else array
-
     widths = np.array(curve.GetWidthsAttr().Get(time) or [], dtype=np.float64)
-    colours = next((found for name in COLOURS if len(found := primvar(name, 3))), np.empty((0, 3)))
-    uv = next((found for name in ROOT_UVS if len(found := primvar(name, 2))), np.empty((0, 2)))
-    identifier, name = per_strand(primvar("groom_id", 1), counts), str(curve.GetPath())
+    colours = next((found for name in COLOURS if len(found := _numbers(api, name, time, 3))), np.empty((0, 3)))
+    uv = next((found for name in ROOT_UVS if len(found := _numbers(api, name, time, 2))), np.empty((0, 2)))
+    identifier = per_strand(_numbers(api, "groom_id", time), counts)
+    groups = per_strand(_numbers(api, "groom_group_id", time), counts)
     attributes = replace(
-        groups_of(per_strand(primvar("groom_group_id", 1), counts), _group_names(api, time, counts), len(counts), name),
+        groups_of(groups, _group_names(api, time, counts), len(counts), str(curve.GetPath())),
         width=per_point(widths, counts, strands.counts),
         colour=per_point(colours, counts, strands.counts),
         identifier=None if identifier is None else identifier.astype(np.int64),
@@ -150,6 +152,22 @@ def _with_attributes(strands: Strands, curve: UsdGeom.Curves) -> Strands:
     )
     world = np.array(curve.ComputeLocalToWorldTransform(time))[:3, :3]
     return replace(strands, attributes=attributes.scaled(mean_scale(world)))
+
+
+def _numbers(api: UsdGeom.PrimvarsAPI, name: str, time: Usd.TimeCode, columns: int = 1) -> np.ndarray:
+    """Numbers of a primvar, in rows of several columns; empty without it."""
+    found = api.FindPrimvarWithInheritance(name)
+    values = found.ComputeFlattened(time) if found.HasValue() else None
+    array = np.array([] if values is None else values, dtype=np.float64, ndmin=1)
+    return array.reshape(-1, columns) if columns > 1 and array.size % columns == 0 else array
+
+
+def _guides(curve: UsdGeom.Curves) -> np.ndarray:
+    """Whether each curve is a guide by Unreal's primvar, of each curve or of all of them."""
+    time = _time(curve)
+    counts = np.array(curve.GetCurveVertexCountsAttr().Get(time) or [], dtype=np.int64)
+    guides = per_strand(_numbers(UsdGeom.PrimvarsAPI(curve), GUIDE, time) != 0, counts)
+    return np.zeros(len(counts), bool) if guides is None else guides
 
 
 def _group_names(api: UsdGeom.PrimvarsAPI, time: Usd.TimeCode, counts: np.ndarray) -> np.ndarray | None:

@@ -12,8 +12,9 @@ PREFIX = "quaffure:"
 def read_usd_strands(path: str | Path) -> Strands:
     """All curves of a stage in world space, at each one's first time sample; the file's units and up axis are kept.
 
-    Cubic bases and NURBS are evaluated, instances are read, and hidden curves, proxies and guides are left out where
-    there are others.
+    Cubic bases and NURBS are evaluated, instances are read, and hidden curves, proxies and guides, by their purpose or
+    by Unreal's primvar `groom_guide`, are left out where there are others. Pinned Catmull-Rom curves with held parts,
+    as `write_usd` writes, are read as polylines through their points.
 
     Raises:
         InputError: the USD library is not installed; not a USD file, one that takes more time or memory than its size

@@ -23,7 +23,7 @@ from quaffure.types import Float, Positions, RestLengths, Tensor
 FRAME_SECONDS = 1 / 30
 """Time between frames that settings are meant for [s]."""
 LEAST_PASSES = 2
-"""Of a frame: `OscillationDamping` compares the displacements of two."""
+"""A frame has no fewer: `OscillationDamping` compares the displacements of two."""
 BLENDED_EDGES = 6
 """Edges from the root over which a strand that turns less than its scalp goes over to the smaller angle."""
 

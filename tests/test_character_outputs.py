@@ -8,6 +8,7 @@ import pytest
 
 from quaffure import InputError
 from quaffure.apps.cli.inputs import character_space_of
+from quaffure.apps.cli.main import main
 from quaffure.apps.cli.outputs import asset_path, write_output
 from quaffure.body import BodyModel, Character, frame_times, poses_at
 from quaffure.body.own_motion import own_motion
@@ -19,6 +20,7 @@ from quaffure.io import character_scene, read_drape, write_drape
 from quaffure.io.read_character import read_character
 from quaffure.io.read_strands import read_strands
 from tests.characters import character
+from tests.synthetic_drape import drape, patch_of_strands
 from tests.test_own_motion import FPS, binding_of, drape_of, moving, own_body, scalp_vertices
 
 FRAME = 4
@@ -169,6 +171,25 @@ def test_another_motion_is_placed_without_the_file(written: tuple[PlacedClip, Ch
         placed_clip(ExportClip(clip.sequence), clip.space)
 
 
+def test_a_drape_in_place_stays_there_in_the_animation_of_the_file(
+    written: tuple[PlacedClip, Character, np.ndarray],
+) -> None:
+    clip = written[0]
+    path = clip.sequence.body_translation
+    assert path is not None
+    inner = replace(clip.inner, sequence=clip.sequence.in_place())
+    still = placed_clip(inner, clip.space)
+    for frame in (0, FRAME, 8):
+        moved = clip.space.origin.scale * clip.space.origin.rotation @ path[frame].astype(float)
+        np.testing.assert_allclose(still.points(frame), clip.points(frame) - moved, atol=0.01)
+        np.testing.assert_allclose(still.strands(frame), clip.strands(frame) - moved, atol=0.01)
+        np.testing.assert_allclose(still.body_vertices(frame), clip.body_vertices(frame) - moved, atol=0.01)
+    assert np.linalg.norm(moved) > 20  # centimetres
+    # Roots are where the drape has them, but for what the file's skin adds, which is nothing here.
+    assert np.abs(still.file_arrays()["root_offset"]).max() < 0.01
+    assert replace(clip.space, skin=None).in_place().skin is None
+
+
 def test_the_skin_is_found_by_place_and_hair_is_left_out(body: BodyModel) -> None:
     rest = character(body)
     own = own_body(rest, body)
@@ -209,6 +230,26 @@ def test_a_retargeted_motion_is_not_the_file_s_own(
     assert animated is not None
     assert (retargeted.skin, retargeted.start) == (None, times[0])
     assert animated.skin is not None
+
+
+def test_a_motion_that_is_not_read_is_refused(
+    body: BodyModel, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    write_drape(tmp_path / "hair.npz", drape(patch_of_strands((0.0, 1.0, 0.0))))
+    for motion in ("walk.glb", str(tmp_path / "missing.bvh")):
+        with pytest.raises(SystemExit) as stop:
+            main(["render", str(tmp_path / "hair.npz"), "--motion", motion, "--out", str(tmp_path / "hair.glb")])
+        assert stop.value.code == 2
+        said = " ".join(capfd.readouterr().err.split())
+        assert f"--motion: expected the body of the character whose file it is, by --body, found {motion} on" in said
+    own, times = own_body(character(body), body), np.zeros(1)
+    for missing in ("missing.bvh", "run"):
+        with pytest.raises(InputError, match=f"{missing}: expected a motion file .* or a bundled motion"):
+            character_scene.read_character_space(own, missing, times)
+    for known in ("", "walk"):
+        space = character_scene.read_character_space(own, known, times)
+        assert space is not None
+        assert space.skin is None
 
 
 def test_a_file_of_animations_has_no_skin(

@@ -19,7 +19,10 @@ from quaffure.energies.rod import BENDING_STIFFNESS, joint_lengths
 from quaffure.geometry import Surface
 from quaffure.hair import (
     DrapeSequence,
+    ExportClip,
+    ExportSettings,
     Groom,
+    GuideInterpolation,
     Strands,
     concatenate_strands,
     groom_of_drape,
@@ -262,6 +265,42 @@ def test_resampling_shares_goals_out_by_length_and_moves_ties() -> None:
     np.testing.assert_allclose(coarse["goal_weight"][0], [10 / 3, 0, 0], atol=1e-6)
     assert coarse["tie_vertex"].tolist() == [1, -1]
     assert resample_held_parts(replace(strands, stiffness_scale=None, goal_weight=None, tie_vertex=None), 4) == {}
+
+
+def test_strands_of_any_number_of_points_have_the_goals_of_their_guide() -> None:
+    """Of 100 and of 10 points; a strand off the scalp, which no guide moves, is not held."""
+    counts = np.array([100, 10, 10])
+
+    class Ragged(GuideInterpolation):
+        @property
+        def counts(self) -> np.ndarray:
+            return counts
+
+    strands = patch_of_strands((0.0, 1.0, 0.0))
+    held = np.zeros((len(strands), strands.shape[1] - 1), np.float32)
+    held[:, :3] = 2e-5
+    sequence = replace(
+        drape(strands), stiffness_scale=1 + 1e5 * held, goal_weight=held, tie_vertex=np.full(len(strands), 3)
+    )
+    nearest, corners = np.zeros((3, 3), np.int32), np.full((3, 3), 1 / 3, np.float32)
+    weights = np.float32([[1, 0, 0], [1, 0, 0], [0, 0, 0]])
+    between = Ragged(nearest, weights, nearest, corners, np.ones(len(strands), np.float32), 100)
+    found = ExportClip(sequence, between).held_parts
+    goals, stiffness = (np.split(found[name], [100, 110]) for name in ("goal_weight", "stiffness_scale"))
+    # Of 99 edges, 42.4 are held, of 9 edges 3.9: the one that is held for less than a half is free.
+    sums = [of_strand[:-1].sum() for of_strand in goals]
+    np.testing.assert_allclose(sums, [6e-5 * 42 / (3 / 7 * 99), 6e-5, 0], rtol=1e-4)
+    assert [int((of_strand[:-1] > 0).sum()) for of_strand in goals] == [42, 4, 0]
+    assert (stiffness[0][0], stiffness[1][0]) == (pytest.approx(3), pytest.approx(3))
+    np.testing.assert_array_equal(stiffness[2], 1)
+    assert found["tie_vertex"].tolist() == [42, 4, -1]
+
+
+def test_a_tie_near_the_root_of_few_points_is_at_the_first_vertex() -> None:
+    sequence = drape(patch_of_strands((0.0, 1.0, 0.0)))
+    clip = ExportClip(replace(sequence, tie_vertex=np.arange(len(sequence.rest_lengths)) % 3 - 1))
+    few = replace(clip, settings=ExportSettings(points=3)).held_parts
+    assert few["tie_vertex"][:3].tolist() == [-1, 0, 1]
 
 
 def test_parts_of_a_groom_without_held_parts_ask_for_nothing() -> None:

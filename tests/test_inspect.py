@@ -72,6 +72,13 @@ def test_motion_of_smpl_says_which_axis_is_up(shared_data: Path, body: BodyModel
     assert found["head_above_hips_m"] == pytest.approx(0.68, abs=0.01)
 
 
+def test_frames_of_a_motion_of_another_rate_are_those_that_are_draped(tmp_path: Path, body: BodyModel) -> None:
+    np.savez(tmp_path / "poses.npz", body_pose=np.zeros((121, 81), np.float32), fps=60.0)
+    found = summary_of(tmp_path / "poses.npz", body)
+    assert (found["frames"], found["fps"], found["seconds"]) == (61, 30.0, 2.0)
+    assert (found["frames_of_the_file"], found["fps_of_the_file"]) == (121, 60.0)
+
+
 def test_every_other_kind(tmp_path: Path, body: BodyModel, tiny_groom_file: Path) -> None:
     groom = summary_of(tiny_groom_file, body)
     assert (groom["kind"], groom["points_a_strand"]) == ("groom", 24)

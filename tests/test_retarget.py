@@ -134,11 +134,13 @@ def test_the_root_is_turned_but_not_moved(body: BodyModel) -> None:
 
 def test_the_lead_in_is_dropped_only_after_a_rest_pose(body: BodyModel) -> None:
     angles = random_angles(136, degrees=10)
-    assert len(retarget_bvh(daz_clip(angles, fps=120), body)) == 34
+    whole = retarget_bvh(daz_clip(angles, fps=120), body)
+    assert (len(whole), whole.start) == (34, 0)
     angles[0] = 0
     clip = daz_clip(angles, fps=120)
     motion = retarget_bvh(clip, body)
     assert len(motion) == 31
+    np.testing.assert_allclose(motion.times[:2], [15 / 120, 15 / 120 + 1 / 30])  # in the file
     found = bone_directions(motion, body, "LeftArm", "LeftForeArm")
     np.testing.assert_allclose(found, source_directions(clip, "lShldr", "lForeArm")[15::4], atol=1e-5)
 

@@ -40,7 +40,7 @@ def retarget_bvh(
     """The clip on the body's joints at 30 fps: lead-in from the rest pose dropped, joint flips repaired.
 
     Any skeleton with hips, a spine, a head, arms and legs, of any up axis, facing and unit. The first 0.125 s are
-    dropped where the clip starts in its rest pose and is longer than that.
+    dropped where the clip starts in its rest pose and is longer than that; the motion's `start` is then after them.
 
     Args:
         joint_map: which joints are which; by their names without one (`quaffure.body.joint_names`).
@@ -54,11 +54,11 @@ def retarget_bvh(
         joint_map = automatic_joint_map(clip)
     else:
         check_joint_map(joint_map, clip)
-    start = _lead_in_frames(clip, joint_map) if drops_lead_in else 0
-    skeleton = source_skeleton(replace(clip, values=clip.values[start:]), joint_map)
+    dropped = _lead_in_frames(clip, joint_map) if drops_lead_in else 0
+    skeleton = source_skeleton(replace(clip, values=clip.values[dropped:]), joint_map)
     rotations = {joint: source.rotation(skeleton.world) for joint, source in joint_map.items()}
     pose, path = aligned_pose(rotations, skeleton, body), _root_translation(skeleton, joint_map, body)
-    motion = Motion(pose, clip.fps, clip.source, path, skeleton.notes)
+    motion = Motion(pose, clip.fps, clip.source, path, skeleton.notes, start=dropped / clip.fps)
     return resample(filter_flips(motion), RETARGET_FPS)
 
 

@@ -5,7 +5,7 @@ it: at rest the root is bound to the nearest triangle of the skin, whose joints 
 on morphed heads, and on stretched bones, which the body does not have.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -110,12 +110,15 @@ class AnimatedSkin:
         character, animation: of the file.
         mesh: its skin.
         times: of the frames [s].
+        still_node: index of a node that is kept where it is at rest, and the skin with it; None where the skin goes
+            where the file has it.
     """
 
     character: Character
     animation: CharacterAnimation
     mesh: SkinnedMesh
     times: Float[np.ndarray, " f"]
+    still_node: int | None = None
     _last: dict[int, CharacterPoses] = field(default_factory=dict)
 
     def vertices(self, frame: int) -> Float[np.ndarray, "v 3"]:
@@ -129,7 +132,11 @@ class AnimatedSkin:
     def _pose(self, frame: int) -> tuple[Float[np.ndarray, "n 4 4"], Float[np.ndarray, " t"] | None]:
         if frame not in self._last:
             self._last.clear()
-            (self._last[frame],) = poses_at(self.character, self.animation, self.times[frame : frame + 1])
+            (poses,) = poses_at(self.character, self.animation, self.times[frame : frame + 1])
+            if self.still_node is not None:
+                path = poses.world[:, self.still_node, :3, 3] - self.character.nodes.world[self.still_node, :3, 3]
+                poses.world[..., :3, 3] -= path[:, None]
+            self._last[frame] = poses
         poses = self._last[frame]
         weights = poses.morph_weights.get(self.mesh.node)
         return poses.world[0], None if weights is None else weights[0]
@@ -148,6 +155,14 @@ class CharacterSpace:
     origin: BodyOrigin
     start: float = 0.0
     skin: AnimatedSkin | None = None
+
+    def in_place(self) -> "CharacterSpace":
+        """The scene as seen by a drape whose body stays in place: the hips are where they are at rest, in the file's
+        own animation, too."""
+        if self.skin is None:
+            return self
+        hips = self.skin.character.nodes.names.index(self.origin.joint_nodes[0])
+        return replace(self, skin=replace(self.skin, still_node=hips, _last={}))
 
     def bound(self, roots: Float[np.ndarray, "m 3"]) -> BoundPoints | None:
         """Roots at rest [m, the body's space], bound to the skin, and on it where they are as near as the surface that

@@ -16,7 +16,7 @@ from quaffure.hair.guide_interpolation import GuideInterpolation
 from quaffure.hair.resample import arc_length_places, resample_held_parts, values_at_places
 from quaffure.hair.strand_attributes import NONE, StrandAttributes, unique_identifiers
 from quaffure.hair.strand_width import width_of
-from quaffure.hair.strands import GOAL_WEIGHT, STIFFNESS_SCALE, TIE_VERTEX, Strands, held_parts_of
+from quaffure.hair.strands import GOAL_WEIGHT, STIFFNESS_SCALE, TIE_VERTEX, UNASKED, Strands, held_parts_of
 
 # Hsu et al. 2024 interpolate a full head from 128 guides.
 MOST_GUIDES = 128
@@ -234,22 +234,28 @@ class ExportClip:
     @cached_property
     def held_parts(self) -> dict[str, np.ndarray]:
         """Those of `HELD_PARTS` that the drape has, of every strand: edges at their first vertices, the tip repeats the
-        last; a value for each of `points`, of the tie one of each strand."""
-        chosen = slice(None) if self.interpolation is None else self.interpolation.guides[:, 0]
-        most, last = self.point_count - 1, self.counts - 1
-        at = np.repeat(np.arange(self.strand_count), self.counts), np.rint(most * self._share_of_way).astype(int)
-        parts = self._held_parts(chosen)
-        return {
-            name: np.where(values > 0, np.rint(values * last / most).clip(min=1), values).astype(values.dtype)
-            if name == TIE_VERTEX
-            else values[at]
-            for name, values in parts.items()
-        }
+        last; a value for each of `points`, of the tie one of each strand. A strand has those of its nearest guide,
+        resampled to its own vertices; one that no guide moves, off the scalp, is not held."""
+        if self.interpolation is None:
+            nearest, is_moved = np.arange(self.strand_count), np.ones(self.strand_count, dtype=bool)
+        else:
+            nearest, is_moved = self.interpolation.guides[:, 0], self.interpolation.weights.sum(axis=1) > 0
+        starts = np.cumsum(self.counts) - self.counts
+        parts: dict[str, np.ndarray] = {}
+        for count in np.unique(self.counts[is_moved]).tolist():
+            strands = np.flatnonzero(is_moved & (self.counts == count))
+            guides, row = np.unique(nearest[strands], return_inverse=True)
+            for name, values in self._held_parts(guides, count).items():
+                at, size = strands, self.strand_count
+                if name != TIE_VERTEX:
+                    at, size = starts[strands, None] + np.arange(count), int(self.counts.sum())
+                parts.setdefault(name, np.full(size, UNASKED[name], values.dtype))[at] = values[row]
+        return parts
 
     @property
     def guide_held_parts(self) -> dict[str, np.ndarray]:
         """The same of the guides."""
-        return self._held_parts(self.guide_index)
+        return self._held_parts(self.guide_index, self.point_count)
 
     def body_vertices(self, frame: int) -> Float[np.ndarray, "v 3"]:
         """Vertices of the body in a frame [m, world]."""
@@ -350,17 +356,19 @@ class ExportClip:
     def _guide_places(self) -> tuple[Int[np.ndarray, "g p"], Float32[np.ndarray, "g p"]]:
         return _places(_as_strands(self._rest_guides[self.guide_index]), self.point_count)
 
-    def _held_parts(self, chosen: slice | np.ndarray) -> dict[str, np.ndarray]:
-        """Those of the chosen draped strands."""
+    def _held_parts(self, chosen: Int[np.ndarray, " c"], count: int) -> dict[str, np.ndarray]:
+        """Those of the chosen draped strands, resampled to so many vertices."""
         parts: dict[str, Any] = {name: values[chosen] for name, values in held_parts_of(self.sequence).items()}
-        rest = self._rest_guides[chosen]
-        if parts and self.point_count != rest.shape[1]:
+        rest, own_tie = self._rest_guides[chosen], parts.get(TIE_VERTEX)
+        if parts and count != rest.shape[1]:
             of_points: dict[str, Any] = {
                 name: values if name == TIE_VERTEX else _at_vertices(values) for name, values in parts.items()
             }
-            parts = resample_held_parts(replace(_as_strands(rest), **of_points), self.point_count)
+            parts = resample_held_parts(replace(_as_strands(rest), **of_points), count)
+        if own_tie is not None:  # at few vertices, the nearest to a tie may be the root, which is never tied
+            parts[TIE_VERTEX] = np.where(own_tie > 0, parts[TIE_VERTEX].clip(min=1), parts[TIE_VERTEX])
         for name in {STIFFNESS_SCALE, GOAL_WEIGHT} & {*parts}:
-            parts[name] = _at_vertices(parts[name]).reshape(-1, self.point_count)
+            parts[name] = _at_vertices(parts[name]).reshape(-1, count)
         return parts
 
 

@@ -141,12 +141,14 @@ class PlacedClip(ExportClip):
 
 
 def placed_clip(clip: ExportClip, space: CharacterSpace) -> PlacedClip:
-    """A clip of the drape's world in the scene of a character.
+    """A clip of the drape's world in the scene of a character, which stays in place where the drape does.
 
     Raises:
         InputError: the drape is of another body, or of a groom that is not known: where roots are at rest is open.
     """
     if clip.binding is None:
         raise InputError("the drape", "one of the body that was imported from the character", "another body")
+    if clip.sequence.body_translation is None:  # every motion of a character's own file has a path
+        space = space.in_place()
     own = {each.name: getattr(clip, each.name) for each in fields(ExportClip)}
     return PlacedClip(**own, inner=clip, space=space)

@@ -44,9 +44,12 @@ def usable_motion(path: Path, body: BodyModel, joints: Path | None = None) -> Su
 
 
 def motion_summary(motion: Motion, body: BodyModel) -> Summary:
-    """A motion on the body's joints."""
-    first = calibration_pose(resample(motion, FPS), body)
+    """A motion on the body's joints, at the rate at which it is draped."""
+    file = {} if motion.fps == FPS else {"frames_of_the_file": len(motion), "fps_of_the_file": round(motion.fps, 3)}
+    motion = resample(motion, FPS)
+    first = calibration_pose(motion, body)
     return {
+        **file,
         "frames": len(motion),
         "fps": round(motion.fps, 3),
         "seconds": round(motion.seconds, 2),

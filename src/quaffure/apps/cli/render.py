@@ -66,9 +66,12 @@ class RenderCommand:
         for path in self.out:
             if path.suffix.lower() == ".npz":
                 raise InputError(path, "a picture, a video or a file for another program", "a drape file")
+        body, groom, interpolation, binding = load_body(self.body), None, None, None
+        if self.motion and body.origin is None:
+            expected = "the body of the character whose file it is, by --body"
+            raise InputError("--motion", expected, f"{self.motion} on the shipped body")
         sequence = read_drape(self.drape)
         check_frames(self.out, range(0, len(sequence), self.export.every), self.export, inputs)
-        body, groom, interpolation, binding = load_body(self.body), None, None, None
         if self.strands not in (None, GUIDES):
             groom, source = groom_of_drape(sequence, body, self.drape), str(self.drape)
             if self.strands == ORIGINAL:

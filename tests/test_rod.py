@@ -147,7 +147,7 @@ def test_twisting_the_free_end_is_undone_by_the_material_frames() -> None:
 
 def test_rotation_gradient_is_refused() -> None:
     rest, (positions, rotation) = _rest(), _draped()
-    with pytest.raises(ValueError, match="rotations without gradient"):
+    with pytest.raises(ValueError, match="a body without gradient"):
         fused_rod(positions, rod_arrays(rest, torch.float64), rotation.requires_grad_())
 
 

@@ -70,7 +70,8 @@ def _reads_loading(draper: Draper) -> bool:
 def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:
     """The chosen rows, in that order and each once.
 
-    All rows drape the hair of the row `neural`: the shipped weights, or those that replace them.
+    All rows but `paper`, whose elastic model is another, drape the hair of the row `neural`: that of the shipped
+    weights, or of those that replace them.
 
     Args:
         names: of `ROWS` or of `weights`.
@@ -87,11 +88,9 @@ def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:
         if name in rows or not re.fullmatch(r"\w[\w.-]*", name):
             raise InputError(f"weights '{name}={path}'", f"another name than {', '.join(rows)}", f"'{name}'")
         draper, notes = load_trained(name, path)
+        if draper.material != material:
+            raise InputError(path, f"weights for hair of {material}, as all rows", f"{draper.material}")
         rows[name] = Method(name, draper, notes=notes)
-    for row in rows.values():
-        if row.draper.material != material:
-            source = str(weights.get(row.name) or f"draper {row.name}")
-            raise InputError(source, f"weights for hair of {material}, as all rows", f"{row.draper.material}")
     for name in names:
         if name == GROOMGEN and name not in rows:
             raise InputError(f"draper {name}", f"--weights {name}=FILE with it: none are shipped", "none")

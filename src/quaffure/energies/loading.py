@@ -27,8 +27,7 @@ class Loading:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Loading) or self.acceleration != other.acceleration:
             return False
-        own, others = torch.as_tensor(self.stiffness), torch.as_tensor(other.stiffness)
-        return own.device == others.device and torch.equal(own, others)
+        return torch.equal(torch.as_tensor(self.stiffness).cpu(), torch.as_tensor(other.stiffness).cpu())
 
     def __hash__(self) -> int:
         return hash(self.acceleration)

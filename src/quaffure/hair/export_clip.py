@@ -236,12 +236,10 @@ class ExportClip:
         """Those of `HELD_PARTS` that the drape has, of every strand: edges at their first vertices, the tip repeats the
         last; a value for each of `points`, of the tie one of each strand. A strand has those of its nearest guide,
         resampled to its own vertices; one that no guide moves, off the scalp, is not held."""
-        if self.interpolation is None:
-            nearest, is_moved = np.arange(self.strand_count), np.ones(self.strand_count, dtype=bool)
-        else:
+        nearest, is_moved = np.arange(self.strand_count), np.ones(self.strand_count, dtype=bool)
+        if self.interpolation is not None:
             nearest, is_moved = self.interpolation.guides[:, 0], self.interpolation.weights.sum(axis=1) > 0
-        starts = np.cumsum(self.counts) - self.counts
-        parts: dict[str, np.ndarray] = {}
+        starts, parts = np.cumsum(self.counts) - self.counts, dict[str, np.ndarray]()
         for count in np.unique(self.counts[is_moved]).tolist():
             strands = np.flatnonzero(is_moved & (self.counts == count))
             guides, row = np.unique(nearest[strands], return_inverse=True)

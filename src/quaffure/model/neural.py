@@ -88,7 +88,7 @@ class NeuralDraper:
         self._prepared: GroomCache[WeakKeyDictionary[BodyModel, PreparedGroom]] = GroomCache()
         self._stiffened: WeakKeyDictionary[PreparedGroom, tuple[Tensor, int, PreparedGroom]] = WeakKeyDictionary()
         self._made: tuple[object, DrapeBackend] | None = None
-        self._encoder_weights: list[tuple[int, int]] = []
+        self._encoder_weights: list[int] = []
 
     def with_loading(self, loading: Loading) -> "NeuralDraper":
         """The same network under another loading; grooms that were prepared stay so.
@@ -173,7 +173,8 @@ class NeuralDraper:
                     weights += (weight.data_ptr(), None if weight.is_inference() else weight._version)
         state = (layers, weights, self.loading, self.bf16)
         if self._made is None or self._made[0] != state:
-            encoder = [(weight.data_ptr(), weight._version) for weight in self.network.encoder.parameters()]
+            encoder = [weight.data_ptr() for weight in self.network.encoder.parameters()]
+            encoder += [weight._version for weight in self.network.encoder.parameters() if not weight.is_inference()]
             if self._made is not None and encoder != self._encoder_weights:
                 self._prepared = GroomCache()  # codes of grooms among it
             self._encoder_weights = encoder

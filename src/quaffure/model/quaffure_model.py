@@ -131,9 +131,8 @@ class Quaffure:
         if found.dtype is not expected.dtype:
             raise InputError(groom.name, f"vertices in {expected.dtype}", f"{found.dtype}")
         check_groom(groom, len(self.body.faces))
-        if found.device == expected.device:
-            return groom
-        return self._moved.of(groom, lambda: groom.to(expected.device))
+        device = expected.device
+        return groom if found.device == device else self._moved.of(groom, lambda: groom.to(device))
 
 
 def _check_no_gradient(poses: Tensor, shapes: Tensor) -> None:

@@ -166,33 +166,32 @@ class StrandNewtonDraper:
         """The strands of one sample at rest: where they were posed, or from the start that ends lowest.
 
         Hair that rests where it was posed stays there, as upright in its design: a lower minimum elsewhere is another
-        hairstyle. Other hair falls from the posed groom, and settles from it as well where it may have less energy than
-        what comes out: passes without contact push hair into the head. Tied hair
-        also settles from there with contact: falling, a tail would pass through the head and divide. Its strands are so
-        dense that after as many passes as other hair takes, neither energy says where it ends.
+        hairstyle. Other hair falls from the posed groom without contact, and settles there; and it settles from the
+        posed groom with contact. Falling, hair finds its side of a head that bows, but passes through heads that do
+        not: there it is pushed out as loops on the crown and locks over the face, and a tail divides. Where the posed
+        groom has less energy than both, it settles as it is, too.
         """
         setting = self.setting
         posed = StrandDescent(energy, scene, setting.control)
         own_energy_posed = posed.own_energy
         if self._rests(posed, scene):
             return posed
-        fallen = StrandDescent(energy, scene, setting.control)
+        fallen, pushed = (StrandDescent(energy, scene, setting.control) for _ in range(2))
         fallen.run_free(setting.free_passes)
         fallen.resolve_contact(setting.resolved_share)
         fallen.run_with_contact(setting.contact_passes)
+        pushed.resolve_contact(setting.resolved_share)
+        pushed.run_with_contact(setting.free_passes + setting.contact_passes)
+        # Tails are so dense that after as many passes as other hair takes, no energy says where they end.
         factor = setting.tied_factor if fallen.has_goals else 1
         passes = factor * (setting.passes - setting.free_passes - setting.contact_passes)
-        self._settle_in_rounds(fallen, passes, factor * setting.rounds)
-        found = [fallen]
-        if own_energy_posed < fallen.settled_energy:
+        found = [fallen, pushed]
+        for descent in found:
+            self._settle_in_rounds(descent, passes, factor * setting.rounds)
+        if own_energy_posed < min(descent.settled_energy for descent in found):
             found.append(StrandDescent(energy, scene, setting.control))
             found[-1].settle(passes)
-        if fallen.has_goals:
-            found.append(StrandDescent(energy, scene, setting.control))
-            found[-1].resolve_contact(setting.resolved_share)
-            found[-1].run_with_contact(setting.free_passes + setting.contact_passes)
-            self._settle_in_rounds(found[-1], passes, factor * setting.rounds)
-        return min(found, key=lambda shape: shape.settled_energy)
+        return min(found, key=lambda descent: descent.settled_energy)
 
     def _rests(self, posed: StrandDescent, scene: HairScene) -> bool:
         """Settle strands from where they were posed, and whether they rest there; far from it after one pass."""

@@ -250,6 +250,19 @@ def test_dense_hair_settles_lower_where_swings_end_half_way(body: BodyModel, mon
     assert with_swings_halved < settled() - 1e-3
 
 
+def test_hair_on_a_head_that_stays_upright_does_not_fall_through_it(body: BodyModel) -> None:
+    scene = clip_scene(few_strands(body, "curly_bob", 300), body, "neck_turn", slice(60, 61))
+    draper = StrandNewtonDraper()
+    energy, setting = draper.energy_of(scene), draper.setting
+    fallen = StrandDescent(energy, scene.sample(0), setting.control)
+    fallen.run_free(setting.free_passes)
+    fallen.resolve_contact(setting.resolved_share)
+    fallen.run_with_contact(setting.contact_passes)
+    fallen.settle(15)
+    gained = fallen.settled_energy - draper.descend(energy, scene.sample(0)).settled_energy
+    assert gained > 0.01 * energy.per_vertex_unit
+
+
 def test_held_edges_keep_their_posed_directions_and_free_hair_falls() -> None:
     groom = _half_held()
     turn = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -37,7 +37,7 @@ def main(style: str = "long_straight") -> None:
         setattr(strand_descent, name, _timed(getattr(strand_descent, name), part, seconds))
     print("| strands | clip | 12 passes [ms] | recursion % | rod % | contact % | density % | rest % |")
     print("|---|---|---|---|---|---|---|---|")
-    for groom in (whole, whole.select(torch.arange(0, len(whole), 4))[: len(whole) // 4]):
+    for groom in (whole, whole.select(torch.arange(0, len(whole), 4)[: len(whole) // 4])):
         for clip in ("neck_turn", "bow"):
             scene = Scene(groom, BodyBatch(body, bundled_clip(clip, body).body_pose[FRAME], torch.zeros(1, 10)))
             energy = draper.energy_of(scene)

@@ -15,7 +15,7 @@ BRANCH = re.compile(
 ALLOWED = (
     "with torch.autocast(code.device.type, torch.bfloat16, enabled=self._bf16):",  # torch wants the name of the device
     "if found.dtype is not expected.dtype:",  # a groom of another type is refused
-    "return groom if found.device == expected.device else groom.to(expected.device)",
+    "return groom if found.device == device else self._moved.of(groom, lambda: groom.to(device))",
     "if values.itemsize == 2:",  # the size of a network's numbers in memory, which numpy has no type for
     "if features.itemsize == 2:",
     "return word if itemsize == 4 else rounded(word)",

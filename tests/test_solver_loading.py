@@ -18,14 +18,14 @@ SLOW = (pytest.param(name, marks=pytest.mark.slow) for name in ("adam", "lbfgs",
 
 @pytest.mark.parametrize("name", ["strand_newton", *SLOW])
 def test_hair_swings_with_gravity_and_soft_hair_further(body: BodyModel, name: str) -> None:
-    scene = upright_scene(few_strands(body, count=12), body)
+    scene = upright_scene(few_strands(body, "bob", count=30), body)  # longer hair lies on shoulders, on either side
     swung = {}
     for stiffness in (0.3, 3.0):
         hair = DesignSolver(name, HairMaterial()).with_loading(Loading(stiffness, (4.0, 0.0, -9.0))).drape(scene)
         swung[stiffness] = (hair - scene.posed)[0, :, -1].mean(dim=0)
     assert float(swung[3.0][0]) > 0.01
-    assert float(swung[3.0][0]) > 2 * float(swung[3.0][1].abs())
-    assert float(swung[0.3][0]) > 1.08 * float(swung[3.0][0])
+    assert float(swung[0.3][0]) > 2 * float(swung[0.3][1].abs())
+    assert float(swung[0.3][0]) > 1.5 * float(swung[3.0][0])
 
 
 def test_weight_gravity_and_wind_of_the_command_line_add_up(tiny_groom_file: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from quaffure.baselines.groomgen import GroomGenDraper, load_groomgen
 from quaffure.baselines.posed import PosedDraper
 from quaffure.config import HairMaterial
-from quaffure.draper import Draper
+from quaffure.draper import Draper, LoadDependentDraper
 from quaffure.energies.by_name import MODIFIED_COSSERAT, ROD
 from quaffure.errors import InputError
 from quaffure.model.neural import NeuralDraper
@@ -52,6 +52,14 @@ def load_trained(name: str, weights: str | Path | None = None) -> tuple[Draper, 
         return load_groomgen(weights)
     model = load_model(weights)
     return model.draper, model.notes
+
+
+def reads_loading(draper: Draper) -> bool:
+    """Whether a draper, and the one that it starts from, knows other loadings than the standard one."""
+    if isinstance(draper, NeuralDraper):
+        return draper.reads_loading
+    start: Draper | None = getattr(draper, "start", None)
+    return isinstance(draper, LoadDependentDraper) and (start is None or reads_loading(start))
 
 
 def make_draper(name: str, material: HairMaterial | None = None) -> Draper:

@@ -9,11 +9,10 @@ from quaffure.baselines.groomgen import GroomGenDraper
 from quaffure.baselines.posed import PosedDraper
 from quaffure.body.body_model import BodyModel
 from quaffure.draper import Draper, LoadDependentDraper
-from quaffure.drapers import GROOMGEN, NEURAL, POSED, STRAND_NEWTON, load_trained
+from quaffure.drapers import GROOMGEN, NEURAL, POSED, STRAND_NEWTON, load_trained, reads_loading
 from quaffure.energies.loading import STANDARD_LOADING, Loading
 from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
-from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_model import PAPER, load_model
 from quaffure.solvers.by_name import DesignSolver
 from quaffure.solvers.strand_newton import SETTLING_PASSES, SettledDraper, StrandNewtonDraper
@@ -49,7 +48,7 @@ class Method:
             return False
         if loading == STANDARD_LOADING:
             return True
-        return _reads_loading(self.draper)
+        return reads_loading(self.draper)
 
     def with_loading(self, loading: Loading) -> Draper:
         """The draper under a loading that it knows."""
@@ -57,14 +56,6 @@ class Method:
             return self.draper
         assert isinstance(self.draper, LoadDependentDraper)
         return self.draper.with_loading(loading)
-
-
-def _reads_loading(draper: Draper) -> bool:
-    """Whether a draper, and the one that it starts from, knows other loadings than the standard one."""
-    if isinstance(draper, NeuralDraper):
-        return draper.reads_loading
-    start: Draper | None = getattr(draper, "start", None)
-    return isinstance(draper, LoadDependentDraper) and (start is None or _reads_loading(start))
 
 
 def methods(names: Sequence[str], weights: Mapping[str, Path]) -> list[Method]:

@@ -97,8 +97,8 @@ def _check_groups(attributes: dict[str, np.ndarray], path: Path) -> None:
 
 
 def is_groom_file(path: Path) -> bool:
-    """Whether an `.npz` holds a registered groom rather than strands without a body."""
-    return {*NUMBERS} <= array_names(path)
+    """Whether a file is an `.npz` that holds a registered groom rather than strands without a body."""
+    return path.suffix.lower() == ".npz" and {*NUMBERS} <= array_names(path)
 
 
 def read_groom(path: str | Path, body: BodyModel) -> Groom:

@@ -58,7 +58,7 @@ def load_groom(
         raise InputError(
             groom, f"a bundled groom ({', '.join(names)}) or a file", f"neither{did_you_mean(path, names)}"
         )
-    if path.suffix.lower() == ".npz" and is_groom_file(path):
+    if is_groom_file(path):
         _check_no_head(head, f"the groom file {path}")
         loaded = _read_groom(path, body)
         if loaded.rest_strands.shape[1] != VERTICES_PER_STRAND:
@@ -130,7 +130,7 @@ def load_source(
     path, expected = Path(groom), "a strand file, or a groom file that quaffure groom import wrote"
     if isinstance(groom, str) and groom in STYLES:
         raise InputError(groom, expected, "a bundled groom, which has no strands but the draped ones")
-    if path.suffix.lower() == ".npz" and is_groom_file(path):
+    if is_groom_file(path):
         source = read_source(path)
         if source is None:
             raise InputError(path, expected, "a groom file without its source")

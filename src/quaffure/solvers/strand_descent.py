@@ -179,10 +179,9 @@ class StrandDescent:
             self._update_other_hair()
 
     def run_limited(self, passes: int, pass_displacement: float, total_displacement: float) -> None:
-        """Passes with all terms, in each of which no vertex moves by more than `pass_displacement` [m], and in
-        all since
-        the start by more than `total_displacement` [m], both to first order. The energy may rise: hair that follows a
-        head is on its way."""
+        """Passes with all terms, in each of which no vertex moves by more than `pass_displacement` [m], and in all
+        since the start by more than `total_displacement` [m], both to first order. The energy may rise: hair that
+        follows a head is on its way."""
         oscillation = self._control.oscillation
         for _ in range(passes):
             gradient = self._with_other_hair()[1]

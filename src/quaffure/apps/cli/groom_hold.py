@@ -68,7 +68,7 @@ class HoldGroom:
         else:
             changed = released(groom, strands)
         path = Path(self.groom)
-        source = read_source(path) if path.suffix.lower() == ".npz" and is_groom_file(path) else None
+        source = read_source(path) if is_groom_file(path) else None
         write_groom(self.out, replace(changed, name=self.out.stem), source)
         held = 100 * float(changed.held_edges.float().mean())
         console.print(

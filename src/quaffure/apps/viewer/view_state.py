@@ -13,6 +13,7 @@ from quaffure.body.body_model import SHAPE_COUNT, BodyModel
 from quaffure.body.motion import Motion, joint_matrices, pose_from_matrices
 from quaffure.drape_motion import drape_motion
 from quaffure.draper import Draper, LoadDependentDraper
+from quaffure.drapers import reads_loading
 from quaffure.energies.design_terms import terms_of_design
 from quaffure.energies.loading import Loading
 from quaffure.errors import InputError
@@ -101,7 +102,7 @@ class ViewState:
             shape = torch.tensor(self.body_shape)
             sequence = drape_motion(draper, self.groom, self.body, pose, shape, continues=True)
         sequence.meta["frame"] = self.frame
-        if isinstance(draper, CoherentDraper | LoadDependentDraper) and getattr(draper, "reads_loading", True):
+        if isinstance(draper, CoherentDraper) or reads_loading(draper):
             sequence.meta.update(asdict(self.loading))
         return Drape(self, sequence, sum(network_times) if network_times else None)
 

@@ -258,7 +258,7 @@ def test_hair_on_a_head_that_stays_upright_does_not_fall_through_it(body: BodyMo
     fallen.run_free(setting.free_passes)
     fallen.resolve_contact(setting.resolved_share)
     fallen.run_with_contact(setting.contact_passes)
-    fallen.settle(15)
+    draper._settle_in_rounds(fallen, 15, setting.rounds)
     gained = fallen.settled_energy - draper.descend(energy, scene.sample(0)).settled_energy
     assert gained > 0.01 * energy.per_vertex_unit
 

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from quaffure.solvers.coherent_clip import CoherentDraper, CoherentSetting
     from quaffure.solvers.descent import Descent, DescentDraper
     from quaffure.solvers.lbfgs import LbfgsDraper, LbfgsPositionsDraper
+    from quaffure.solvers.restoring_goals import RestoringGoals
     from quaffure.solvers.stopping import energy_and_gradient
     from quaffure.solvers.strand_descent import StrandDescent
     from quaffure.solvers.strand_newton import SettledDraper, StrandNewtonDraper, StrandNewtonSetting

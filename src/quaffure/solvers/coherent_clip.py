@@ -4,7 +4,7 @@ Hair at rest has many minima of nearly the same energy, centimetres apart, so th
 jump between them. Here strands go from one frame's minimum to the next, by limited displacements.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from quaffure.errors import InputError
 from quaffure.geometry.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from quaffure.hair.groom_cache import GroomCopy
 from quaffure.scene import PosedScene, Scene
+from quaffure.solvers.restoring_goals import RestoringGoals
 from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.strand_newton import StrandNewtonDraper
 from quaffure.solvers.stray_strands import BESIDE, stands_apart
@@ -46,6 +47,7 @@ class CoherentSetting:
         cut_seconds: between frames, above which every frame is settled anew [s].
         stray_rounds, stray_passes: of a frame that is settled anew: how often strands that stand apart rejoin the
             others, and passes after that.
+        restoring: of frames that follow: what draws hair that has fallen over a face back beside it.
     """
 
     passes: int = 2
@@ -60,6 +62,7 @@ class CoherentSetting:
     cut_seconds: float = 0.5
     stray_rounds: int = 2
     stray_passes: int = 5
+    restoring: RestoringGoals = field(default_factory=RestoringGoals)
 
     def over(self, seconds: float) -> "CoherentSetting":
         """The setting for frames that are further apart, or nearer: hair and roots are as fast as before, and hair
@@ -165,6 +168,7 @@ class CoherentDraper:
         descent.strand_damping = damping
         # A limb may sweep through hair faster than hair may move in a frame.
         descent.resolve_contact(0.0)
+        descent.restore(setting.restoring)
         descent.run_limited(setting.passes, setting.max_pass_displacement, setting.max_frame_displacement)
         while descent.passes < setting.max_passes and self._moves(descent):
             descent.run_limited(1, setting.max_pass_displacement, setting.max_frame_displacement)

@@ -22,6 +22,7 @@ from quaffure.geometry.cell_list import check_finite
 from quaffure.geometry.polyline import directors
 from quaffure.scene import HairScene
 from quaffure.solvers.oscillation_damping import OscillationDamping
+from quaffure.solvers.restoring_goals import RestoringGoals
 from quaffure.solvers.strand_kernels import (
     DensityModel,
     Evaluation,
@@ -108,6 +109,7 @@ class StrandDescent:
         rest = energy.rest
         posed_rod = _rod_of(energy, scene)
         self._rod = posed_rod.arrays
+        self._held = self._rod.goal_weight
         self._body = scene.surface.sample_arrays(0)
         rotation, mass = _float32(posed_rod.rotation[0]), _float32(rest.mass)
         acceleration = np.array(energy.acceleration, np.float32)
@@ -153,7 +155,7 @@ class StrandDescent:
 
     def resolve_contact(self, share: float) -> None:
         """Push vertices that are within `share` of their margins out of the body, from root to tip; the new start."""
-        resolve_strands(self.direction, self._hair, self._rod.goal_weight, self._body, np.float32(share))
+        resolve_strands(self.direction, self._hair, self._held, self._body, np.float32(share))
         self._forget()
 
     def run_with_contact(self, passes: int) -> None:
@@ -197,6 +199,18 @@ class StrandDescent:
                 self.strand_damping = oscillation.updated(self.strand_damping, moved, moved_before)
             self._displacement = moved
 
+    def restore(self, goals: RestoringGoals) -> None:
+        """Draw strands that nothing holds back to their place around the head, in the passes that follow."""
+        self._evaluate(self._k_body_collision)
+        posed = _float32(directors(self._scene.posed[0]))
+        hair = self._hair, self._rod, self._around, self._body
+        evaluate_strands(posed, self._strands, *hair, self._k_body_collision, self._trial)
+        m_g_l = self._own_weight.sum(axis=1) * self._hair.length.sum(axis=1)
+        weight = goals.weights(self._now, self._trial, m_g_l)
+        weight[(self._held > 0).any(axis=1)] = 0.0
+        self._rod = self._rod._replace(goal_weight=self._held + weight)
+        self._k_of_now = None
+
     def rejoin_strays(self, had_company: np.ndarray) -> int:
         """Give strands that stand apart the directions of the strand rooted nearest to them; the new start.
 
@@ -207,7 +221,7 @@ class StrandDescent:
             How many there were.
         """
         self._evaluate(self._k_body_collision)
-        may_be = had_company & (self._rod.goal_weight == 0).all(axis=1)
+        may_be = had_company & (self._held == 0).all(axis=1)
         is_stray = may_be & stands_apart(self._now.positions, APART)
         strays, others = np.flatnonzero(is_stray), np.flatnonzero(may_be & ~is_stray)
         if len(strays) and len(others):
@@ -218,7 +232,7 @@ class StrandDescent:
     @property
     def has_goals(self) -> bool:
         """Whether a tie, a clip or gel holds some edges."""
-        return bool((self._rod.goal_weight > 0).any())
+        return bool((self._held > 0).any())
 
     @property
     def own_energy(self) -> float:

@@ -268,7 +268,7 @@ def test_the_network_laid_out_for_speed_is_the_same(
     fast = network.for_inference(dtype == torch.bfloat16)
     assert isinstance(fast, InferenceNetwork)
     textures = fast.decode_texture(inputs.groom_code.expand(2, -1), inputs.pose_code)
-    texels = StrandTexels(inputs.texels, texture_rows(inputs.texels, 64))
+    texels = StrandTexels(inputs.texels, texture_rows(inputs.texels, 64), torch.arange(50))
     for sample, expected in enumerate(network(inputs, features)):
         memory = torch.empty(50, fast.columns, dtype=fast.dtype)
         memory[:, :184] = features[sample]

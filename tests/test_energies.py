@@ -6,7 +6,14 @@ import torch
 
 from quaffure import HairMaterial
 from quaffure.backend import Backend
-from quaffure.energies import HairEnergy, energy_body_collision, energy_gravity, energy_stretch, energy_stretch_shear
+from quaffure.energies import (
+    HairEnergy,
+    energy_body_collision,
+    energy_gravity,
+    energy_self_collision,
+    energy_stretch,
+    energy_stretch_shear,
+)
 from quaffure.energies.force_limit import MAX_FORCE, clip_gradients
 from quaffure.energies.gravity import energy_gravity_above_root
 from quaffure.energies.pose_regularization import energy_pose_regularization
@@ -14,7 +21,6 @@ from quaffure.energies.rest_state import rest_state
 from quaffure.energies.self_collision import (
     densities,
     density_excesses,
-    energy_self_collision,
     kernel_volume,
     smoothing_kernel,
 )

@@ -357,6 +357,7 @@ def test_what_is_no_gltf(tmp_path: Path) -> None:
         (b"\xff\xfe", "glTF 2.0"),
         (b"[]", "JSON that is no object"),
         (b"[" * 100_000, "glTF 2.0"),
+        (b"HIERARCHY\nROOT Hips\n", "found neither its header nor JSON"),
     ):
         with pytest.raises(InputError, match=message):
             read(content, tmp_path)

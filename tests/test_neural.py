@@ -18,6 +18,7 @@ from quaffure.geometry import (
 )
 from quaffure.hair import Groom
 from quaffure.model import (
+    DisplacementNetwork,
     InitialShapeConfig,
     NetworkConfig,
     NeuralDraper,
@@ -32,7 +33,6 @@ from quaffure.model import (
 )
 from quaffure.model.initial_shape import initial_shape_reference
 from quaffure.model.prepared_groom import balanced_depth, limit_slope
-from quaffure.model.quaffure_network import DisplacementNetwork
 from quaffure.model.weights_file import read_weights
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene

@@ -36,9 +36,9 @@ def printed(capfd: pytest.CaptureFixture[str], *words: str | Path) -> list[str]:
     ("count", "frames", "text"),
     [
         (1, [0], "the only frame"),
-        (2, [0, 1], "frames 0 and 1 of 0 to 1"),
-        (5, [0, 1, 3, 4], "frames 0, 1, 3 and 4 of 0 to 4"),
-        (91, [0, 30, 60, 90], "frames 0, 30, 60 and 90 of 0 to 90"),
+        (2, [0, 1], "frames 0 and 1 of the drape's 2"),
+        (5, [0, 1, 3, 4], "frames 0, 1, 3 and 4 of the drape's 5"),
+        (91, [0, 30, 60, 90], "frames 0, 30, 60 and 90 of the drape's 91"),
     ],
 )
 def test_a_picture_names_its_frames(count: int, frames: list[int], text: str) -> None:
@@ -52,7 +52,7 @@ def test_pictures_and_videos_show_how_far_they_are(tmp_path: Path, capfd: pytest
     lines = printed(
         capfd, "render", tmp_path / "drape.npz", "--out", tmp_path / "hair.png", "--out", tmp_path / "hair.mp4"
     )
-    assert f"writing {tmp_path}/hair.png: frames 0, 1, 3 and 4 of 0 to 4, from 4 sides" in lines
+    assert f"writing {tmp_path}/hair.png: frames 0, 1, 3 and 4 of the drape's 5, from 4 sides" in lines
     assert f"writing {tmp_path}/hair.mp4" in lines
     progress = [line for line in lines if " left: writing " in line]
     assert re.fullmatch(r"1 of 16, \d+:\d\d:\d\d left: writing hair.png", progress[0])

@@ -43,6 +43,15 @@ class Recording(DirectionNetwork):
         return super().forward(replace(inputs, features_after=recorded), features)
 
 
+class Comparing(DirectionNetwork):
+    """Reads its features after those of changed hair, and how all strands move in the mean."""
+
+    def forward(self, inputs: NetworkInputs, features: Tensor) -> Tensor:
+        changes = super().forward(inputs, features)
+        moved = (inputs.features_after(changes) - features)[..., : changes[0, 0].numel()].view_as(changes)
+        return changes + 20 * (moved + moved.mean(dim=1, keepdim=True))
+
+
 def network_of(kind: type[DirectionNetwork], config: NetworkConfig = CONFIG) -> DirectionNetwork:
     torch.manual_seed(0)
     return perturbed(kind(config))
@@ -75,6 +84,21 @@ def test_training_and_draping_agree(scene: Scene, kind: type[DirectionNetwork]) 
     with torch.no_grad():
         trained = draper.deform(scene, projects=True)
     assert (draper.drape(scene) - trained).norm(dim=-1).quantile(0.95) < 2e-5
+
+
+@pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, surroundings=False, refinements=0)])
+def test_an_own_forward_sees_what_it_is_trained_on(scene: Scene, config: NetworkConfig) -> None:
+    """Each strand once, though kernels have rows that repeat one; and features that stay as they are."""
+    network = network_of(Comparing, replace(config, contact=False))
+    draper = NeuralDraper(network, MATERIAL)
+    with torch.no_grad():
+        trained = draper.deform(scene)
+    assert len(scene.groom) % 8
+    torch.testing.assert_close(draper.drape(scene), trained, atol=2e-5, rtol=0)
+    by_torch = NeuralDraper(network, MATERIAL, backend=Backend.TORCH).drape(scene)
+    assert (by_torch - trained).norm(dim=-1).quantile(0.95) < 2e-5
+    plain = NeuralDraper(network_of(DirectionNetwork, network.config), MATERIAL).drape(scene)
+    assert (plain - trained).norm(dim=-1).mean() > 1e-3
 
 
 def test_both_backends_drape_alike(scene: Scene) -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from quaffure._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from quaffure.energies.body_collision import energy_body_collision
+    from quaffure.energies.body_collision import BodyCollision, energy_body_collision
     from quaffure.energies.by_name import ELASTIC_MODELS, hair_terms
     from quaffure.energies.closed_form import equilibrium_vectors
     from quaffure.energies.cohesion import Cohesion
@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from quaffure.energies.mass_spring import Springs, SpringStiffness
     from quaffure.energies.rest_state import RestState
     from quaffure.energies.rod import TWISTING_STIFFNESS, RodRest, energy_at_twist, energy_rod, stress_free_rest
+    from quaffure.energies.rod_term import Rod
     from quaffure.energies.sag_free import SagFreeRest, design_of, sag_free_rest
-    from quaffure.energies.self_collision import SelfCollision
-    from quaffure.energies.stretch import energy_stretch
-    from quaffure.energies.stretch_shear import energy_stretch_shear
+    from quaffure.energies.self_collision import SelfCollision, energy_self_collision
+    from quaffure.energies.stretch import Stretch, energy_stretch
+    from quaffure.energies.stretch_shear import StretchShear, energy_stretch_shear
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__)

@@ -32,7 +32,7 @@ Variables = Mapping[str, Tensor]
 
 
 class HairEnergy:
-    """Energy of one groom in any batch of poses: a sum of terms, by default Eqs. 6, 7, 9, 10 and 11.
+    """Energy of one groom in any batch of poses: a sum of terms, by default Eq. 8 (Eqs. 6 and 7), Eqs. 9, 10 and 11.
 
     On `Backend.CPU` one compiled kernel evaluates Eqs. 6, 7, 9 and 10 and another Eq. 11, recognized by the exact types
     of their terms; every other term runs in torch, and on `Backend.TORCH` all do.

@@ -41,6 +41,9 @@ class Groom:
     goal_weight: Float[Tensor, "s e"] | None = None
     tie_vertex: Int[Tensor, " s"] | None = None
 
+    def __repr__(self) -> str:
+        return f"<Groom {self.name}: {len(self)} strands of {self.rest_strands.shape[1]} vertices>"
+
     def _repr_html_(self) -> str:
         """A small picture, for notebooks."""
         # By name: the renderer is above this package, and only a notebook asks for a picture.

@@ -3,6 +3,7 @@
 import base64
 import binascii
 import json
+from codecs import BOM_UTF8
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
@@ -112,8 +113,10 @@ def open_gltf(path: Path) -> GltfDocument:
     cursor = BinaryCursor(path)
     if cursor.content[:4] == b"glTF":
         text, binary = _glb_parts(cursor)
-    else:
+    elif cursor.content.removeprefix(BOM_UTF8).lstrip()[:1] in (b"{", b"["):
         text, binary = cursor.content, None
+    else:
+        raise InputError(path, EXPECTED, "neither its header nor JSON")
     with refused(path, EXPECTED, ValueError, RecursionError, UnicodeDecodeError):
         fields = json.loads(text.decode("utf-8-sig"), parse_constant=_refuse_constant)
     if not isinstance(fields, dict):

@@ -124,7 +124,8 @@ def read_groom(path: str | Path, body: BodyModel) -> Groom:
         {name: arrays[name] for name in HELD_PARTS_SPEC if name in arrays}, sizes["N"], path
     )
     if not np.isin(arrays["root_faces"], body.scalp.faces.cpu().numpy()).all():
-        raise InputError(path, "roots on the scalp of this body", "faces off it")
+        expected = "a groom of the body that is draped (--body BODY.npz for one of your own)"
+        raise InputError(path, expected, "roots off that body's scalp")
     tensors = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in NUMBERS if name != "root_faces"}
     faces = torch.from_numpy(arrays["root_faces"].astype(np.int64))
     tensors |= {name: torch.from_numpy(values) for name, values in held_parts.items()}

@@ -136,7 +136,9 @@ def rewrite_features(
     for sample, turned in enumerate(rotated):
         rows = ShapeRows(roots[sample].numpy(), edges[sample].numpy(), compliance[sample].numpy())
         rotate_edges(rows, of_samples[sample], strands[0], get_num_threads(), turned, columns[sample])
-    write_surroundings(strands, roots.numpy(), rotated, grid, get_num_threads(), columns[..., OWN_FEATURES:])
+    around = columns[..., OWN_FEATURES:]
+    if around.size:  # networks that read no surroundings have no such columns
+        write_surroundings(strands, roots.numpy(), rotated, grid, get_num_threads(), around)
 
 
 class CpuTrainingBackend(TorchBackend):

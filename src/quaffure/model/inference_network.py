@@ -63,19 +63,22 @@ def no_features(changes: Tensor) -> Tensor:
 
 
 class StrandTexels(NamedTuple):
-    """Texels of strands.
+    """Texels of strands in the order of the kernels' rows, the last of which repeat a strand.
 
     Attributes:
         flat: row times size plus column.
         rows: of `InferenceNetwork.decode_texture`, see `texture_rows`.
+        strand: index of the strand of each row.
     """
 
-    flat: Int[Tensor, " s"]
-    rows: Int[Tensor, " s"]
+    flat: Int[Tensor, " row"]
+    rows: Int[Tensor, " row"]
+    strand: Int[Tensor, " row"]
 
 
 class ForwardNetwork:
-    """A network's own `forward`, of any class; see `InferenceNetwork`."""
+    """A network's own `forward`, of any class, on the strands as training gives them to it: each once, in the groom's
+    order, with features that the network may keep. See `InferenceNetwork`."""
 
     dtype = torch.float32
 
@@ -92,18 +95,20 @@ class ForwardNetwork:
         self,
         texture: tuple[Tensor, Tensor],
         texels: StrandTexels,
-        features: Float[Tensor, "s columns"],
+        features: Float[Tensor, "row columns"],
         rewrite: Callable[[Tensor], None],
-    ) -> Float[Tensor, "s outputs"]:
+    ) -> Float[Tensor, "row outputs"]:
         code, pose_code = texture
+        own = texels.strand[: int(texels.strand.max()) + 1].argsort()  # rows beyond repeat a strand
 
         def features_after(changes: Float[Tensor, "1 s e 3"]) -> Float[Tensor, "1 s columns"]:
-            rewrite(changes[0].flatten(1).float().contiguous())
-            return features[None]
+            rewrite(changes[0].flatten(1).float()[texels.strand])
+            return features[own][None]
 
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bf16):
-            inputs = NetworkInputs(code, texels.flat, pose_code, features_after)
-            return self._network(inputs, features[None])[0].flatten(1).float()
+            inputs = NetworkInputs(code, texels.flat[own], pose_code, features_after)
+            changes = self._network(inputs, features[own][None])[0].flatten(1).float()
+        return changes[texels.strand]
 
 
 class InferenceNetwork:

@@ -126,7 +126,7 @@ class PreparedGroom:
         """Laid out for the compiled kernels; float32, on the CPU."""
         strands = strand_blocks(self.strands, self.initial_clearance, self.order)
         of_rows = torch.from_numpy(strands.strand).flatten().long()
-        texels = StrandTexels(self.texels[of_rows], texture_rows(self.texels[of_rows], TEXTURE_SIZE))
+        texels = StrandTexels(self.texels[of_rows], texture_rows(self.texels[of_rows], TEXTURE_SIZE), of_rows)
         rows = np.arange(strands.strand.size, dtype=np.int32).reshape(strands.strand.shape)
         rods = RodBlocks(*(in_blocks(values[of_rows]) for values in self.rods))
         own = of_rows[: len(self.initial_clearance)]

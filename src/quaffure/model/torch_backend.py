@@ -82,9 +82,10 @@ class TorchBackend:
         """Features of strands whose joints are rotated by `changes`: local features are those of the initial shape."""
         edges = rotated_edges(shape, changes)
         positions = integrate_directions(shape.roots, edges, groom.rest_length)
-        around = surroundings_reference(positions, groom.surroundings, self.config.density_grid).flatten(2)
-        local = shape.features[..., 3 * edges.shape[2] : OWN_FEATURES]
-        return torch.cat([positions[:, :, 1:].flatten(2), local, around], dim=2)
+        features = [positions[:, :, 1:].flatten(2), shape.features[..., 3 * edges.shape[2] : OWN_FEATURES]]
+        if self.config.surroundings:
+            features.append(surroundings_reference(positions, groom.surroundings, self.config.density_grid).flatten(2))
+        return torch.cat(features, dim=2)
 
     def forward(
         self, groom: PreparedGroom, body: HeadFrameBody, after: Callable[[Tensor], Tensor], *features: Tensor

@@ -173,7 +173,8 @@ class ImportGroom:
         marked = [after._replace(strands=held, colour=HELD_COLOUR)] if len(held) else []
         write_before_after(picture, before, after, *marked)
         more = ", the held parts in blue" if marked else ""
-        console.print(f"{picture}: as in the file on the left, on our body to the right{more}")
+        wearer = "our body" if body.origin is None else "the character"
+        console.print(f"{picture}: as in the file on the left, on {wearer} to the right{more}")
 
 
 @dataclass(frozen=True)

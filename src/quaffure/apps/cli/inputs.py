@@ -59,8 +59,8 @@ def character_space_of(
         return None
     if settings.skinned:
         raise InputError("--skinned", "the shipped body, or files without a skeleton", f"that of {space.origin.source}")
-    moved = "its own skin moves the roots" if space.skin is not None else "in a motion that it does not have"
-    console.print(f"hair is written in the scene of {space.origin.source}, {moved}")
+    moved = "its own skin moves the roots" if space.skin is not None else "the imported surface moves the roots"
+    console.print(f"files for other programs are in the axes and units of {space.origin.source}; {moved}")
     return space
 
 

@@ -86,7 +86,7 @@ def _use(summary: dict[str, Any]) -> str:
         "groom": "GROOM of quaffure drape",
         "motion": "--motion of quaffure drape",
         "character": f"CHARACTER of quaffure body import{clip}",
-        "body": "--body of quaffure drape, view and groom import",
+        "body": "--body of quaffure drape, render, view, rig and groom import",
         "drape": "DRAPE of quaffure render and --reference of quaffure drape",
         "head": "--head of quaffure groom import",
         "weights": "--weights of quaffure drape",

@@ -208,7 +208,7 @@ def writing_text(path: Path, frames: int) -> str:
     if path.suffix.lower() != ".png":
         return f"writing {path}"
     *before, last = map(str, frames_of_picture(frames))
-    shown = f"frames {', '.join(before)} and {last} of 0 to {last}" if before else "the only frame"
+    shown = f"frames {', '.join(before)} and {last} of the drape's {frames}" if before else "the only frame"
     return f"writing {path}: {shown}, from {len(AZIMUTHS)} sides"
 
 

@@ -96,5 +96,5 @@ class RenderCommand:
             groom = groom or groom_of_drape(clip.sequence, body, self.drape)
         except InputError as error:
             if self.strands is None:
-                console.print(f"the draped strands alone: {error}")
+                console.print(f"drawing the draped strands alone, on the surface in the file: {error}")
         return clip_of_pictures(clip, self.strands, groom, body, in_video)

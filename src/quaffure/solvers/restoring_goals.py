@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from quaffure.solvers.strand_kernels import Evaluation
-
 
 @dataclass(frozen=True)
 class RestoringGoals:
@@ -31,18 +29,23 @@ class RestoringGoals:
     displacement: float = 0.02
     radius: float = 1.3
 
-    def weights(self, now: Evaluation, posed: Evaluation, m_g_l: np.ndarray) -> np.ndarray:
-        """Weight of the goal of every edge [J], [strand edge].
+    def displaced(self, positions: np.ndarray, posed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far strands have left their place around the head, 0 to 1 [strand], and which edges are in it by design.
 
         Args:
-            now, posed: the hair as it is, and in the directions in which it was posed.
-            m_g_l: unit of energy of every strand [J].
+            positions, posed: vertices as they are and as they were posed [m], [strand vertex 3].
         """
-        centre = posed.positions[:, 0].mean(axis=0)
-        distance = np.linalg.norm(posed.positions - centre, axis=-1)
+        distance = np.linalg.norm(posed - posed[:, 0].mean(axis=0), axis=-1)
         on_head = distance < self.radius * distance[:, 0].max()
-        displaced = (np.linalg.norm(now.positions - posed.positions, axis=-1) * on_head).max(axis=1)
-        excess = (posed.energy[:, 0] - now.energy[:, 0]) / m_g_l
-        share = np.clip(1 - excess / self.energy, 0, 1) * np.clip(displaced / self.displacement - 1, 0, 1)
-        edges = on_head.shape[1] - 1
-        return ((share * self.weight / edges * m_g_l)[:, None] * on_head[:, 1:]).astype(np.float32)
+        moved = (np.linalg.norm(positions - posed, axis=-1) * on_head).max(axis=1)
+        return np.clip(moved / self.displacement - 1, 0, 1), on_head[:, 1:]
+
+    def weights(self, displaced: np.ndarray, on_head: np.ndarray, excess: np.ndarray) -> np.ndarray:
+        """Weight of the goal of every edge [m g L], [strand edge].
+
+        Args:
+            displaced, on_head: of the strands, see `displaced`.
+            excess: own energy where they were posed, above that where they are [m g L], [strand].
+        """
+        share = displaced * np.clip(1 - excess / self.energy, 0, 1)
+        return self.weight / on_head.shape[1] * share[:, None] * on_head

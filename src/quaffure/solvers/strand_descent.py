@@ -202,14 +202,20 @@ class StrandDescent:
     def restore(self, goals: RestoringGoals) -> None:
         """Draw strands that nothing holds back to their place around the head, in the passes that follow."""
         self._evaluate(self._k_body_collision)
-        posed = _float32(directors(self._scene.posed[0]))
+        posed = self._scene.posed[0]
+        displaced, on_head = goals.displaced(self._now.positions, posed.numpy())
+        strands = np.flatnonzero((displaced > 0) & (self._held == 0).all(axis=1))
+        if not len(strands):
+            return
+        hair, k_body_collision = (self._hair, self._rod, self._around, self._body), self._k_body_collision
+        evaluate_strands(_float32(directors(posed)), strands, *hair, k_body_collision, self._trial)
+        m_g_l = (self._own_weight.sum(axis=1) * self._hair.length.sum(axis=1))[strands]
+        excess = (self._trial.energy[strands, 0] - self._now.energy[strands, 0]) / m_g_l
+        weight = self._held.copy()
+        weight[strands] = m_g_l[:, None] * goals.weights(displaced[strands], on_head[strands], excess)
+        self._rod = self._rod._replace(goal_weight=weight)
         hair = self._hair, self._rod, self._around, self._body
-        evaluate_strands(posed, self._strands, *hair, self._k_body_collision, self._trial)
-        m_g_l = self._own_weight.sum(axis=1) * self._hair.length.sum(axis=1)
-        weight = goals.weights(self._now, self._trial, m_g_l)
-        weight[(self._held > 0).any(axis=1)] = 0.0
-        self._rod = self._rod._replace(goal_weight=self._held + weight)
-        self._k_of_now = None
+        evaluate_strands(self.direction, strands, *hair, k_body_collision, self._now)
 
     def rejoin_strays(self, had_company: np.ndarray) -> int:
         """Give strands that stand apart the directions of the strand rooted nearest to them; the new start.

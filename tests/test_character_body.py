@@ -295,6 +295,7 @@ def test_what_is_worn_on_the_head_is_no_part_of_it(body: BodyModel) -> None:
     assert float(worn.body.rest_vertices[:, 2].max() - bare.body.rest_vertices[:, 2].max()) > 0.01
 
 
+@pytest.mark.slow
 def test_scalp_of_an_attribute(body: BodyModel) -> None:
     """Vertices above 0.5 are scalp, under hair that is nearer to the surface than they are; a name has an underscore in
     the file alone."""

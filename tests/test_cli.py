@@ -365,9 +365,8 @@ def test_truncated_strand_files(refusal: Refusal, name: str) -> None:
         assert ", found " in line
 
 
-@pytest.mark.parametrize(
-    "suffix", [pytest.param(".usd", marks=pytest.mark.slow), ".usda", pytest.param(".usdc", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [".usd", ".usda", ".usdc"])
 def test_truncated_usd_files(refusal: Refusal, suffix: str) -> None:
     path = refusal.folder / f"cut{suffix}"
     write_usd(path, synthetic_drape(patch_of_strands((0, 0, 1))))

@@ -77,7 +77,9 @@ def test_nurbs_with_weights_are_a_circle() -> None:
 
 @pytest.mark.shared_data
 @pytest.mark.parametrize(
-    "name", [pytest.param("v_invisible_copy", marks=pytest.mark.slow), "v_proxy_and_render", "u_instance"]
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow) for name in ("v_invisible_copy", "v_proxy_and_render")]
+    + ["u_instance"],
 )
 def test_hidden_curves_and_proxies_are_left_out(
     name: str, shared_data: Path, body: BodyModel, surface: Surface

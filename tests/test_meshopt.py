@@ -94,7 +94,9 @@ def test_the_example_of_the_specification() -> None:
     np.testing.assert_array_equal(found[:, 1:], [[1, 2, 3]] * 16)
 
 
-@pytest.mark.parametrize("name", STREAMS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "attributes" else []) for name in STREAMS]
+)
 def test_damaged_streams_are_refused_or_decoded(name: str) -> None:
     """Every byte changed, every length: never a read or a write out of bounds, which would end the process."""
     (mode, kind, count, stride), _, _ = STREAMS[name]

@@ -46,7 +46,7 @@ def test_work_goes_on_where_nothing_takes_the_lines(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
-@pytest.mark.parametrize("options", [[], ["--json"]])
+@pytest.mark.parametrize("options", [pytest.param([], marks=pytest.mark.slow), ["--json"]])
 def test_a_full_disk_under_the_output_is_told_in_one_line(options: list[str]) -> None:
     with open("/dev/full", "w") as full:
         run = subprocess.run([QUAFFURE, "info", *options], stdout=full, stderr=subprocess.PIPE, text=True)

@@ -184,7 +184,10 @@ def test_what_is_no_head_of_hair_is_refused(body: BodyModel) -> None:
     refused(generator.uniform(-0.1, 0.1, (500, 1)) * [1, 2, 3], body, "line or a plane")
 
 
-@pytest.mark.parametrize("name", ["long_straight", "undercut", "afro", "ponytail"])
+@pytest.mark.parametrize(
+    "name",
+    ["long_straight", "ponytail", *(pytest.param(name, marks=pytest.mark.slow) for name in ("undercut", "afro"))],
+)
 def test_styles_register_onto_themselves(name: str, body: BodyModel) -> None:
     style = make_groom(replace(STYLES[name], root_rows=20), body)
     _, report = register_groom(as_file(100 * style.rest_strands.numpy() @ Y_UP.T), body, name)

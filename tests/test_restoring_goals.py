@@ -43,6 +43,12 @@ def test_hair_returns_beside_the_face(goals: RestoringGoals, bob: Scene) -> None
     assert (displaced < 0.015) == (goals.weight > 0)
 
 
+@pytest.mark.parametrize("values", [{"energy": 0.0}, {"displacement": math.nan}, {"weight": -1.0}])
+def test_what_draws_nothing_is_refused(values: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="expected energy and displacement above 0"):
+        RestoringGoals(**values)
+
+
 def test_gravity_keeps_hair_of_a_head_that_bows(body: BodyModel) -> None:
     scene = clip_scene(few_strands(body, count=200), body, "bow", slice(60, 61))
     hair = []

@@ -29,6 +29,13 @@ class RestoringGoals:
     displacement: float = 0.02
     radius: float = 1.3
 
+    def __post_init__(self) -> None:
+        """Raises:
+        ValueError: an energy or a displacement that is not above 0, or a weight or a radius below it.
+        """
+        if not (self.energy > 0 and self.displacement > 0 and self.weight >= 0 and self.radius >= 0):
+            raise ValueError(f"expected energy and displacement above 0, weight and radius of 0 and more, found {self}")
+
     def displaced(self, positions: np.ndarray, posed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How far strands have left their place around the head, 0 to 1 [strand], and which edges are in it by design.
 

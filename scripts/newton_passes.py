@@ -6,8 +6,9 @@ network's drape. Energies in m g L per vertex.
 
 import torch
 
-from quaffure.benchmark.methods import methods
 from quaffure.body import bundled_clip, load_body
+from quaffure.draper import Draper
+from quaffure.model import load_model
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import StrandNewtonDraper, StrandNewtonSetting
@@ -23,24 +24,22 @@ SETTINGS = {
 
 def main() -> None:
     print(f"| style | clip | {' | '.join(SETTINGS)} |\n|---|---{'|---' * len(SETTINGS)}|")
-    body = load_body()
+    body, network = load_body(), load_model().draper
     rows = []
     for style in STYLES:
         groom = make_groom(style, body)
         for clip in CLIPS:
             pose = bundled_clip(clip, body).body_pose[FRAME : FRAME + 1]
-            rows.append(_excesses(Scene(groom, BodyBatch(body, pose, torch.zeros(1, 10)))))
+            rows.append(_excesses(Scene(groom, BodyBatch(body, pose, torch.zeros(1, 10))), network))
             print(f"| {style} | {clip} | {' | '.join(f'{value:.3f}' for value in rows[-1])} |", flush=True)
     print(f"| mean | | {' | '.join(f'{value:.3f}' for value in torch.tensor(rows).mean(dim=0).tolist())} |")
 
 
-def _excesses(scene: Scene) -> list[float]:
+def _excesses(scene: Scene, network: Draper) -> list[float]:
     newton = StrandNewtonDraper()
     energy = newton.energy_of(scene)
     drapes = [StrandNewtonDraper(setting=setting).drape(scene) for setting in SETTINGS.values()]
-    (neural,) = methods(("neural",), {})
-    starts = [*drapes, neural.draper.drape(scene)]
-    ends = [newton.settle(scene, start, MORE_PASSES) for start in starts]
+    ends = [newton.settle(scene, start, MORE_PASSES) for start in (*drapes, network.drape(scene))]
     energies = [float(energy.per_vertex(energy.total(hair, scene))) for hair in (*drapes, *ends)]
     return [value - min(energies) for value in energies[: len(drapes)]]
 

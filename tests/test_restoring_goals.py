@@ -9,13 +9,13 @@ import torch
 from quaffure.body import BodyModel
 from quaffure.scene import Scene
 from quaffure.solvers import CoherentDraper, CoherentSetting, RestoringGoals, StrandDescent, StrandNewtonDraper
-from quaffure.types import Float, Tensor
+from quaffure.types import Bool, Float, Tensor
 from tests.scenes import clip_scene, few_strands, upright_scene
 
 UNRESTORED = RestoringGoals(weight=0.0)
 
 
-def _over_the_face(scene: Scene) -> tuple[Float[Tensor, "s e 3"], Float[Tensor, " s"]]:
+def _over_the_face(scene: Scene) -> tuple[Float[Tensor, "s e 3"], Bool[Tensor, " s"]]:
     """Directions of the edges with hair of the front turned by 80 degrees towards the middle, and which strands."""
     root, direction = scene.posed[0, :, 0], scene.director[0].clone()
     in_front = root[:, 1] < root[:, 1].mean() - 0.02

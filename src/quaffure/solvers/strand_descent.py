@@ -110,6 +110,7 @@ class StrandDescent:
         posed_rod = _rod_of(energy, scene)
         self._rod = posed_rod.arrays
         self._held = self._rod.goal_weight
+        self._is_free = (self._held == 0).all(axis=1)
         self._body = scene.surface.sample_arrays(0)
         rotation, mass = _float32(posed_rod.rotation[0]), _float32(rest.mass)
         acceleration = np.array(energy.acceleration, np.float32)
@@ -204,18 +205,16 @@ class StrandDescent:
         self._evaluate(self._k_body_collision)
         posed = self._scene.posed[0]
         displaced, on_head = goals.displaced(self._now.positions, posed.numpy())
-        strands = np.flatnonzero((displaced > 0) & (self._held == 0).all(axis=1))
+        strands = np.flatnonzero((displaced > 0) & self._is_free)
         if not len(strands):
             return
-        hair, k_body_collision = (self._hair, self._rod, self._around, self._body), self._k_body_collision
-        evaluate_strands(_float32(directors(posed)), strands, *hair, k_body_collision, self._trial)
+        self._evaluate_at(_float32(directors(posed)), strands, self._k_body_collision, self._trial)
         m_g_l = (self._own_weight.sum(axis=1) * self._hair.length.sum(axis=1))[strands]
         excess = (self._trial.energy[strands, 0] - self._now.energy[strands, 0]) / m_g_l
         weight = self._held.copy()
         weight[strands] = m_g_l[:, None] * goals.weights(displaced[strands], on_head[strands], excess)
         self._rod = self._rod._replace(goal_weight=weight)
-        hair = self._hair, self._rod, self._around, self._body
-        evaluate_strands(self.direction, strands, *hair, k_body_collision, self._now)
+        self._evaluate_at(self.direction, strands, self._k_body_collision, self._now)
 
     def rejoin_strays(self, had_company: np.ndarray) -> int:
         """Give strands that stand apart the directions of the strand rooted nearest to them; the new start.
@@ -227,7 +226,7 @@ class StrandDescent:
             How many there were.
         """
         self._evaluate(self._k_body_collision)
-        may_be = had_company & (self._held == 0).all(axis=1)
+        may_be = had_company & self._is_free
         is_stray = may_be & stands_apart(self._now.positions, APART)
         strays, others = np.flatnonzero(is_stray), np.flatnonzero(may_be & ~is_stray)
         if len(strays) and len(others):
@@ -238,7 +237,7 @@ class StrandDescent:
     @property
     def has_goals(self) -> bool:
         """Whether a tie, a clip or gel holds some edges."""
-        return bool((self._held > 0).any())
+        return not self._is_free.all()
 
     @property
     def own_energy(self) -> float:
@@ -258,9 +257,15 @@ class StrandDescent:
     def _evaluate(self, k_body_collision: np.float32) -> None:
         """Bring `_now` up to date, where it is not."""
         if self._k_of_now != k_body_collision:
-            hair = self._hair, self._rod, self._around, self._body
-            evaluate_strands(self.direction, self._strands, *hair, k_body_collision, self._now)
+            self._evaluate_at(self.direction, self._strands, k_body_collision, self._now)
             self._k_of_now = k_body_collision
+
+    def _evaluate_at(
+        self, direction: np.ndarray, strands: np.ndarray, k_body_collision: np.float32, found: Evaluation
+    ) -> None:
+        """Fill the rows of some strands, whose edges have these directions."""
+        hair = self._hair, self._rod, self._around, self._body
+        evaluate_strands(direction, strands, *hair, k_body_collision, found)
 
     def _update_other_hair(self) -> None:
         """Compute hair against hair anew; where the energy of all has risen, go back and take shorter steps."""
@@ -279,8 +284,7 @@ class StrandDescent:
         """Move strands that swing to between where the two passes ended."""
         swinging, direction = between_swings(last, before)
         self.direction[swinging] = direction
-        hair = self._hair, self._rod, self._around, self._body
-        evaluate_strands(self.direction, swinging, *hair, self._k_body_collision, self._now)
+        self._evaluate_at(self.direction, swinging, self._k_body_collision, self._now)
 
     def _with_other_hair(self) -> tuple[float, np.ndarray]:
         """Energy of all terms [J], and the gradient of those between strands."""
@@ -325,9 +329,7 @@ class StrandDescent:
         trial, pending, step = np.empty_like(self.direction), self._strands, 1.0
         for _ in range(max(backtracks, 1)):
             rotate_edges(self.direction, rotation, np.float32(step), pending, trial)
-            evaluate_strands(
-                trial, pending, self._hair, self._rod, self._around, self._body, k_body_collision, self._trial
-            )
+            self._evaluate_at(trial, pending, k_body_collision, self._trial)
             has_fallen = self._trial.energy[pending].sum(axis=1) < self._now.energy[pending, 0]
             taken = pending[has_fallen] if backtracks else pending
             take_strands(taken, trial, self._trial, self.direction, self._now, self.moved)

@@ -26,8 +26,6 @@ HOW_TO = [ROOT / "README.md", *(DOCS / f"{page}.md" for page in (
     "quick_start", "drape_a_clip", "grooms", "export", "guides", "view", "crowd", "train", "benchmark", "extend",
     "metrics", "inference", "evaluation",
 )), *sorted(DOCS.glob("own_*.md"))]  # fmt: skip
-LONG = ("drape_a_clip", "grooms", "guides")
-"""Pages whose commands take more than three seconds together."""
 ROOT_ROWS = 10
 STRANDS_BETWEEN = 100
 FRAMES_OF_CLIPS = 31
@@ -119,9 +117,7 @@ def test_the_commands_of_a_page_exist(page: Path) -> None:
             assert (ROOT / words[1]).is_file(), command.line
 
 
-@pytest.mark.parametrize(
-    "page", [pytest.param(path, marks=[pytest.mark.slow] if path.stem in LONG else [], id=path.stem) for path in HOW_TO]
-)
+@every_page
 def test_the_commands_of_a_page_run(page: Path, folder: Path, request: pytest.FixtureRequest) -> None:
     if f"{SLOW_TEST}[{page.stem}]" in {item.name for item in request.session.items}:
         pytest.skip("they run with the slow ones of the page")

@@ -31,6 +31,7 @@ from quaffure.solvers import (
     solver,
     strand_descent,
 )
+from quaffure.solvers.strand_descent import StepControl
 from quaffure.solvers.strand_kernels import DensityModel, Evaluation, model_surroundings, take_strands
 from quaffure.solvers.strand_recursion import LEAST_ALIGNMENT, StrandModel, newton_rotations
 from tests.scenes import clip_scene, few_strands, posed_scene, sphere_groom, upright_scene
@@ -131,6 +132,7 @@ def test_hair_around_a_strand_is_a_quadratic_model_of_its_density_energy() -> No
     energy = HairEnergy(scene.groom, terms=hair_terms("rod"))
     descent = StrandDescent(energy, scene, direction=_pulled_inwards(scene))
     descent.settle(2)
+    descent._model_surroundings(descent._with_other_hair()[1], descent.strand_damping)
     positions, around = descent.positions, descent._around
     assert torch.equal(torch.from_numpy(around.positions), positions[0])
     _, expected = energy_and_gradient(energy.only("self_collision"), scene, positions)
@@ -224,19 +226,20 @@ def test_near_rest_one_pass_is_exact(groom: Groom) -> None:
     assert float((after / before.mean()).max()) < 0.1
 
 
-def test_settling_goes_on_where_it_was_left() -> None:
-    """Two calls are one: neither damping nor what the hair around pushes with is lost between them."""
+def test_settling_ends_where_the_energy_was_lowest() -> None:
+    """Of hair so dense that passes raise the energy, too: each call ends no higher than it began."""
     scene = posed_scene(sphere_groom(strands=300))
     energy = HairEnergy(scene.groom, terms=hair_terms("rod"))
-    at_once, in_parts = (StrandDescent(energy, scene, direction=_pulled_inwards(scene)) for _ in range(2))
-    at_once.settle(6)
+    descent = StrandDescent(energy, scene, StepControl(yield_distance=0.1), _pulled_inwards(scene))
     for _ in range(6):
-        in_parts.settle(1)
-    assert in_parts.settled_energy == at_once.settled_energy
-    np.testing.assert_array_equal(in_parts.direction, at_once.direction)
+        before = float(energy.total(descent.positions, scene))
+        descent.settle(2)
+        after = float(energy.total(descent.positions, scene))
+        assert after <= before
+        assert after == pytest.approx(descent.settled_energy, rel=1e-4)
 
 
-def test_dense_hair_settles_lower_where_swings_end_half_way(body: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dense_hair_settles_lower_where_swings_are_shortened(body: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = clip_scene(make_groom("long_straight", body), body, "bow", slice(60, 61))
     draper = StrandNewtonDraper()
     energy = draper.energy_of(scene)
@@ -244,10 +247,22 @@ def test_dense_hair_settles_lower_where_swings_end_half_way(body: BodyModel, mon
     def settled() -> float:
         return float(energy.per_vertex(energy.total(draper.drape(scene), scene))[0])
 
-    with_swings_halved = settled()
-    nothing = np.zeros(0, np.int64), np.zeros((0, 23, 3))
-    monkeypatch.setattr(strand_descent, "between_swings", lambda last, before: nothing)
-    assert with_swings_halved < settled() - 1e-3
+    with_swings_shortened = settled()
+    monkeypatch.setattr(strand_descent, "secant_shares", lambda step, before: np.ones(len(step), np.float32))
+    assert with_swings_shortened < settled() - 5e-4
+
+
+def test_the_lower_of_two_starts_is_taken_strand_by_strand_and_tails_stay_whole() -> None:
+    scene = posed_scene(_half_held())
+    energy = HairEnergy(scene.groom, terms=hair_terms("rod"))
+    outwards, inwards = StrandDescent(energy, scene), StrandDescent(energy, scene, direction=_pulled_inwards(scene))
+    for strand in (0, 1, 5):
+        inwards.direction[strand] = outwards.direction[strand]
+        outwards.direction[strand] = _pulled_inwards(scene)[strand]
+    lower = outwards.direction.copy()
+    lower[[1, 5]] = inwards.direction[[1, 5]]  # strand 0 is held, and the other held ones are lower outwards
+    outwards.take_lower(inwards)
+    np.testing.assert_array_equal(outwards.direction, lower)
 
 
 def test_hair_on_a_head_that_stays_upright_does_not_fall_through_it(body: BodyModel) -> None:
@@ -260,7 +275,7 @@ def test_hair_on_a_head_that_stays_upright_does_not_fall_through_it(body: BodyMo
     fallen.run_with_contact(setting.contact_passes)
     draper._settle_in_rounds(fallen, 15, setting.rounds)
     gained = fallen.settled_energy - draper.descend(energy, scene.sample(0)).settled_energy
-    assert gained > 0.01 * energy.per_vertex_unit
+    assert gained > 0.002 * energy.per_vertex_unit
 
 
 def test_held_edges_keep_their_posed_directions_and_free_hair_falls() -> None:
@@ -482,9 +497,9 @@ def test_forces_between_strands_are_limited_in_units_of_their_weight(pull: float
 
 
 def test_a_setting_needs_as_many_passes_as_its_parts() -> None:
-    StrandNewtonSetting(passes=5)
-    with pytest.raises(ValueError, match="at least 5, free and contact passes, found 4"):
-        StrandNewtonSetting(passes=4)
+    StrandNewtonSetting(passes=4)
+    with pytest.raises(ValueError, match="at least 4, free and contact passes, found 3"):
+        StrandNewtonSetting(passes=3)
     for none in ({"rounds": 0}, {"tied_factor": 0}):
         with pytest.raises(ValueError, match="at least 1"):
             StrandNewtonSetting(**none)

@@ -21,7 +21,7 @@ from quaffure.digest import array_digest
 from quaffure.draper import Draper
 from quaffure.types import Float, Tensor
 
-DRAPE_VERSION = 8
+DRAPE_VERSION = 9
 """To be raised by whoever changes what drapers return: energies, solvers, networks' code, posing, collision."""
 _KNOWN = {"quaffure", "torch", "numpy", *sys.stdlib_module_names}
 

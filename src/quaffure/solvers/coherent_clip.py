@@ -18,7 +18,6 @@ from quaffure.scene import PosedScene, Scene
 from quaffure.solvers.restoring_goals import RestoringGoals
 from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.strand_newton import StrandNewtonDraper
-from quaffure.solvers.stray_strands import BESIDE, stands_apart
 from quaffure.types import Float, Positions, RestLengths, Tensor
 
 FRAME_SECONDS = 1 / 30
@@ -141,7 +140,7 @@ class CoherentDraper:
         frame = _frame(scene, scene.director[0])
         if last is None or not last.groom.is_of(scene.groom) or self._is_cut(last, frame):
             descent, self.is_moving = self.draper.descend(energy, scene), False
-            self._gather_strays(descent, scene)
+            self._gather_strays(descent)
         else:
             max_head_sweep = self.setting.over(self.frame_seconds).max_head_sweep
             direction = last.rotated_to(frame, scene.groom.rest_lengths, max_head_sweep)
@@ -152,10 +151,9 @@ class CoherentDraper:
         )
         return descent.positions
 
-    def _gather_strays(self, descent: StrandDescent, scene: PosedScene) -> None:
-        had_company = ~stands_apart(scene.posed[0].numpy(), BESIDE)
+    def _gather_strays(self, descent: StrandDescent) -> None:
         for _ in range(self.setting.stray_rounds):
-            if not descent.rejoin_strays(had_company):
+            if not descent.rejoin_strays():
                 break
             descent.resolve_contact(self.draper.setting.resolved_share)
             descent.settle(self.setting.stray_passes)

@@ -7,6 +7,7 @@ diagonal a stiffness that lets no vertex go far before the force is computed ane
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -36,8 +37,8 @@ from quaffure.solvers.strand_kernels import (
     take_strands,
 )
 from quaffure.solvers.strand_recursion import StrandModel, newton_rotations
-from quaffure.solvers.stray_strands import APART, nearest_of, stands_apart
-from quaffure.solvers.swings import Pass, between_swings
+from quaffure.solvers.stray_strands import APART, BESIDE, nearest_of, stands_apart
+from quaffure.solvers.swings import secant_shares
 from quaffure.types import Float, Positions, Tensor
 
 FREE_TURN = 1.5
@@ -53,17 +54,14 @@ class StepControl:
         backtracks: times that a step is shortened; a strand whose energy has not fallen then stays.
         shortening: factor of each.
         yield_distance: over which the force of hair against hair is taken to grow by its own size [m]. Shorter is
-            slower; longer, groups of strands move past each other.
-        most_damping: factor by which the stiffness against the hair around is raised at most, when a pass after which
-            the energy of all hair has risen is undone.
-        oscillation: damping of strands that move back and forth while they `follow`.
+            slower in dense hair; longer, strands go back and forth more before they are damped.
+        oscillation: damping of strands that move back and forth.
     """
 
     most_turn: float = 1.0
     backtracks: int = 4
     shortening: float = 0.4
-    yield_distance: float = 2e-3
-    most_damping: float = 1e3
+    yield_distance: float = 5e-3
     oscillation: OscillationDamping = field(default_factory=OscillationDamping)
 
 
@@ -72,7 +70,6 @@ class _State(NamedTuple):
 
     energy: float
     direction: np.ndarray
-    gradient_of_others: np.ndarray
 
 
 class StrandDescent:
@@ -82,7 +79,7 @@ class StrandDescent:
         direction: unit direction of every edge [strand edge 3].
         passes: done so far.
         moved: largest displacement of a vertex of each strand in the last pass [m].
-        strand_damping: of every strand in limited passes, see `OscillationDamping`.
+        strand_damping: of every strand in passes with all terms, see `OscillationDamping`.
     """
 
     def __init__(
@@ -120,7 +117,7 @@ class StrandDescent:
         self._k_body_collision = np.float32(energy.material.k_body_collision)
         strands, vertices = mass.shape
         self._strands = np.arange(strands)
-        self._anywhere = np.full(strands, 1e6, np.float32)
+        self._anywhere, self._undamped = np.full(strands, 1e6, np.float32), np.zeros(strands, np.float32)
         # The unit of forces between strands, which push apart without gravity too: no less than their weight on earth.
         self._own_weight = max(STANDARD_GRAVITY, math.hypot(*energy.acceleration)) * mass
         # Where strands cross, Eq. 11 has forces of 1e7 weights, beside which float64 keeps nothing of the rod.
@@ -133,13 +130,14 @@ class StrandDescent:
         )
         self.direction = _float32(directors(scene.posed[0]) if direction is None else direction).copy()
         self.passes, self.moved = 0, np.zeros(strands, np.float32)
-        self._damping, self._best = 0.0, None  # type: float, _State | None
-        self._last: Pass | None = None  # of `settle`
+        self._best: _State | None = None  # of `settle`
         # Stiffness of contact that `_now` was evaluated with; None where the directions have changed since.
         self._k_of_now: np.float32 | None = None
         self._start: np.ndarray | None = None
         self.strand_damping = np.zeros(strands, np.float32)
-        self._displacement: np.ndarray | None = None  # of the last limited pass
+        # Of the last pass with all terms; the rotations of `settle`, before they were shortened.
+        self._displacement: np.ndarray | None = None
+        self._rotation: np.ndarray | None = None
 
     @property
     def positions(self) -> Positions:
@@ -152,7 +150,7 @@ class StrandDescent:
         self._forget()
         for _ in range(passes):
             self._surround_by_tails()
-            self._move(np.float32(0.0), FREE_TURN, self._anywhere, backtracks=0)
+            self._move(np.float32(0.0), FREE_TURN, backtracks=0)
 
     def resolve_contact(self, share: float) -> None:
         """Push vertices that are within `share` of their margins out of the body, from root to tip; the new start."""
@@ -164,41 +162,37 @@ class StrandDescent:
         self._forget()
         for _ in range(passes):
             self._surround_by_tails()
-            self._move(self._k_body_collision, self._control.most_turn, self._anywhere, self._control.backtracks)
+            self._move(self._k_body_collision, self._control.most_turn, self._control.backtracks)
+
+    def run(self, passes: int) -> None:
+        """Passes with all terms; the energy may rise."""
+        for _ in range(passes):
+            total, gradient = self._with_other_hair()
+            if total < self.settled_energy:
+                self._best = _State(total, self.direction.copy())
+            self._rotate_among_others(self._shortened(self._rotations_among_others(gradient, self._anywhere)))
 
     def settle(self, passes: int) -> None:
-        """Passes with all terms. The energy of all hair is never higher at the end than at the start."""
-        if self._best is not None and np.array_equal(self.direction, self._best.direction):
-            # Nothing has moved since the last passes: the energy has not risen, although it has not fallen.
-            self._model_surroundings(self._best.gradient_of_others, self._damping)
-        else:
-            self._update_other_hair()
-        for _ in range(passes):
-            start, before = self.direction.copy(), self._last
-            self._move(self._k_body_collision, self._control.most_turn, self._anywhere, self._control.backtracks)
-            self._last = Pass(self.direction.copy(), self.direction - start, 1 + before.number if before else 0)
-            if before is not None and before.number > 0:
-                self._go_between(self._last, before)
-            self._update_other_hair()
+        """Passes with all terms; ends where the energy of all hair was lowest, the start included."""
+        self.run(passes)
+        total = self._with_other_hair()[0]
+        if total < self.settled_energy:
+            self._best = _State(total, self.direction.copy())
+        elif self._best is not None:
+            self.direction[:] = self._best.direction
+            self._k_of_now = None
 
     def run_limited(self, passes: int, pass_displacement: float, total_displacement: float) -> None:
         """Passes with all terms, in each of which no vertex moves by more than `pass_displacement` [m], and in all
         since the start by more than `total_displacement` [m], both to first order. The energy may rise: hair that
         follows a head is on its way."""
-        oscillation = self._control.oscillation
         for _ in range(passes):
             gradient = self._with_other_hair()[1]
-            self._model_surroundings(gradient, self.strand_damping, oscillation.weight_share)
-            before = self._now.positions.copy()
             if self._start is None:
-                self._start = before
-            gone = largest_displacements(before, self._start)
+                self._start = self._now.positions.copy()
+            gone = largest_displacements(self._now.positions, self._start)
             limit = np.clip(total_displacement - gone, 0.0, pass_displacement)
-            self._move(self._k_body_collision, self._control.most_turn, limit, self._control.backtracks)
-            moved, moved_before = self._now.positions - before, self._displacement
-            if moved_before is not None:
-                self.strand_damping = oscillation.updated(self.strand_damping, moved, moved_before)
-            self._displacement = moved
+            self._rotate_among_others(self._rotations_among_others(gradient, limit))
 
     def restore(self, goals: RestoringGoals) -> None:
         """Draw strands that nothing holds back to their place around the head, in the passes that follow."""
@@ -216,19 +210,30 @@ class StrandDescent:
         self._rod = self._rod._replace(goal_weight=weight)
         self._evaluate_at(self.direction, strands, self._k_body_collision, self._now)
 
-    def rejoin_strays(self, had_company: np.ndarray) -> int:
-        """Give strands that stand apart the directions of the strand rooted nearest to them; the new start.
+    def take_lower(self, other: "StrandDescent") -> None:
+        """Take the strands that have less energy of their own in another descent of the same hair; the new start.
 
-        Args:
-            had_company: strands that may be strays [strand]; those that something holds are none.
+        Of those that something holds, all or none: tails stay whole.
+        """
+        for descent in (self, other):
+            descent._evaluate(self._k_body_collision)
+        saved, held, of_tails = self._now.energy[:, 0] - other._now.energy[:, 0], ~self._is_free, 0.0
+        if self._cohesion.terms:
+            of_tails = self._cohesion_and_gradient()[0] - other._cohesion_and_gradient()[0]
+        saved[held] = saved[held].sum() + of_tails
+        self.direction[saved > 0] = other.direction[saved > 0]
+        self._forget()
+
+    def rejoin_strays(self) -> int:
+        """Give strands that stand apart, but did not where they were posed, the directions of the strand rooted
+        nearest to them; the new start. Those that something holds stay.
 
         Returns:
             How many there were.
         """
         self._evaluate(self._k_body_collision)
-        may_be = had_company & self._is_free
-        is_stray = may_be & stands_apart(self._now.positions, APART)
-        strays, others = np.flatnonzero(is_stray), np.flatnonzero(may_be & ~is_stray)
+        is_stray = self._may_stray & stands_apart(self._now.positions, APART)
+        strays, others = np.flatnonzero(is_stray), np.flatnonzero(self._may_stray & ~is_stray)
         if len(strays) and len(others):
             self.direction[strays] = self.direction[nearest_of(self._hair.root, strays, others)]
             self._forget()
@@ -247,12 +252,16 @@ class StrandDescent:
 
     @property
     def settled_energy(self) -> float:
-        """Energy of all terms where `settle` has ended [J]; infinite before."""
+        """Lowest energy of all terms since the start [J], where `settle` ends; infinite before the first pass."""
         return math.inf if self._best is None else self._best.energy
+
+    @cached_property
+    def _may_stray(self) -> np.ndarray:
+        return self._is_free & ~stands_apart(_float32(self._scene.posed[0]), BESIDE)
 
     def _forget(self) -> None:
         """Take the directions of now for the start."""
-        self._best = self._last = self._k_of_now = self._start = None
+        self._best = self._k_of_now = self._start = self._displacement = self._rotation = None
 
     def _evaluate(self, k_body_collision: np.float32) -> None:
         """Bring `_now` up to date, where it is not."""
@@ -267,24 +276,29 @@ class StrandDescent:
         hair = self._hair, self._rod, self._around, self._body
         evaluate_strands(direction, strands, *hair, k_body_collision, found)
 
-    def _update_other_hair(self) -> None:
-        """Compute hair against hair anew; where the energy of all has risen, go back and take shorter steps."""
-        total, gradient = self._with_other_hair()
-        if self._best is not None and not total < self._best.energy:
-            self.direction[:] = self._best.direction
-            self._k_of_now = None
-            self._evaluate(self._k_body_collision)
-            self._damping = min(max(4 * self._damping, 0.5), self._control.most_damping)
-        else:
-            self._best = _State(total, self.direction.copy(), gradient)
-            self._damping = 0.5 * self._damping if self._damping > 0.1 else 0.0
-        self._model_surroundings(self._best.gradient_of_others, self._damping)
+    def _rotations_among_others(self, gradient: np.ndarray, most_move: np.ndarray) -> np.ndarray:
+        """Newton's step with all terms.
 
-    def _go_between(self, last: Pass, before: Pass) -> None:
-        """Move strands that swing to between where the two passes ended."""
-        swinging, direction = between_swings(last, before)
-        self.direction[swinging] = direction
-        self._evaluate_at(self.direction, swinging, self._k_body_collision, self._now)
+        Args:
+            gradient: of the terms between strands at the positions of now [N].
+            most_move: of a vertex of every strand, to first order [m].
+        """
+        self._model_surroundings(gradient, self.strand_damping)
+        return self._rotations(self._k_body_collision, self._control.most_turn, most_move)
+
+    def _rotate_among_others(self, rotation: np.ndarray) -> None:
+        """Take the step, and damp strands that it moves back."""
+        before = self._now.positions.copy()
+        self._rotate(rotation, self._k_body_collision, self._control.backtracks)
+        moved, moved_before = self._now.positions - before, self._displacement
+        if moved_before is not None:
+            self.strand_damping = self._control.oscillation.updated(self.strand_damping, moved, moved_before)
+        self._displacement = moved
+
+    def _shortened(self, rotation: np.ndarray) -> np.ndarray:
+        """The step, a part of it where a strand swings."""
+        before, self._rotation = self._rotation, rotation
+        return rotation if before is None else secant_shares(rotation, before)[:, None, None] * rotation
 
     def _with_other_hair(self) -> tuple[float, np.ndarray]:
         """Energy of all terms [J], and the gradient of those between strands."""
@@ -301,7 +315,7 @@ class StrandDescent:
         """Each strand is held by the rest of its tail alone, and free hair by nothing."""
         if self._cohesion.terms:
             self._evaluate(np.float32(0.0) if self._k_of_now is None else self._k_of_now)
-            self._model_surroundings(self._cohesion_and_gradient()[1], self._damping)
+            self._model_surroundings(self._cohesion_and_gradient()[1], self._undamped)
         else:
             self._around.gradient[:], self._around.stiffness[:] = 0.0, 0.0
 
@@ -311,21 +325,27 @@ class StrandDescent:
         energy = self._cohesion.total(hair, self._scene)
         return float(energy.detach()), torch.autograd.grad(energy, hair)[0][0].numpy()
 
-    def _model_surroundings(self, gradient: np.ndarray, damping: float | np.ndarray, weight_share: float = 1.0) -> None:
-        of_strands = damping if isinstance(damping, np.ndarray) else np.full(len(gradient), damping, np.float32)
-        weight, yielding = np.float32(weight_share) * self._own_weight, np.float32(self._control.yield_distance)
-        model_surroundings(
-            gradient, self._most_force, of_strands, weight, yielding, self._now.positions, self._around
-        )  # fmt: skip
+    def _model_surroundings(self, gradient: np.ndarray, damping: np.ndarray) -> None:
+        control = self._control
+        weight, yielding = np.float32(control.oscillation.weight_share) * self._own_weight, control.yield_distance
+        positions, around = self._now.positions, self._around
+        model_surroundings(gradient, self._most_force, damping, weight, np.float32(yielding), positions, around)
 
-    def _move(self, k_body_collision: np.float32, most_turn: float, most_move: np.ndarray, backtracks: int) -> None:
+    def _move(self, k_body_collision: np.float32, most_turn: float, backtracks: int) -> None:
         """One pass; without `backtracks` whole steps are taken, whatever they do to the energy."""
+        self._rotate(self._rotations(k_body_collision, most_turn, self._anywhere), k_body_collision, backtracks)
+
+    def _rotations(self, k_body_collision: np.float32, most_turn: float, most_move: np.ndarray) -> np.ndarray:
+        """Newton's step: rotations of all edges, limited."""
         self._evaluate(k_body_collision)
-        self.moved[:] = 0.0
         rotation = np.empty_like(self.direction)
         newton_rotations(self._model(), k_body_collision, self._strands, rotation)
-        turn = np.float32(most_turn)
-        limit_rotations(self.direction, self._hair.length, self._strands, turn, most_move, rotation)
+        limit_rotations(self.direction, self._hair.length, self._strands, np.float32(most_turn), most_move, rotation)
+        return rotation
+
+    def _rotate(self, rotation: np.ndarray, k_body_collision: np.float32, backtracks: int) -> None:
+        """Take the step, shortened strand by strand until its energy falls."""
+        self.moved[:] = 0.0
         trial, pending, step = np.empty_like(self.direction), self._strands, 1.0
         for _ in range(max(backtracks, 1)):
             rotate_edges(self.direction, rotation, np.float32(step), pending, trial)

@@ -48,7 +48,7 @@ class StrandNewtonSetting:
     """
 
     passes: int = 20
-    free_passes: int = 3
+    free_passes: int = 2
     resolved_share: float = 0.9
     contact_passes: int = 2
     rounds: int = 3
@@ -163,13 +163,13 @@ class StrandNewtonDraper:
         return torch.cat(settled)
 
     def descend(self, energy: HairEnergy, scene: HairScene) -> StrandDescent:
-        """The strands of one sample at rest: where they were posed, or from the start that ends lowest.
+        """The strands of one sample at rest: where they were posed, or from the start that is lower.
 
         Hair that rests where it was posed stays there, as upright in its design: a lower minimum elsewhere is another
-        hairstyle. Other hair falls from the posed groom without contact, and settles there; and it settles from the
-        posed groom with contact. Falling, hair finds its side of a head that bows, but passes through heads that do
-        not: there it is pushed out as loops on the crown and locks over the face, and a tail divides. Where the posed
-        groom has less energy than both, it settles as it is, too.
+        hairstyle. Of other hair each strand starts where it falls to from the posed groom without contact, or where
+        contact alone moves it from there, whichever has less energy. Falling, hair finds its side of a head that bows,
+        but passes through heads that do not: there it is pushed out as loops on the crown and locks over the face, and
+        a tail divides. Where the posed groom has less energy than all that settles to, it settles as it is.
         """
         setting = self.setting
         posed = StrandDescent(energy, scene, setting.control)
@@ -181,25 +181,25 @@ class StrandNewtonDraper:
         fallen.resolve_contact(setting.resolved_share)
         fallen.run_with_contact(setting.contact_passes)
         pushed.resolve_contact(setting.resolved_share)
-        pushed.run_with_contact(setting.free_passes + setting.contact_passes)
+        pushed.run_with_contact(setting.contact_passes)
+        pushed.take_lower(fallen)
         # Tails are so dense that after as many passes as other hair takes, no energy says where they end.
-        factor = setting.tied_factor if fallen.has_goals else 1
+        factor = setting.tied_factor if pushed.has_goals else 1
         passes = factor * (setting.passes - setting.free_passes - setting.contact_passes)
-        found = [fallen, pushed]
-        for descent in found:
-            self._settle_in_rounds(descent, passes, factor * setting.rounds)
-        if own_energy_posed < min(descent.settled_energy for descent in found):
-            found.append(StrandDescent(energy, scene, setting.control))
-            found[-1].settle(passes)
-        return min(found, key=lambda descent: descent.settled_energy)
+        self._settle_in_rounds(pushed, passes, factor * setting.rounds)
+        if own_energy_posed < pushed.settled_energy:
+            posed = StrandDescent(energy, scene, setting.control)
+            posed.settle(passes)
+            return min(posed, pushed, key=lambda descent: descent.settled_energy)
+        return pushed
 
     def _rests(self, posed: StrandDescent, scene: HairScene) -> bool:
         """Settle strands from where they were posed, and whether they rest there; far from it after one pass."""
         setting = self.setting
-        posed.settle(1)
+        posed.run_with_contact(1)
         if posed.moved.mean() > 3 * setting.rest_distance:
             return False
-        posed.settle(setting.rest_passes - 1)
+        posed.run(setting.rest_passes - 1)
         moved = (posed.positions - scene.posed)[:, :, 1:].norm(dim=-1).mean()
         if moved > setting.rest_distance:
             return False
@@ -208,10 +208,11 @@ class StrandNewtonDraper:
 
     def _settle_in_rounds(self, descent: StrandDescent, passes: int, rounds: int) -> None:
         # Hair that other hair has pressed into the body, as on the crown in a bow, would stay there: contact is weaker.
-        for index in range(rounds):
-            if index > 0:
-                descent.resolve_contact(self.setting.resolved_share)
-            descent.settle((passes + index) // rounds)
+        for index in range(rounds - 1):
+            descent.run((passes + index) // rounds)
+            descent.rejoin_strays()
+            descent.resolve_contact(self.setting.resolved_share)
+        descent.settle((passes + rounds - 1) // rounds)
 
 
 class SettledDraper:

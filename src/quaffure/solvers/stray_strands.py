@@ -48,16 +48,25 @@ def _mark_apart(
 ) -> None:  # fmt: skip
     """Mark, in the unsorted order, the points that have none of another strand within `distance`; the first vertices
     of a strand are left out. Points are sorted into cells of at least that side."""
+    squared = distance * distance
     for cell in prange(len(start) - 1):
         ranges = np.empty((9, 2), np.int64)
         columns = cell_columns(cell, shape, start, ranges) if start[cell] < start[cell + 1] else 0
         for row in range(start[cell], start[cell + 1]):
-            strand, is_alone = order[row] // vertices, order[row] % vertices >= FIRST_VERTEX
-            for column in range(columns):
-                for other in range(ranges[column, 0], ranges[column, 1]):
-                    if not is_alone:
-                        break
-                    if order[other] // vertices != strand:
-                        offset = points[other] - points[row]
-                        is_alone = (offset * offset).sum() > distance * distance
-            apart[order[row]] = is_alone
+            strand = order[row] // vertices
+            if order[row] % vertices >= FIRST_VERTEX:
+                near = ranges[:columns]
+                apart[order[row]] = not _has_company(row, strand, points, order, vertices, near, squared)
+
+
+@njit(cache=True)
+def _has_company(
+    row: int, strand: int, points: np.ndarray, order: np.ndarray, vertices: int, ranges: np.ndarray, squared: np.float32
+) -> bool:
+    x, y, z = points[row, 0], points[row, 1], points[row, 2]
+    for column in range(len(ranges)):
+        for other in range(ranges[column, 0], ranges[column, 1]):
+            dx, dy, dz = points[other, 0] - x, points[other, 1] - y, points[other, 2] - z
+            if dx * dx + dy * dy + dz * dz <= squared and order[other] // vertices != strand:
+                return True
+    return False

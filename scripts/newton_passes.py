@@ -17,7 +17,7 @@ STYLES = ("bob", "long_straight", "long_wavy", "long_ringlets", "afro", "ponytai
 CLIPS, FRAME, MORE_PASSES = ("neck_turn", "bow"), 60, 60
 SETTINGS = {
     "12 passes": StrandNewtonSetting(passes=12),
-    "12 passes, 2 of them free": StrandNewtonSetting(passes=12, free_passes=2),
+    "16 passes": StrandNewtonSetting(passes=16),
     "20 passes": StrandNewtonSetting(),
 }
 

@@ -168,17 +168,15 @@ class StrandDescent:
         """Passes with all terms; the energy may rise."""
         for _ in range(passes):
             total, gradient = self._with_other_hair()
-            if total < self.settled_energy:
-                self._best = _State(total, self.direction.copy())
+            self._remember_lowest(total)
             self._rotate_among_others(self._shortened(self._rotations_among_others(gradient, self._anywhere)))
 
     def settle(self, passes: int) -> None:
         """Passes with all terms; ends where the energy of all hair was lowest, the start included."""
         self.run(passes)
         total = self._with_other_hair()[0]
-        if total < self.settled_energy:
-            self._best = _State(total, self.direction.copy())
-        elif self._best is not None:
+        self._remember_lowest(total)
+        if self._best is not None and self._best.energy < total:
             self.direction[:] = self._best.direction
             self._k_of_now = None
 
@@ -222,6 +220,7 @@ class StrandDescent:
             of_tails = self._cohesion_and_gradient()[0] - other._cohesion_and_gradient()[0]
         saved[held] = saved[held].sum() + of_tails
         self.direction[saved > 0] = other.direction[saved > 0]
+        self.passes = max(self.passes, other.passes)
         self._forget()
 
     def rejoin_strays(self) -> int:
@@ -262,6 +261,11 @@ class StrandDescent:
     def _forget(self) -> None:
         """Take the directions of now for the start."""
         self._best = self._k_of_now = self._start = self._displacement = self._rotation = None
+
+    def _remember_lowest(self, total: float) -> None:
+        """Keep the directions of now, where the energy of all hair has not been as low since the start [J]."""
+        if total < self.settled_energy:
+            self._best = _State(total, self.direction.copy())
 
     def _evaluate(self, k_body_collision: np.float32) -> None:
         """Bring `_now` up to date, where it is not."""

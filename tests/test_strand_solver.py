@@ -16,9 +16,11 @@ from quaffure.drape_motion import drape_motion
 from quaffure.energies import HairEnergy, Loading, hair_terms, sag_free_rest
 from quaffure.energies.gravity import NO_ACCELERATION
 from quaffure.hair import Groom
+from quaffure.model import load_model
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, PosedScene, Scene
 from quaffure.solvers import (
+    NEAR_REST,
     CoherentDraper,
     CoherentSetting,
     DesignSolver,
@@ -363,6 +365,16 @@ def test_more_passes_never_raise_the_energy(body: BodyModel) -> None:
         assert float(energy.per_vertex(energy.total(settled, scene) - energy.total(start, scene))) < 1e-4
     posed = SettledDraper(LbfgsDraper(evaluations=5), newton, 4)
     assert float(energy.total(posed.drape(scene), scene)) < float(energy.total(scene.posed, scene))
+
+
+def test_hair_near_its_rest_settles_lower_in_few_passes(body: BodyModel) -> None:
+    scene = clip_scene(few_strands(body, "ponytail", 600), body, "neck_turn", slice(60, 61))
+    start, energy = load_model().draper.drape(scene), StrandNewtonDraper().energy_of(scene)
+    near, usual = (
+        energy.total(StrandNewtonDraper(setting=setting).settle(scene, start, 3), scene)
+        for setting in (NEAR_REST, StrandNewtonSetting())
+    )
+    assert float(energy.per_vertex(near - usual)) < -0.002
 
 
 def test_clips_follow_the_last_frame(body: BodyModel) -> None:

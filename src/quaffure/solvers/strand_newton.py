@@ -70,7 +70,7 @@ class StrandNewtonSetting:
 
 
 NEAR_REST = StrandNewtonSetting(control=StepControl(yield_distance=2.5e-3))
-"""Of hair that another draper has left near its rest: in few passes, strands should not go back and forth first."""
+"""For hair that another draper has left near its rest: there strands go back and forth less in the first passes."""
 
 
 class StrandNewtonDraper:

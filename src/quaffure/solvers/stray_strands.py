@@ -53,16 +53,16 @@ def _mark_apart(
         ranges = np.empty((9, 2), np.int64)
         columns = cell_columns(cell, shape, start, ranges) if start[cell] < start[cell + 1] else 0
         for row in range(start[cell], start[cell + 1]):
-            strand = order[row] // vertices
             if order[row] % vertices >= FIRST_VERTEX:
-                near = ranges[:columns]
-                apart[order[row]] = not _has_company(row, strand, points, order, vertices, near, squared)
+                apart[order[row]] = not _has_company(row, points, order, vertices, ranges[:columns], squared)
 
 
 @njit(cache=True)
 def _has_company(
-    row: int, strand: int, points: np.ndarray, order: np.ndarray, vertices: int, ranges: np.ndarray, squared: np.float32
+    row: int, points: np.ndarray, order: np.ndarray, vertices: int, ranges: np.ndarray, squared: np.float32
 ) -> bool:
+    """Whether one of the points in these ranges is of another strand and within a squared distance of that at `row`."""
+    strand = order[row] // vertices
     x, y, z = points[row, 0], points[row, 1], points[row, 2]
     for column in range(len(ranges)):
         for other in range(ranges[column, 0], ranges[column, 1]):

@@ -1,4 +1,4 @@
-"""What pieces of the network are worth: the ablation table in docs/training.md.
+"""What pieces of the network are worth, on one groom.
 
     python scripts/ablation_table.py bob full=runs/ablation/full/best.safetensors NAME=FILE ... [--motion FILE.bvh ...]
 
@@ -12,6 +12,7 @@ import torch
 import tyro
 
 import quaffure as qf
+from quaffure.benchmark import excess_energies
 from quaffure.body import load_body
 from quaffure.draper import Draper
 from quaffure.energies.body_collision import intersection_percent
@@ -21,7 +22,7 @@ from quaffure.training import prior_validation
 from quaffure.types import BodyPose, BodyShape
 
 EVERY = 60
-COLUMNS = ("network", "excess, mean", "median", "nine in ten below", "relative to the first", "inside %", "relative")
+COLUMNS = ("network", "excess, mean", "median", "90th percentile", "mean, ratio", "inside %", "ratio")
 
 
 def main(
@@ -37,7 +38,7 @@ def main(
     body = load_body()
     hair = qf.load_groom(groom, body)
     pose, shape = _bodies(motion)
-    drapers = {name: qf.load_model(file).draper for name, file in (option.split("=", 1) for option in weights)}
+    drapers = {name: qf.load_model(file).draper for name, file in map(_named, weights)}
     excess, inside = [], []
     for index in range(len(pose)):
         scene = Scene(hair, BodyBatch(body, pose[index : index + 1], shape[index : index + 1]))
@@ -46,11 +47,19 @@ def main(
         inside.append(within)
     print(f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|")
     first: tuple[float, float] | None = None
-    for name, own, within in zip(drapers, torch.tensor(excess).T, torch.tensor(inside).T):
+    for name, own, within in zip(drapers, torch.tensor(excess).T, torch.tensor(inside).T, strict=True):
         mean, share = float(own.mean()), float(within.mean())
         first = first or (mean, share)
-        row = (f"{mean:.3f}", f"{float(own.median()):.3f}", f"{float(own.quantile(0.9)):.3f}", f"{mean / first[0]:.2f}")
-        print(f"| {name} | {' | '.join(row)} | {share:.4f} | {share / max(first[1], 1e-9):.2f} |")
+        ratios = [value / max(of_first, 1e-9) for value, of_first in zip((mean, share), first)]
+        numbers = " | ".join(f"{value:.3f}" for value in (mean, float(own.median()), float(own.quantile(0.9))))
+        print(f"| {name} | {numbers} | {ratios[0]:.2f} | {share:.4f} | {ratios[1]:.2f} |")
+
+
+def _named(option: str) -> tuple[str, str]:
+    name, is_given, file = option.partition("=")
+    if not is_given:
+        raise qf.InputError("weights", "NAME=FILE", f"'{option}'")
+    return name, file
 
 
 def _bodies(motions: tuple[Path, ...]) -> tuple[BodyPose, BodyShape]:
@@ -69,9 +78,8 @@ def _measured(scene: Scene, drapers: dict[str, Draper]) -> tuple[list[float], li
     energy = newton.energy_of(scene)
     drapes = [draper.drape(scene) for draper in drapers.values()]
     ends = [newton.drape(scene), *(newton.drape_from(scene, start) for start in drapes)]
-    energies = [float(energy.per_vertex(energy.total(hair, scene))) for hair in (*drapes, *ends)]
     inside = [float(intersection_percent(hair, scene)) for hair in drapes]
-    return [value - min(energies) for value in energies[: len(drapes)]], inside
+    return excess_energies(energy, scene, drapes, ends), inside
 
 
 if __name__ == "__main__":

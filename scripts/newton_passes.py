@@ -6,6 +6,7 @@ network's drape. Energies in m g L per vertex.
 
 import torch
 
+from quaffure.benchmark import excess_energies
 from quaffure.body import bundled_clip, load_body
 from quaffure.draper import Draper
 from quaffure.model import load_model
@@ -40,8 +41,7 @@ def _excesses(scene: Scene, network: Draper) -> list[float]:
     energy = newton.energy_of(scene)
     drapes = [StrandNewtonDraper(setting=setting).drape(scene) for setting in SETTINGS.values()]
     ends = [newton.settle(scene, start, MORE_PASSES) for start in (*drapes, network.drape(scene))]
-    energies = [float(energy.per_vertex(energy.total(hair, scene))) for hair in (*drapes, *ends)]
-    return [value - min(energies) for value in energies[: len(drapes)]]
+    return excess_energies(energy, scene, drapes, ends)
 
 
 if __name__ == "__main__":

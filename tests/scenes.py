@@ -16,6 +16,8 @@ from quaffure.scene import BodyBatch, PosedScene, Scene
 
 Registered = Callable[..., tuple[Groom, RegistrationReport]]
 """The fixture `registered`."""
+HELD_EDGES = 12
+"""Of `half_held_groom`, from the root."""
 
 
 def sphere_mesh(radius: float = 0.1, count: int = 400) -> tuple[torch.Tensor, torch.Tensor]:
@@ -56,6 +58,14 @@ def sphere_groom(**options: int | float) -> Groom:
         root_barycentric=torch.full((count, 3), 1 / 3),
         root_uv=torch.rand(count, 2, generator=torch.Generator().manual_seed(1)),
     )
+
+
+def half_held_groom() -> Groom:
+    """Strands round a sphere, every second of which is held over its first `HELD_EDGES`."""
+    groom = sphere_groom(strands=20)
+    weight = torch.zeros_like(groom.rest_lengths)
+    weight[::2, :HELD_EDGES] = 1e-3
+    return replace(groom, goal_weight=weight)
 
 
 def few_strands(body: BodyModel, style: str = "long_straight", count: int = 60) -> Groom:

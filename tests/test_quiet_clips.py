@@ -8,10 +8,9 @@ from quaffure.body import BodyModel
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import CoherentDraper, CoherentSetting, StrandDescent, StrandNewtonDraper, StrandNewtonSetting
-from quaffure.solvers.oscillation_damping import OscillationDamping
-from quaffure.solvers.strand_descent import StepControl
+from quaffure.solvers.step_control import OscillationDamping, StepControl
 from quaffure.solvers.stray_strands import APART, BESIDE, stands_apart
-from tests.scenes import clip_scene, few_strands
+from tests.scenes import clip_scene, few_strands, posed_scene
 
 UNDAMPED = OscillationDamping(first=0.0)
 
@@ -54,16 +53,19 @@ def test_strands_apart_from_others_are_found() -> None:
     assert not stands_apart(positions, APART).any()
 
 
-def _with_a_stray(body: BodyModel, company: bool = True) -> tuple[StrandDescent, int, int]:
-    """Hair as it was posed, of which the strand of index 20 stands off; how many strays there were."""
+def _with_a_stray(body: BodyModel, by_design: bool = False) -> tuple[StrandDescent, int, int]:
+    """Hair as it was posed, of which the strand of index 20 stands off, as it was posed too where that is its design;
+    how many strays there were."""
     scene = clip_scene(make_groom("long_straight", body), body, "neck_turn", slice(0, 1))
-    direction = scene.director[0].clone()
-    direction[20] = scene.posed[0, 20, 0] - scene.posed[0, :, 0].mean(0)
-    direction = torch.nn.functional.normalize(direction, dim=-1)
-    draper = StrandNewtonDraper()
-    descent = StrandDescent(draper.energy_of(scene), scene.sample(0), direction=direction)
-    assert descent._may_stray[20]
-    descent._may_stray[20] = company
+    off = torch.nn.functional.normalize(scene.posed[0, 20, 0] - scene.posed[0, :, 0].mean(0), dim=-1)
+    energy, sample, direction = StrandNewtonDraper().energy_of(scene), scene.sample(0), scene.director[0].clone()
+    direction[20] = off
+    if by_design:
+        posed = sample.posed.clone()
+        along = torch.cat([torch.zeros(1), scene.groom.rest_lengths[20].cumsum(0)])
+        posed[0, 20] = posed[0, 20, 0] + along[:, None] * off
+        sample = posed_scene(scene.groom, posed, sample.surface)
+    descent = StrandDescent(energy, sample, direction=direction)
     others = np.delete(np.arange(len(direction)), 20)
     root = scene.posed[0, :, 0]
     nearest = int(others[(root[others] - root[20]).norm(dim=-1).argmin()])
@@ -77,7 +79,7 @@ def test_a_stray_takes_the_shape_of_its_nearest_neighbour(body: BodyModel) -> No
 
 
 def test_strands_that_stand_alone_by_design_are_left_there(body: BodyModel) -> None:
-    descent, count, nearest = _with_a_stray(body, company=False)
+    descent, count, nearest = _with_a_stray(body, by_design=True)
     assert count == 0
     assert not np.array_equal(descent.direction[20], descent.direction[nearest])
 

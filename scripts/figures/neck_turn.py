@@ -24,7 +24,7 @@ from quaffure.hair import Groom
 from quaffure.model import load_model
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
-from quaffure.solvers.strand_newton import NEAR_REST, SettledDraper, StrandNewtonDraper
+from quaffure.solvers.strand_newton import with_settling
 from quaffure.types import Positions
 
 STRIP, VIDEO = FIGURES / "neck_turn.jpg", FIGURES / "neck_turn.mp4"
@@ -40,7 +40,7 @@ def main() -> list[Path]:
     model = load_model()
     turn = bundled_clip("neck_turn", model.body).frames(FROM_RIGHT_TO_LEFT)
     bodies = BodyBatch(model.body, turn.body_pose, torch.zeros(len(turn), 10))
-    drapers = (PosedDraper(), model.draper, SettledDraper(model.draper, StrandNewtonDraper(setting=NEAR_REST), 3))
+    drapers = (PosedDraper(), model.draper, with_settling(model.draper))
     films, jitter = [], {}
     with TileRenderer(240, 280, strands=6_000, supersampling=2) as renderer:
         for name, colour in zip(GROOMS, NATURAL_COLOURS):

@@ -17,7 +17,13 @@ if TYPE_CHECKING:
         load_evaluation_set,
     )
     from quaffure.benchmark.methods import Method
-    from quaffure.benchmark.metrics import DrapeMetrics, accelerations, measure, vertices_from_head
+    from quaffure.benchmark.metrics import (
+        DrapeMetrics,
+        accelerations,
+        excess_energies,
+        measure,
+        vertices_from_head,
+    )
     from quaffure.benchmark.solver_benchmark import run_benchmark
     from quaffure.energies.body_collision import intersection_percent
 

@@ -15,7 +15,7 @@ from quaffure.errors import InputError
 from quaffure.hair.groom import Groom
 from quaffure.model.quaffure_model import PAPER, load_model
 from quaffure.solvers.by_name import DesignSolver
-from quaffure.solvers.strand_newton import NEAR_REST, SETTLING_PASSES, SettledDraper, StrandNewtonDraper
+from quaffure.solvers.strand_newton import with_settling
 
 SETTLED = f"{NEURAL}_settled"
 STARTED_ROWS = ("adam", "lbfgs", STRAND_NEWTON)
@@ -99,11 +99,10 @@ def _shipped_rows(weights: Path | None, with_paper: bool) -> dict[str, Method]:
     """
     shipped = load_model(weights)
     material = shipped.draper.material
-    settled = SettledDraper(shipped.draper, StrandNewtonDraper(material, NEAR_REST), SETTLING_PASSES)
     rows = [
         Method(POSED, PosedDraper(material)),
         Method(NEURAL, shipped.draper, notes=shipped.notes),
-        Method(SETTLED, settled, notes=shipped.notes),
+        Method(SETTLED, with_settling(shipped.draper), notes=shipped.notes),
     ]
     rows += [Method(name, DesignSolver(name, material), is_solver=True) for name in SOLVER_ROWS]
     rows += [

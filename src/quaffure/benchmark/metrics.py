@@ -3,6 +3,8 @@
 Intersections are those of `quaffure.geometry.winding_number`, which no loss and no solver uses.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -112,6 +114,14 @@ class DrapeMetrics:
             if of_reference > 0:
                 whole["jitter"] = (own / of_reference).expand(self._frames)
         return whole, _joined(self._posed)
+
+
+def excess_energies(
+    energy: HairEnergy, scene: HairScene, drapes: Sequence[Positions], others: Sequence[Positions]
+) -> list[float]:
+    """Energy of each drape of a sample above the lowest of all of these and of the `others` [m g L per vertex]."""
+    found = [float(energy.per_vertex(energy.total(hair, scene))) for hair in (*drapes, *others)]
+    return [own - min(found) for own in found[: len(drapes)]]
 
 
 def measure(

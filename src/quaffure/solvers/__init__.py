@@ -13,7 +13,13 @@ if TYPE_CHECKING:
     from quaffure.solvers.restoring_goals import RestoringGoals
     from quaffure.solvers.stopping import energy_and_gradient
     from quaffure.solvers.strand_descent import StrandDescent
-    from quaffure.solvers.strand_newton import NEAR_REST, SettledDraper, StrandNewtonDraper, StrandNewtonSetting
+    from quaffure.solvers.strand_newton import (
+        NEAR_REST,
+        SettledDraper,
+        StrandNewtonDraper,
+        StrandNewtonSetting,
+        with_settling,
+    )
     from quaffure.solvers.xpbd import XpbdDraper, XpbdSetting
 
 __all__, __getattr__, __dir__ = lazy_exports(__name__)

@@ -140,30 +140,23 @@ class CoherentDraper:
         frame = _frame(scene, scene.director[0])
         if last is None or not last.groom.is_of(scene.groom) or self._is_cut(last, frame):
             descent, self.is_moving = self.draper.descend(energy, scene), False
-            self._gather_strays(descent)
+            self.draper.gather_strays(descent, self.setting.stray_rounds, self.setting.stray_passes)
         else:
             max_head_sweep = self.setting.over(self.frame_seconds).max_head_sweep
             direction = last.rotated_to(frame, scene.groom.rest_lengths, max_head_sweep)
             descent = self._followed(energy, scene, direction, last.damping)
             self.is_moving = self._moves(descent)
         self._last = replace(
-            frame, direction=torch.from_numpy(descent.direction.copy()), damping=descent.strand_damping
+            frame, direction=torch.from_numpy(descent.direction.copy()), damping=descent.history.damping
         )
         return descent.positions
-
-    def _gather_strays(self, descent: StrandDescent) -> None:
-        for _ in range(self.setting.stray_rounds):
-            if not descent.rejoin_strays():
-                break
-            descent.resolve_contact(self.draper.setting.resolved_share)
-            descent.settle(self.setting.stray_passes)
 
     def _followed(
         self, energy: HairEnergy, scene: PosedScene, direction: Float[Tensor, "s e 3"], damping: np.ndarray
     ) -> StrandDescent:
         setting = self.setting.over(self.frame_seconds)
         descent = StrandDescent(energy, scene, self.draper.setting.control, direction)
-        descent.strand_damping = damping
+        descent.history.damping = damping
         # A limb may sweep through hair faster than hair may move in a frame.
         descent.resolve_contact(0.0)
         descent.restore(setting.restoring)

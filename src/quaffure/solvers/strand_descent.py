@@ -1,12 +1,12 @@
 """One groom in one pose, whose strands are moved to rest by Newton's method, each by itself.
 
 A pass minimizes the quadratic model of every strand (`quaffure.solvers.strand_recursion`) and shortens the step of each
-until its own energy falls. Hair on hair, density and cohesion, comes from the last positions: its force, and on the
-diagonal a stiffness that lets no vertex go far before the force is computed anew.
+until its own energy falls, that of the model of its surroundings included. Hair on hair, density and cohesion, comes
+from the last positions: its force, and on the diagonal a stiffness that lets no vertex go far before the force is
+computed anew.
 """
 
 import math
-from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,8 +22,8 @@ from quaffure.energies.rod_term import PosedRod, Rod
 from quaffure.geometry.cell_list import check_finite
 from quaffure.geometry.polyline import directors
 from quaffure.scene import HairScene
-from quaffure.solvers.oscillation_damping import OscillationDamping
 from quaffure.solvers.restoring_goals import RestoringGoals
+from quaffure.solvers.step_control import StepControl, StepHistory
 from quaffure.solvers.strand_kernels import (
     DensityModel,
     Evaluation,
@@ -38,31 +38,10 @@ from quaffure.solvers.strand_kernels import (
 )
 from quaffure.solvers.strand_recursion import StrandModel, newton_rotations
 from quaffure.solvers.stray_strands import APART, BESIDE, nearest_of, stands_apart
-from quaffure.solvers.swings import secant_shares
 from quaffure.types import Float, Positions, Tensor
 
 FREE_TURN = 1.5
 """Largest rotation of an edge in a pass without contact [rad]."""
-
-
-@dataclass(frozen=True)
-class StepControl:
-    """How far a pass may move hair.
-
-    Attributes:
-        most_turn: of an edge in a pass [rad].
-        backtracks: times that a step is shortened; a strand whose energy has not fallen then stays.
-        shortening: factor of each.
-        yield_distance: over which the force of hair against hair is taken to grow by its own size [m]. Shorter is
-            slower in dense hair; longer, strands go back and forth more before they are damped.
-        oscillation: damping of strands that move back and forth.
-    """
-
-    most_turn: float = 1.0
-    backtracks: int = 4
-    shortening: float = 0.4
-    yield_distance: float = 5e-3
-    oscillation: OscillationDamping = field(default_factory=OscillationDamping)
 
 
 class _State(NamedTuple):
@@ -79,7 +58,7 @@ class StrandDescent:
         direction: unit direction of every edge [strand edge 3].
         passes: done so far.
         moved: largest displacement of a vertex of each strand in the last pass [m].
-        strand_damping: of every strand in passes with all terms, see `OscillationDamping`.
+        history: of passes with all terms.
     """
 
     def __init__(
@@ -117,7 +96,7 @@ class StrandDescent:
         self._k_body_collision = np.float32(energy.material.k_body_collision)
         strands, vertices = mass.shape
         self._strands = np.arange(strands)
-        self._anywhere, self._undamped = np.full(strands, 1e6, np.float32), np.zeros(strands, np.float32)
+        self._unlimited, self._undamped = np.full(strands, 1e6, np.float32), np.zeros(strands, np.float32)
         # The unit of forces between strands, which push apart without gravity too: no less than their weight on earth.
         self._own_weight = max(STANDARD_GRAVITY, math.hypot(*energy.acceleration)) * mass
         # Where strands cross, Eq. 11 has forces of 1e7 weights, beside which float64 keeps nothing of the rod.
@@ -130,14 +109,11 @@ class StrandDescent:
         )
         self.direction = _float32(directors(scene.posed[0]) if direction is None else direction).copy()
         self.passes, self.moved = 0, np.zeros(strands, np.float32)
-        self._best: _State | None = None  # of `settle`
+        self._lowest: _State | None = None  # of passes with all terms since the start
         # Stiffness of contact that `_now` was evaluated with; None where the directions have changed since.
         self._k_of_now: np.float32 | None = None
         self._start: np.ndarray | None = None
-        self.strand_damping = np.zeros(strands, np.float32)
-        # Of the last pass with all terms; the rotations of `settle`, before they were shortened.
-        self._displacement: np.ndarray | None = None
-        self._rotation: np.ndarray | None = None
+        self.history = StepHistory(strands, self._control.oscillation)
 
     @property
     def positions(self) -> Positions:
@@ -169,16 +145,17 @@ class StrandDescent:
         for _ in range(passes):
             total, gradient = self._with_other_hair()
             self._remember_lowest(total)
-            self._rotate_among_others(self._shortened(self._rotations_among_others(gradient, self._anywhere)))
+            self._rotate_among_others(self.history.shortened(self._rotations_among_others(gradient, self._unlimited)))
 
     def settle(self, passes: int) -> None:
         """Passes with all terms; ends where the energy of all hair was lowest, the start included."""
         self.run(passes)
         total = self._with_other_hair()[0]
         self._remember_lowest(total)
-        if self._best is not None and self._best.energy < total:
-            self.direction[:] = self._best.direction
+        if self._lowest is not None and self._lowest.energy < total:
+            self.direction[:] = self._lowest.direction
             self._k_of_now = None
+            self.history.forget()
 
     def run_limited(self, passes: int, pass_displacement: float, total_displacement: float) -> None:
         """Passes with all terms, in each of which no vertex moves by more than `pass_displacement` [m], and in all
@@ -228,14 +205,15 @@ class StrandDescent:
         nearest to them; the new start. Those that something holds stay.
 
         Returns:
-            How many there were.
+            How many strands took other directions.
         """
         self._evaluate(self._k_body_collision)
         is_stray = self._may_stray & stands_apart(self._now.positions, APART)
         strays, others = np.flatnonzero(is_stray), np.flatnonzero(self._may_stray & ~is_stray)
-        if len(strays) and len(others):
-            self.direction[strays] = self.direction[nearest_of(self._hair.root, strays, others)]
-            self._forget()
+        if not len(strays) or not len(others):
+            return 0
+        self.direction[strays] = self.direction[nearest_of(self._hair.root, strays, others)]
+        self._forget()
         return len(strays)
 
     @property
@@ -250,9 +228,10 @@ class StrandDescent:
         return float(self._now.energy[:, 0].sum())
 
     @property
-    def settled_energy(self) -> float:
-        """Lowest energy of all terms since the start [J], where `settle` ends; infinite before the first pass."""
-        return math.inf if self._best is None else self._best.energy
+    def lowest_energy(self) -> float:
+        """Lowest energy of all terms that a pass since the start began with [J], after `settle` that of its end;
+        infinite before the first pass."""
+        return math.inf if self._lowest is None else self._lowest.energy
 
     @cached_property
     def _may_stray(self) -> np.ndarray:
@@ -260,12 +239,13 @@ class StrandDescent:
 
     def _forget(self) -> None:
         """Take the directions of now for the start."""
-        self._best = self._k_of_now = self._start = self._displacement = self._rotation = None
+        self._lowest = self._k_of_now = self._start = None
+        self.history.forget()
 
     def _remember_lowest(self, total: float) -> None:
         """Keep the directions of now, where the energy of all hair has not been as low since the start [J]."""
-        if total < self.settled_energy:
-            self._best = _State(total, self.direction.copy())
+        if total < self.lowest_energy:
+            self._lowest = _State(total, self.direction.copy())
 
     def _evaluate(self, k_body_collision: np.float32) -> None:
         """Bring `_now` up to date, where it is not."""
@@ -287,22 +267,14 @@ class StrandDescent:
             gradient: of the terms between strands at the positions of now [N].
             most_move: of a vertex of every strand, to first order [m].
         """
-        self._model_surroundings(gradient, self.strand_damping)
+        self._model_surroundings(gradient, self.history.damping)
         return self._rotations(self._k_body_collision, self._control.most_turn, most_move)
 
     def _rotate_among_others(self, rotation: np.ndarray) -> None:
         """Take the step, and damp strands that it moves back."""
         before = self._now.positions.copy()
         self._rotate(rotation, self._k_body_collision, self._control.backtracks)
-        moved, moved_before = self._now.positions - before, self._displacement
-        if moved_before is not None:
-            self.strand_damping = self._control.oscillation.updated(self.strand_damping, moved, moved_before)
-        self._displacement = moved
-
-    def _shortened(self, rotation: np.ndarray) -> np.ndarray:
-        """The step, a part of it where a strand swings."""
-        before, self._rotation = self._rotation, rotation
-        return rotation if before is None else secant_shares(rotation, before)[:, None, None] * rotation
+        self.history.record(self._now.positions - before)
 
     def _with_other_hair(self) -> tuple[float, np.ndarray]:
         """Energy of all terms [J], and the gradient of those between strands."""
@@ -336,8 +308,8 @@ class StrandDescent:
         model_surroundings(gradient, self._most_force, damping, weight, np.float32(yielding), positions, around)
 
     def _move(self, k_body_collision: np.float32, most_turn: float, backtracks: int) -> None:
-        """One pass; without `backtracks` whole steps are taken, whatever they do to the energy."""
-        self._rotate(self._rotations(k_body_collision, most_turn, self._anywhere), k_body_collision, backtracks)
+        """One pass, see `_rotate`."""
+        self._rotate(self._rotations(k_body_collision, most_turn, self._unlimited), k_body_collision, backtracks)
 
     def _rotations(self, k_body_collision: np.float32, most_turn: float, most_move: np.ndarray) -> np.ndarray:
         """Newton's step: rotations of all edges, limited."""
@@ -348,7 +320,8 @@ class StrandDescent:
         return rotation
 
     def _rotate(self, rotation: np.ndarray, k_body_collision: np.float32, backtracks: int) -> None:
-        """Take the step, shortened strand by strand until its energy falls."""
+        """Take the step, shortened strand by strand until its energy and that of the model of its surroundings fall;
+        without `backtracks` whole, whatever it does to them."""
         self.moved[:] = 0.0
         trial, pending, step = np.empty_like(self.direction), self._strands, 1.0
         for _ in range(max(backtracks, 1)):

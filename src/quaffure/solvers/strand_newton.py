@@ -22,13 +22,17 @@ from quaffure.errors import InputError
 from quaffure.geometry.polyline import directors
 from quaffure.hair.groom_cache import GroomCopy
 from quaffure.scene import HairScene, Scene
+from quaffure.solvers.step_control import StepControl
 from quaffure.solvers.stopping import stopping_report
-from quaffure.solvers.strand_descent import StepControl, StrandDescent
+from quaffure.solvers.strand_descent import StrandDescent
 from quaffure.solvers.supported_terms import refuse_other_terms
 from quaffure.types import Positions
 
 SETTLING_PASSES = 3
 """From the drape of another draper, where no number is given."""
+FAR_FROM_REST = 3.0
+"""Hair whose strands' largest displacements in the first pass are so many times `rest_distance` in the mean does not
+rest: upright, they are less than that distance, and where hair must fall, centimetres."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +40,15 @@ class StrandNewtonSetting:
     """Numbers of passes, and what they may do.
 
     Attributes:
-        passes: in all; the rest of them is with all terms.
+        passes: in all but those that tell whether hair rests; after the free ones and those with contact, all terms.
         free_passes: without contact.
-        resolved_share: of their margins that vertices are pushed out to after these.
+        resolved_share: of their margins that vertices are pushed out to after the free passes.
         contact_passes: without other hair.
         rounds: in which the passes with all terms are done from there; hair is pushed out of the body between them.
-        tied_factor: how many times as many passes and rounds tied hair takes.
-        rest_distance: mean displacement of vertices from the posed groom, after `rest_passes` with all terms, up to
-            which hair rests there [m].
+        tied_factor: how many times as many passes with all terms, and rounds, tied hair takes.
+        rest_distance: mean displacement of vertices from the posed groom, after `rest_passes`, up to which hair rests
+            there [m].
+        rest_passes: from the posed groom, the first without other hair, the others with all terms.
         control: of the steps.
     """
 
@@ -173,7 +178,8 @@ class StrandNewtonDraper:
         hairstyle. Of other hair each strand starts where it falls to from the posed groom without contact, or where
         contact alone moves it from there, whichever has less energy. Falling, hair finds its side of a head that bows,
         but passes through heads that do not: there it is pushed out as loops on the crown and locks over the face, and
-        a tail divides. Where the posed groom has less energy than all that settles to, it settles as it is.
+        a tail divides. If the posed groom, even without hair against hair, has less energy than the result, it is
+        settled as well, and the lower is returned.
         """
         setting = self.setting
         posed = StrandDescent(energy, scene, setting.control)
@@ -191,17 +197,18 @@ class StrandNewtonDraper:
         factor = setting.tied_factor if pushed.has_goals else 1
         passes = factor * (setting.passes - setting.free_passes - setting.contact_passes)
         self._settle_in_rounds(pushed, passes, factor * setting.rounds)
-        if own_energy_posed < pushed.settled_energy:
+        if own_energy_posed < pushed.lowest_energy:
             posed = StrandDescent(energy, scene, setting.control)
             posed.settle(passes)
-            return min(posed, pushed, key=lambda descent: descent.settled_energy)
+            return min(posed, pushed, key=lambda descent: descent.lowest_energy)
         return pushed
 
     def _rests(self, posed: StrandDescent, scene: HairScene) -> bool:
-        """Settle strands from where they were posed, and whether they rest there; far from it after one pass."""
+        """Whether hair stays within `rest_distance` of the posed groom; if so, it is settled. One pass is enough to say
+        no where strands move far."""
         setting = self.setting
         posed.run_with_contact(1)
-        if posed.moved.mean() > 3 * setting.rest_distance:
+        if posed.moved.mean() > FAR_FROM_REST * setting.rest_distance:
             return False
         posed.run(setting.rest_passes - 1)
         moved = (posed.positions - scene.posed)[:, :, 1:].norm(dim=-1).mean()
@@ -209,6 +216,14 @@ class StrandNewtonDraper:
             return False
         posed.settle(max(setting.passes - setting.rest_passes, 0))
         return True
+
+    def gather_strays(self, descent: StrandDescent, rounds: int, passes: int) -> None:
+        """Let strands that stand apart rejoin the others, up to so many times, and settle all of them after each."""
+        for _ in range(rounds):
+            if not descent.rejoin_strays():
+                break
+            descent.resolve_contact(self.setting.resolved_share)
+            descent.settle(passes)
 
     def _settle_in_rounds(self, descent: StrandDescent, passes: int, rounds: int) -> None:
         # Hair that other hair has pressed into the body, as on the crown in a bow, would stay there: contact is weaker.
@@ -252,3 +267,12 @@ class SettledDraper:
     def drape(self, scene: Scene) -> Positions:
         """Draped vertices of every sample [m, world]."""
         return self.newton.settle(scene, self.start.drape(scene), self.passes)
+
+
+def with_settling(start: Draper, passes: int = SETTLING_PASSES, terms: Terms | None = None) -> SettledDraper:
+    """Another draper, and passes for hair near its rest; `terms` as of `StrandNewtonDraper`.
+
+    Raises:
+        InputError: terms that `StrandNewtonDraper` does not minimize.
+    """
+    return SettledDraper(start, StrandNewtonDraper(start.material, NEAR_REST, terms), passes)

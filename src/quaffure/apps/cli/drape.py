@@ -56,7 +56,7 @@ from quaffure.model.neural import NeuralDraper
 from quaffure.model.quaffure_model import MODELS
 from quaffure.scene import Scene
 from quaffure.solvers.by_name import SOLVERS, solver
-from quaffure.solvers.strand_newton import NEAR_REST, SettledDraper, StrandNewtonDraper
+from quaffure.solvers.strand_newton import StrandNewtonDraper, with_settling
 from quaffure.training.pose_sampler import LARGEST_COEFFICIENT
 from quaffure.types import Float, Positions, Tensor
 
@@ -306,7 +306,7 @@ class DrapeCommand:
             is_of_terms = not self.settle or self._own_elastic == ROD
             draper = solver(self._name, material, terms if is_of_terms else hair_terms(acceleration=self._acceleration))
         if self.settle:
-            draper = SettledDraper(draper, StrandNewtonDraper(material, NEAR_REST, terms), self.settle)
+            draper = with_settling(draper, self.settle, terms)
         return with_coherence(draper) if self.coherent else draper, terms
 
     @property

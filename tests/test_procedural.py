@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 
 import pytest
@@ -8,7 +9,7 @@ from quaffure.body import BodyModel
 from quaffure.geometry import Surface
 from quaffure.geometry.polyline import arc_lengths
 from quaffure.hair import Groom, distances_and_normals, inside_share, pushed_out, root_positions
-from quaffure.hair.clearance import CLEARANCE, CLEARANCE_RAMP
+from quaffure.hair.clearance import CLEARANCE, CLEARANCE_RAMP, pushed_out_smoothly
 from quaffure.procedural import HELD_OUT, STYLES, curl_arc_factor, make_groom
 from quaffure.procedural.generator import resample_evenly, vertex_in_band
 from tests.synthetic_drape import through_the_ear
@@ -206,3 +207,31 @@ def test_pushed_out_keeps_roots_and_lengths(grooms: dict[str, Groom], body: Body
     assert torch.equal(result[:, 0], pressed[:, 0])
     lengths, kept = (s.diff(dim=1).norm(dim=-1).sum(1) for s in (pressed, result))
     assert torch.quantile((kept / lengths - 1).abs(), 0.98) < 0.01
+
+
+def test_pushed_out_smoothly_leaves_few_zigzags(body: BodyModel, surface: Surface) -> None:
+    """Hair of the back that is moved forward by 4 cm, into head and neck."""
+    strands = make_groom("long_straight", body).rest_strands[::4]
+    pressed = strands.clone()
+    pressed[:, 1:, 1] -= 0.04
+    assert inside_share(pressed, surface) > 0.05
+    jagged, smooth = pushed_out(pressed, surface), pushed_out_smoothly(pressed, surface)
+    assert _zigzags(pressed) == 0
+    assert _zigzags(jagged) > 10
+    assert _zigzags(smooth) < 0.2 * _zigzags(jagged)
+    assert inside_share(smooth, surface) <= 5e-4
+    assert torch.equal(smooth[:, 0], pressed[:, 0])
+    lengths, kept = (shape.diff(dim=1).norm(dim=-1).sum(1) for shape in (pressed, smooth))
+    assert torch.quantile((kept / lengths - 1).abs(), 0.98) < 0.01
+    untouched = (jagged == pressed).all(dim=(1, 2))
+    assert untouched.any()
+    assert torch.equal(smooth[untouched], pressed[untouched])
+
+
+def _zigzags(strands: torch.Tensor) -> int:
+    """Strands that bend by more than 20 degrees at a vertex, and at the next one by as much the other way."""
+    edges = torch.nn.functional.normalize(strands.diff(dim=1), dim=-1)
+    bends = torch.linalg.cross(edges[:, :-1], edges[:, 1:])
+    sharp = (edges[:, :-1] * edges[:, 1:]).sum(-1) < math.cos(math.radians(20))
+    back = (bends[:, :-1] * bends[:, 1:]).sum(-1) < 0
+    return int((sharp[:, :-1] & sharp[:, 1:] & back).any(dim=1).sum())

@@ -3,7 +3,7 @@
 import torch
 
 from quaffure.config import HairMaterial
-from quaffure.geometry.polyline import arc_lengths, integrate_directions_reference
+from quaffure.geometry.polyline import arc_lengths, directors, integrate_directions_reference
 from quaffure.geometry.signed_distance import surface_offsets
 from quaffure.geometry.surface import Surface
 from quaffure.geometry.winding_number import is_inside
@@ -21,6 +21,8 @@ CAUGHT_FOLDS = 2
 """A strand that turns by more than a right angle at as many vertices hangs on something, such as an ear."""
 LONGEST_MOVED = 1.03
 """Largest length of a strand whose vertices are moved out by themselves, in lengths of before."""
+SPREAD, SPREAD_ROUNDS, SPREAD_PUSHES = 3.0, 6, 4
+"""Of `pushed_out_smoothly`: how far bends spread in the first round [edges^2], rounds, and pushes after each."""
 # Damping for displacements in opposite directions (hair between neck and shoulder).
 STEP = 0.9
 
@@ -67,20 +69,58 @@ def pushed_out(strands: Float[Tensor, "s n 3"], surface: Surface) -> Float[Tenso
     return result
 
 
+def pushed_out_smoothly(strands: Float[Tensor, "s n 3"], surface: Surface) -> Float[Tensor, "s n 3"]:
+    """`pushed_out`, with the bends that this adds spread along the strands.
+
+    Vertices that are pushed out one after the other leave a zigzag. Here what the direction of each edge has changed by
+    is smoothed along its strand, dev <- (I + a D^T D)^-1 dev with D the difference of neighbours, and the strand is
+    pushed out again, for some rounds in which a falls. A strand deep inside that ends less smooth stays as it was.
+    """
+    result = pushed_out(strands, surface)
+    rows = ((result - strands).norm(dim=-1).amax(dim=1) > LEAST_CLEARANCE).nonzero()[:, 0]
+    straight, lengths = directors(strands[rows]), strands[rows].diff(dim=1).norm(dim=-1)
+    spread = result[rows]
+    for index in range(SPREAD_ROUNDS):
+        change = _smoothed(directors(spread) - straight, SPREAD * (1 - index / SPREAD_ROUNDS))
+        spread = integrate_directions_reference(spread[None, :, 0], (straight + change)[None], lengths)[0]
+        spread = _push_repeatedly(spread, surface, SPREAD_PUSHES)[0]
+    spread = pushed_out(spread, surface)
+    both = (directors(shape) - straight for shape in (result[rows], spread))
+    before, after = (change.diff(dim=1).square().sum(dim=(1, 2)) for change in both)
+    result[rows[after < before]] = spread[after < before]
+    return result
+
+
+def _smoothed(values: Float[Tensor, "s e 3"], amount: float) -> Float[Tensor, "s e 3"]:
+    """Values along strands without what changes from edge to edge: (I + amount D^T D)^-1."""
+    difference = torch.eye(values.shape[1]).to(values).diff(dim=0)
+    system = torch.eye(values.shape[1]).to(values) + amount * difference.T @ difference
+    return torch.linalg.inv(system) @ values
+
+
 def _pushed_keeping_lengths(strands: Float[Tensor, "s n 3"], surface: Surface) -> Float[Tensor, "s n 3"]:
+    result, active = _push_repeatedly(strands, surface, ROUNDS)
+    if len(active):
+        result[active] = _moved_out(result[active], required_clearance(strands)[active], surface)
+    return result
+
+
+def _push_repeatedly(
+    strands: Float[Tensor, "s n 3"], surface: Surface, rounds: int
+) -> tuple[Float[Tensor, "s n 3"], Int[Tensor, " a"]]:
+    """Strands after some pushes that keep their lengths, and those that were too close before the last."""
     lengths = strands.diff(dim=1).norm(dim=-1)
     needed = required_clearance(strands)
     result = strands.clone()
     active = torch.arange(len(strands))
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         push, deep = _push(result[active], needed[active], surface)
         active, push = active[deep], push[deep]
         if len(active) == 0:
-            return result
+            break
         moved = result[active] + STEP * push
         result[active] = integrate_directions_reference(moved[None, :, 0], moved.diff(dim=1)[None], lengths[active])[0]
-    result[active] = _moved_out(result[active], needed[active], surface)
-    return result
+    return result, active
 
 
 def _moved_out(

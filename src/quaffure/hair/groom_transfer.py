@@ -10,7 +10,7 @@ import torch
 
 from quaffure.body.body_model import BodyModel
 from quaffure.body.scalp import ScalpChart
-from quaffure.hair.clearance import pushed_out
+from quaffure.hair.clearance import pushed_out_smoothly
 from quaffure.hair.folds import without_folds
 from quaffure.hair.groom import Groom
 from quaffure.hair.posing import rest_roots
@@ -34,7 +34,7 @@ def transfer_groom(groom: Groom, source: BodyModel, target: BodyModel) -> Groom:
     moved = scale * groom.rest_strands + shift
     begin = scale * rest_roots(groom, source) + shift
     moved = moved + _kept_share(groom)[..., None] * (roots - begin)[:, None]
-    moved = pushed_out(moved, target.rest_surface)
+    moved = pushed_out_smoothly(moved, target.rest_surface)
     moved[:, 0] = roots
     uv = target.scalp.uv_at(faces, barycentric)
     transferred = replace(

@@ -12,7 +12,7 @@ from quaffure.config import VERTICES_PER_STRAND
 from quaffure.errors import InputError
 from quaffure.geometry.axes import axis_name
 from quaffure.geometry.signed_distance import closest_barycentric
-from quaffure.hair.clearance import inside_share, pushed_out
+from quaffure.hair.clearance import inside_share, pushed_out_smoothly
 from quaffure.hair.file_frame import MIRROR, UNKNOWN, FileFrame
 from quaffure.hair.groom import Groom
 from quaffure.hair.groom_alignment import GroomAlignment, align_groom, standing_groom
@@ -115,7 +115,7 @@ def register_groom(
     if inside > MOST_INSIDE_ON_ARRIVAL:
         fit = f"at most {100 * MOST_INSIDE_ON_ARRIVAL:g} % of the vertices inside the body (--up, --forward, --units)"
         raise InputError(strands.source, fit, f"{100 * inside:.0f} % in the best fit")
-    rest = placed if frame.registered else pushed_out(placed, surface)
+    rest = placed if frame.registered else pushed_out_smoothly(placed, surface)
     # Held parts count vertices from the root: a file that stores tips first knows none.
     parts = {} if found.turned else _held_parts(usable, frame)
     held_parts = {

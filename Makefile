@@ -2,7 +2,7 @@
 # make test-slow: the slow tests.
 # make docs: the documentation site, into out/docs.
 # make fuzz: damaged files against every reader; MUTANTS of each format, SEED.
-# All make .venv first: some minutes and 2 GB the first time, nothing after that.
+# All make .venv first: some minutes and 2 to 6 GB the first time, nothing after that.
 
 PYTHON ?= python3
 SHELL := bash
@@ -20,6 +20,7 @@ demo: $(SETUP)
 	@echo "Draping the bundled groom long_straight on the bundled motion neck_turn, then drawing it: some minutes."
 	$(BIN)/quaffure drape long_straight --motion neck_turn --frames ::4 $(addprefix --out out/demo.,npz usd mp4)
 	$(BIN)/quaffure render out/demo.npz --strands 12000 --out out/demo.png
+	@echo "Next: source $(BIN)/activate, for the command quaffure; README.md has more."
 
 # pytest stays last: its summary is the last line of the output.
 test: $(SETUP)

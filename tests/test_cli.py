@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import os
 import re
 import struct
 import subprocess
@@ -613,6 +614,7 @@ def test_missing_weights(refusal: Refusal) -> None:
         (["drape", "bob", "--stiffness", "0"], "--stiffness: expected a factor above 0, at most 100, found 0"),
         (["drape", "bob", "--weight", "1e3"], "--weight: expected a factor above 0, at most 100, found 1000"),
         (["drape", "bob", "--colour", "red"], "--colour"),
+        (["drape", "bob", "--picture", "x.png"], "unknown option --picture;"),  # one of another command
         (["drape"], "GROOM"),
         (["drape", "bob", "--motion"], "--motion"),
         (["comb"], "comb"),
@@ -623,6 +625,20 @@ def test_bad_options(refusal: Refusal, arguments: list[str], message: str) -> No
     line = refusal(*arguments, without_out="bob" not in arguments or "--motion" in arguments)
     assert message in line
     assert "│" not in line
+
+
+def test_help_ends_quietly_where_its_reader_does() -> None:
+    command = f"{sys.executable} -m quaffure drape --help | head -n 1"
+    ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
+    assert ended.stdout.startswith("usage: quaffure drape")
+    assert not ended.stderr
+
+
+def test_threads_that_wait_do_not_spin_unless_the_user_asks() -> None:
+    command = [sys.executable, "-c", "import os, quaffure; print(os.environ['OMP_WAIT_POLICY'])"]
+    for given, expected in (({}, "passive"), ({"OMP_WAIT_POLICY": "active"}, "active")):
+        own = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"} | given
+        assert subprocess.run(command, env=own, capture_output=True, text=True, check=True).stdout.strip() == expected
 
 
 def test_reasons_of_several_lines_are_printed_in_one(refusal: Refusal) -> None:

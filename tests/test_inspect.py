@@ -43,7 +43,9 @@ def test_strands_that_are_no_hair_say_what_would_be_refused(tmp_path: Path, body
     np.save(tmp_path / "line.npy", np.cumsum(np.ones((40, 5, 3)), axis=1))
     found = summary_of(tmp_path / "line.npy", body)
     assert (found["strands"], found["points"]) == (40, 200)
-    assert found["refused"] == "expected roots spread over a part of a head, found roots in one point"
+    assert found["refused"] == (
+        "expected roots spread over a part of a head (of a groom in parts, name all files), found roots in one point"
+    )
 
 
 @pytest.mark.shared_data

@@ -7,6 +7,7 @@ body_pose, body_shape = torch.zeros(1, 81), torch.zeros(1, 10)
 hair = model.drape(groom, body_pose, body_shape)  # [1, strands, 24, 3] metres, world
 """
 
+import os
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
     from quaffure.io.load_groom import load_groom
     from quaffure.io.load_motion import load_motion
     from quaffure.model.quaffure_model import Quaffure, load_model
+
+# Torch and numba have threads of their own, which by default spin while they wait for work: beside other busy programs,
+# drapes took twice to four times as long. Too late where torch was imported before; on idle cores it costs nothing.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 __version__ = version("quaffure")
 

@@ -263,7 +263,8 @@ def _check_roots(roots: Float[np.ndarray, "s 3"], source: str) -> None:
     in_one_point = values[0] <= 1e-6 * (1 + np.abs(roots).max())
     if in_one_point or values[2] < FLATTEST * values[0]:
         flat = "one point" if in_one_point else "a line or a plane"
-        raise InputError(source, "roots spread over a part of a head", f"roots in {flat}")
+        expected = "roots spread over a part of a head (of a groom in parts, name all files)"
+        raise InputError(source, expected, f"roots in {flat}")
 
 
 def _check_fit(source: str, residual: Float[np.ndarray, " s"], near: Bool[np.ndarray, " s"], frame: FileFrame) -> None:

@@ -152,10 +152,13 @@ def read_head(path: str | Path) -> HeadMesh:
     """Vertices and triangles of a Wavefront `.obj` or a `.ply`; polygons are fanned, everything else is skipped.
 
     Raises:
-        InputError: no such file, or no mesh in it.
+        InputError: no such file, one of another suffix, or no mesh in it.
     """
     path = Path(path)
-    points, faces = _ply_mesh(path) if path.suffix.lower() == ".ply" else _obj_mesh(path)
+    readers = {".obj": _obj_mesh, ".ply": _ply_mesh}
+    if path.suffix.lower() not in readers:
+        raise InputError(path, "a head mesh (.obj, .ply)", f"suffix '{path.suffix}'")
+    points, faces = readers[path.suffix.lower()](path)
     if not len(faces) or faces.min() < 0 or faces.max() >= len(points):
         raise InputError(path, "a mesh of vertices and faces", f"{len(points)} vertices, {len(faces)} faces")
     if not np.isfinite(points).all():

@@ -85,7 +85,7 @@ def _at_roots(strands: Float[np.ndarray, "s n 3"], roots: np.ndarray, path: Path
 def _points(path: Path, name: str, array: np.ndarray, dimensions: int) -> Float[np.ndarray, "... 3"]:
     if array.ndim != dimensions or array.shape[-1] != 3:
         axes = {2: "[P,3]", 3: "[S,N,3]"}[dimensions]
-        frames = ", as the frames of a drape" if array.ndim == 4 else ""
+        frames = ", as the frames of a drape, which `quaffure render` draws" if array.ndim == 4 else ""
         raise InputError(path, f"{name} of shape {axes}", f"shape {list(array.shape)}{frames}")
     with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite, which checked_strands refuses
         return np.asarray(array).astype(np.float32)

@@ -262,9 +262,10 @@ class DrapeCommand:
             raise InputError("--draper", f"one of {', '.join(DRAPERS)}", f"'{self._name}'")
         if self.settle < 0:
             raise InputError("--settle", "0 or more", f"{self.settle}")
-        if self.settle and (self._name == StrandNewtonDraper.name or self._elastic != ROD):
-            expected = f"another draper than {StrandNewtonDraper.name}, and the elastic model {ROD}"
-            raise InputError("--settle", expected, f"'{self._name}' and '{self._elastic}'")
+        if self.settle and self._name == StrandNewtonDraper.name:
+            raise InputError("--settle", f"another draper than {self._name}, as --draper {NEURAL}", "none")
+        if self.settle and self._elastic != ROD:
+            raise InputError("--settle", f"the elastic model {ROD}", f"'{self._elastic}'")
         if self.rest is not None and self._elastic != ROD:
             raise InputError("--rest", f"--elastic {ROD}", f"'{self._elastic}'")
         if self.model is not None and (self.model not in MODELS or self.weights is not None or self._name != NEURAL):

@@ -1,6 +1,7 @@
 """The command line: subcommands; one line and exit code 2 for bad input."""
 
 import io
+import os
 import signal
 import sys
 import threading
@@ -102,6 +103,9 @@ def parse(arguments: list[str] | None = None) -> Command:
                     tyro.conf.DisallowNone,
                 ),
             )
+    except BrokenPipeError:  # `quaffure drape --help | head`: the reader has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left is written when Python ends
+        sys.exit()
     except SystemExit as stop:
         if not stop.code:  # --help
             raise

@@ -81,6 +81,8 @@ def _reason(blocks: Sequence[str], program: str, choices: Sequence[str]) -> str:
     first = DUMMY.sub("", blocks[0]).rstrip(".")
     if unknown := re.match(r"Unrecognized options: (.+)", first):
         return _unknown(unknown[1].split(", "), blocks, program, choices)
+    if misplaced := re.match(r"Unrecognized or misplaced options: ((?:\S+ \(applied to [^)]*\) ?)+)", first):
+        return _unknown(re.findall(r"(\S+) \(applied to", misplaced[1]), blocks, program, choices)
     if re.match(r"Expected one of \{", first):
         return f"expected a command, one of {', '.join(choices)}, found none"
     if missing := re.match(r"Missing value for argument '(\S+)'", first):

@@ -17,8 +17,8 @@ SETUP := .venv/setup-done
 
 demo: $(SETUP)
 	@mkdir -p out
-	@echo "Draping the bundled groom long_straight on the bundled motion neck_turn, then drawing it: some minutes."
-	$(BIN)/quaffure drape long_straight --motion neck_turn --frames ::4 $(addprefix --out out/demo.,npz usd mp4)
+	@echo "Draping the bundled groom long_wavy on the bundled motion walk, then drawing it: some minutes."
+	$(BIN)/quaffure drape long_wavy --motion walk --frames ::2 $(addprefix --out out/demo.,npz usd mp4)
 	$(BIN)/quaffure render out/demo.npz --strands 12000 --out out/demo.png
 	@echo "Next: source $(BIN)/activate, for the command quaffure; README.md has more."
 

@@ -22,7 +22,7 @@ CAUGHT_FOLDS = 2
 LONGEST_MOVED = 1.03
 """Largest length of a strand whose vertices are moved out by themselves, in lengths of before."""
 SPREAD, SPREAD_ROUNDS, SPREAD_PUSHES = 3.0, 6, 4
-"""Of `pushed_out_smoothly`: how far bends spread in the first round [edges^2], rounds, and pushes after each."""
+"""How far `pushed_out_smoothly` spreads bends in its first round [edges^2], its rounds, and pushes after each."""
 # Damping for displacements in opposite directions (hair between neck and shoulder).
 STEP = 0.9
 

@@ -122,7 +122,7 @@ def test_head_meshes_are_read_and_checked(tmp_path: Path) -> None:
             read_head(path)
     with pytest.raises(InputError):
         read_head(tmp_path / "none.obj")
-    with pytest.raises(InputError, match="a head mesh .* found suffix '.fbx'"):
+    with pytest.raises(InputError, match=r"a head mesh .* found suffix '\.fbx'"):
         read_head(tmp_path / "head.fbx")
 
 

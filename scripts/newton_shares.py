@@ -14,16 +14,18 @@ import torch
 import tyro
 
 from quaffure.body import bundled_clip, load_body
+from quaffure.energies import fused_density
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import StrandDescent, StrandNewtonDraper, StrandNewtonSetting, strand_descent
 
-PARTS = {
-    "newton_rotations": "recursion",
-    "evaluate_strands": "rod and contact",
-    "self_collision_and_gradient": "density",
-    "model_surroundings": "density",
-}
+PARTS = (
+    (strand_descent, "newton_rotations", "recursion"),
+    (strand_descent, "evaluate_strands", "rod and contact"),
+    (strand_descent, "self_collision_and_gradient", "density"),
+    (strand_descent, "model_surroundings", "density"),
+    (fused_density, "sort_particles", "cells"),  # a part of the density's time
+)
 PASSES, RUNS, FRAME = 12, 7, slice(60, 61)
 
 
@@ -33,10 +35,12 @@ def main(style: str = "long_straight") -> None:
     draper = StrandNewtonDraper(setting=StrandNewtonSetting(passes=PASSES))
     whole = make_groom(style, body)
     seconds: Counter[str] = Counter()
-    for name, part in PARTS.items():
-        setattr(strand_descent, name, _timed(getattr(strand_descent, name), part, seconds))
-    print("| strands | clip | 12 passes [ms] | recursion % | rod % | contact % | density % | rest % |")
-    print("|---|---|---|---|---|---|---|---|")
+    for module, name, part in PARTS:
+        setattr(module, name, _timed(getattr(module, name), part, seconds))
+    print(
+        "| strands | clip | 12 passes [ms] | recursion % | rod % | contact % | density % | rest % | sorting into cells % |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
     for groom in (whole, whole.select(torch.arange(0, len(whole), 4)[: len(whole) // 4])):
         for clip in ("neck_turn", "bow"):
             scene = Scene(groom, BodyBatch(body, bundled_clip(clip, body).body_pose[FRAME], torch.zeros(1, 10)))
@@ -49,6 +53,7 @@ def main(style: str = "long_straight") -> None:
             parts = (taken["recursion"], rod, taken["rod and contact"] - rod, taken["density"])
             shares = [100 * part / sum(every) for part in parts]
             row = (len(groom), clip, f"{1000 * median(every):.0f}", *(f"{s:.0f}" for s in (*shares, 100 - sum(shares))))
+            row = (*row, f"{100 * taken['cells'] / sum(every):.1f}")
             print(f"| {' | '.join(map(str, row))} |", flush=True)
 
 

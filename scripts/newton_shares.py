@@ -38,9 +38,9 @@ def main(style: str = "long_straight") -> None:
     for module, name, part in PARTS:
         setattr(module, name, _timed(getattr(module, name), part, seconds))
     print(
-        "| strands | clip | 12 passes [ms] | recursion % | rod % | contact % | density % | rest % | sorting into cells % |"
+        "| strands | clip | 12 passes [ms] | recursion % | rod % | contact % | density % | rest % | of all, cells % |"
     )
-    print("|---|---|---|---|---|---|---|---|---|")
+    print("|---" * 9 + "|")
     for groom in (whole, whole.select(torch.arange(0, len(whole), 4)[: len(whole) // 4])):
         for clip in ("neck_turn", "bow"):
             scene = Scene(groom, BodyBatch(body, bundled_clip(clip, body).body_pose[FRAME], torch.zeros(1, 10)))

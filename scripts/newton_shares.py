@@ -37,9 +37,7 @@ def main(style: str = "long_straight") -> None:
     seconds: Counter[str] = Counter()
     for module, name, part in PARTS:
         setattr(module, name, _timed(getattr(module, name), part, seconds))
-    print(
-        "| strands | clip | 12 passes [ms] | recursion % | rod % | contact % | density % | rest % | of all, cells % |"
-    )
+    print("| strands | clip | 12 passes [ms] | recursion % | rod % | contact % | density % | rest % | cells % |")
     print("|---" * 9 + "|")
     for groom in (whole, whole.select(torch.arange(0, len(whole), 4)[: len(whole) // 4])):
         for clip in ("neck_turn", "bow"):

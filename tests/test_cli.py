@@ -207,6 +207,10 @@ def test_a_rest_shape_needs_the_rod_and_the_rod_a_solver(refusal: Refusal, input
     assert "--rest: expected --elastic rod" in line
     other = ("--draper", "neural", "--elastic", "modified_cosserat")
     assert "--elastic: expected rod with neural" in refusal("drape", tiny, *other)
+    for draper, elastic in (("strand_newton", "cosserat"), ("xpbd_paper", "rod")):
+        line = refusal("drape", tiny, "--draper", draper, "--elastic", elastic)
+        assert f"--elastic: expected a model that {draper} minimizes" in line
+        assert f"found '{elastic}'" in line
     assert "--rest: expected design" in refusal("drape", tiny, "--draper", "neural", "--rest", "stress-free")
     assert "--rest" in refusal("drape", tiny, "--draper", "lbfgs", "--elastic", "rod", "--rest", "stiff")
 

@@ -135,8 +135,10 @@ def test_unknown_names_and_terms_that_a_solver_does_not_take_are_refused() -> No
     with pytest.raises(InputError, match=r"one of modified_cosserat, .*jelly"):
         hair_terms("jelly")
     for name in ("xpbd", "xpbd_paper", "strand_newton"):
-        with pytest.raises(InputError, match=f"solver {name.removesuffix('_paper')}.*adam"):
+        with pytest.raises(InputError, match=rf"solver {name}: .*adam"):
             solver(name, terms=hair_terms("mass_spring"))
+    with pytest.raises(InputError, match=r"solver xpbd_paper: .*modified_cosserat"):
+        solver("xpbd_paper", terms=hair_terms("rod"))
 
 
 # --- where solvers stop ----------------------------------------------------------------------------------------------

@@ -171,8 +171,9 @@ class PaperXpbdDraper(XpbdDraper):
     def __init__(self, material: HairMaterial | None = None, terms: Terms | None = None) -> None:
         """
         Raises:
-            InputError: as `XpbdDraper` does.
+            InputError: terms other than Eqs. 6, 7, 9, 10 and 11.
         """
+        refuse_other_terms(self.name, terms)
         super().__init__(material, paper_setting(), terms)
 
 

@@ -287,9 +287,11 @@ class DrapeCommand:
         if self.stiffness != 1 and self._elastic not in (ROD, MODIFIED_COSSERAT):
             raise InputError("--stiffness", f"the elastic model {ROD} or {MODIFIED_COSSERAT}", f"'{self._elastic}'")
         if self._name in SOLVERS and not self.settle:
-            solver(
-                self._name, terms=hair_terms(self._elastic, acceleration=self._acceleration)
-            )  # refuses terms that it does not implement
+            try:
+                solver(self._name, terms=hair_terms(self._elastic, acceleration=self._acceleration))
+            except InputError as refused:
+                expected = f"a model that {self._name} minimizes, or --draper adam or lbfgs, which take any"
+                raise InputError("--elastic", expected, f"'{self._elastic}'") from refused
 
     def _draper(self, groom: Groom, body: BodyModel) -> tuple[Draper, Terms]:
         """The draper by name, and the terms of the energy that is measured.

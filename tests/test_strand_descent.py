@@ -140,20 +140,21 @@ def test_near_rest_one_pass_is_exact(groom: Groom) -> None:
 
 
 def test_settling_ends_where_the_energy_was_lowest() -> None:
-    """Of hair that hardly yields to the hair around it, too, so that passes raise the energy."""
-    scene = posed_scene(sphere_groom(strands=300))
+    """Of dense hair that hardly yields to the hair around it, too, so that the third pass raises the energy by far more
+    than processors differ."""
+    scene = posed_scene(sphere_groom(strands=600))
     energy = HairEnergy(scene.groom, terms=hair_terms("rod"))
     descent, moving = (StrandDescent(energy, scene, StepControl(yield_distance=1.0)) for _ in range(2))
-    has_risen = False
+    rises = []
     for _ in range(6):
         before, moving_before = (float(energy.total(of.positions, scene)) for of in (descent, moving))
-        descent.settle(2)
-        moving.run(2)
+        descent.settle(1)
+        moving.run(1)
         after = float(energy.total(descent.positions, scene))
-        has_risen |= float(energy.total(moving.positions, scene)) > moving_before
+        rises.append(float(energy.total(moving.positions, scene)) - moving_before)
         assert after <= before
         assert after == pytest.approx(descent.lowest_energy, rel=1e-4)
-    assert has_risen
+    assert rises[2] > 0.1 * abs(descent.lowest_energy)
     assert moving.history.damping.max() > 0
 
 

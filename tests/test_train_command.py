@@ -15,6 +15,7 @@ import torch
 from rich.console import Console
 
 from quaffure import InputError, load_groom
+from quaffure.apps.cli import console as cli_console
 from quaffure.apps.cli import train as train_cli
 from quaffure.apps.cli.console import progress_bar
 from quaffure.apps.cli.main import main
@@ -253,6 +254,21 @@ def test_a_network_is_specialised_on_a_character(
     specialised = load_model(folder / "best.safetensors").on(load_body(path))
     hair = specialised.drape(load_groom(tiny_groom_file, own), torch.zeros(1, 81))
     assert torch.isfinite(hair).all()
+
+
+@pytest.mark.parametrize("in_hardware", [False, True])
+def test_a_processor_without_bfloat16_is_told_of(
+    tiny_groom_file: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    in_hardware: bool,
+) -> None:
+    monkeypatch.setattr(cli_console, "has_bfloat16", lambda: in_hardware)
+    for option in ([], ["--bf16"]):
+        main([*train_command(tmp_path / f"run{len(option)}", tiny_groom_file, 1), *option])
+        line = "this processor has no instructions for bfloat16: steps are faster without --bf16"
+        assert (line in capsys.readouterr().out) == (bool(option) and not in_hardware)
 
 
 def test_without_grooms_the_bundled_ones_are_trained_on(

@@ -36,6 +36,14 @@ def fast_bfloat16() -> bool:
     return bool(probe())
 
 
+def has_bfloat16() -> bool:
+    """Whether this processor has instructions for bfloat16, AMX or those of AVX-512. Without them torch converts to
+    float32 and back in every layer, which takes longer than float32 alone."""
+    # Not public, and not in every torch; a miss leaves out a line of advice.
+    probe: Callable[[], bool] = getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: True)
+    return fast_bfloat16() or bool(probe())
+
+
 @dataclass(frozen=True)
 class NetworkInputs:
     """A batch of drapes of one groom.

@@ -18,6 +18,7 @@ from torch import nn
 
 from quaffure.benchmark.report import cell_text
 from quaffure.errors import refused
+from quaffure.model.inference_network import has_bfloat16
 from quaffure.training.loop import LAST, Training, train
 
 
@@ -184,6 +185,9 @@ def _run_training(
     training: Training[Any], bar_text: Text, validation_text: Text, to: Console, start: nn.Module | None
 ) -> None:
     is_first, total = training.recipe.worker.is_first, training.recipe.config.steps
+    on_cpu = training.recipe.worker.device.type == "cpu"
+    if is_first and on_cpu and training.recipe.config.bf16 and not has_bfloat16():
+        to.print("this processor has no instructions for bfloat16: steps are faster without --bf16")
     if training.resume():
         if is_first:
             to.print(f"resuming from step {training.step} of {total}")

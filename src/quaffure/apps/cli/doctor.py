@@ -15,7 +15,7 @@ from quaffure.body.clips import bundled_clip
 from quaffure.draper import Draper
 from quaffure.extras import EXTRAS, is_installed
 from quaffure.io.load_groom import load_groom
-from quaffure.model.inference_network import fast_bfloat16
+from quaffure.model.inference_network import fast_bfloat16, has_bfloat16
 from quaffure.model.quaffure_model import load_model
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers.strand_newton import StrandNewtonDraper
@@ -51,16 +51,21 @@ class DoctorCommand:
 def _machine() -> list[dict[str, str]]:
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     cards = [torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count())]
-    has_amx = fast_bfloat16()
     return [
         _row("processor", processor()),
         _row(
             "threads", f"{os.cpu_count()} processors; torch uses {torch.get_num_threads()}, numba {get_num_threads()}"
         ),
-        _row("bfloat16", "in hardware (AMX)" if has_amx else "no AMX: --bf16 is no faster than float32"),
+        _row("bfloat16", _bfloat16()),
         _row("memory", f"{memory:.1f} GB"),
         _row("card", ", ".join(cards) or "none that this torch can use; drapes run on the processor"),
     ]
+
+
+def _bfloat16() -> str:
+    if fast_bfloat16():
+        return "in hardware (AMX)"
+    return "by AVX-512: for --bf16; drapes are in float32" if has_bfloat16() else "none: train without --bf16"
 
 
 def _extras() -> list[dict[str, str]]:

@@ -10,11 +10,11 @@ from pathlib import Path
 import torch
 import tyro
 
+from quaffure import load_motion
 from quaffure.benchmark.appearance import JUMP_SPEED, jumps, velocity_changes
-from quaffure.body import BodyModel, Motion, bundled_clip, load_body, resample
+from quaffure.body import BodyModel, Motion, load_body
 from quaffure.energies.body_collision import intersection_percent
 from quaffure.hair import Groom
-from quaffure.io.read_motion import read_motion
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import CoherentDraper, StrandNewtonDraper
@@ -35,8 +35,7 @@ def main(
     motions: tyro.conf.Positional[tuple[Path, ...]] = (), styles: tuple[str, ...] = ("long_straight", "ponytail")
 ) -> None:
     body = load_body()
-    clips = [bundled_clip(name, body) for name in ("idle", "neck_turn", "bow")]
-    clips += [resample(read_motion(path, body), FPS) for path in motions]
+    clips = [load_motion(motion, body) for motion in ("idle", "neck_turn", "bow", *motions)]
     print(f"| {' | '.join(COLUMNS)} |")
     print("|---" * len(COLUMNS) + "|")
     for name in styles:

@@ -10,9 +10,9 @@ from pathlib import Path
 import torch
 import tyro
 
-from quaffure.body import BodyModel, bundled_clip, load_body, resample
+from quaffure import load_motion
+from quaffure.body import BodyModel, load_body
 from quaffure.hair import Groom
-from quaffure.io.read_motion import read_motion
 from quaffure.procedural import make_groom
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers import CoherentDraper
@@ -25,11 +25,9 @@ FRAMES, STEP = 120, 4
 def main(motions: tyro.conf.Positional[tuple[Path, ...]] = ()) -> None:
     body = load_body()
     groom = make_groom("long_straight", body)
-    clips = [bundled_clip(name, body) for name in ("neck_turn", "bow")]
-    clips += [resample(read_motion(path, body), 1 / FRAME_SECONDS) for path in motions]
     print(f"| clip | every {STEP}th frame [mm] | with settings of 30 frames a second [mm] |")
     print("|---|---|---|")
-    for clip in clips:
+    for clip in (load_motion(motion, body) for motion in ("neck_turn", "bow", *motions)):
         poses = clip.body_pose[:FRAMES]
         whole = _draped(groom, body, poses, FRAME_SECONDS)[::STEP]
         stepped = (_draped(groom, body, poses[::STEP], seconds) for seconds in (STEP * FRAME_SECONDS, FRAME_SECONDS))

@@ -27,7 +27,7 @@ from quaffure.solvers.xpbd import XpbdSetting
 COLUMNS = ("case", "strand_newton", "all solvers", "of", "twice the budgets", "of")
 
 
-def main(motion_folder: tuple[Path, ...], groom_folder: tuple[Path, ...], every: int = 6) -> None:
+def main(motion_folder: tuple[Path, ...], groom_folder: tuple[Path, ...], every: int = 7) -> None:
     body, network = load_body(), load_model().draper
     evaluation_set, folders = load_evaluation_set(), DataFolders(motion_folder, groom_folder)
     entries = [entry for entry in evaluation_set.cases[::every] if folders.missing(entry, evaluation_set) is None]

@@ -264,7 +264,7 @@ def test_a_processor_without_bfloat16_is_told_of(
     monkeypatch: pytest.MonkeyPatch,
     in_hardware: bool,
 ) -> None:
-    monkeypatch.setattr(cli_console, "has_bfloat16", lambda: in_hardware)
+    monkeypatch.setattr(cli_console, "lacks_bfloat16", lambda: not in_hardware)
     main([*train_command(tmp_path / "run", tiny_groom_file, 1), "--bf16"])
     line = "this processor has no instructions for bfloat16: steps are faster without --bf16"
     assert (line in capsys.readouterr().out) == (not in_hardware)

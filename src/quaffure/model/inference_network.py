@@ -4,6 +4,7 @@ In the layout, doublings are folded into the convolutions that follow them, the 
 and texels stay next to their channels, so that a strand's is one row of memory.
 """
 
+import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -36,12 +37,12 @@ def fast_bfloat16() -> bool:
     return bool(probe())
 
 
-def has_bfloat16() -> bool:
-    """Whether this processor has instructions for bfloat16, AMX or those of AVX-512. Without them torch converts to
-    float32 and back in every layer, which takes longer than float32 alone."""
+def lacks_bfloat16() -> bool:
+    """Whether this is an x86 processor without instructions for bfloat16, AMX or those of AVX-512. There torch converts
+    to float32 and back in every layer, which takes longer than float32 alone. Of other processors nothing is known."""
     # Not public, and not in every torch; a miss leaves out a line of advice.
     probe: Callable[[], bool] = getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: True)
-    return fast_bfloat16() or bool(probe())
+    return platform.machine().lower() in ("x86_64", "amd64") and not (fast_bfloat16() or probe())
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from torch import nn
 
 from quaffure.benchmark.report import cell_text
 from quaffure.errors import refused
-from quaffure.model.inference_network import has_bfloat16
+from quaffure.model.inference_network import lacks_bfloat16
 from quaffure.training.loop import LAST, Training, train
 
 
@@ -186,7 +186,7 @@ def _run_training(
 ) -> None:
     is_first, total = training.recipe.worker.is_first, training.recipe.config.steps
     on_cpu = training.recipe.worker.device.type == "cpu"
-    if is_first and on_cpu and training.recipe.config.bf16 and not has_bfloat16():
+    if is_first and on_cpu and training.recipe.config.bf16 and lacks_bfloat16():
         to.print("this processor has no instructions for bfloat16: steps are faster without --bf16")
     if training.resume():
         if is_first:

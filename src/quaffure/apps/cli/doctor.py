@@ -15,7 +15,7 @@ from quaffure.body.clips import bundled_clip
 from quaffure.draper import Draper
 from quaffure.extras import EXTRAS, is_installed
 from quaffure.io.load_groom import load_groom
-from quaffure.model.inference_network import fast_bfloat16, has_bfloat16
+from quaffure.model.inference_network import fast_bfloat16, lacks_bfloat16
 from quaffure.model.quaffure_model import load_model
 from quaffure.scene import BodyBatch, Scene
 from quaffure.solvers.strand_newton import StrandNewtonDraper
@@ -65,7 +65,7 @@ def _machine() -> list[dict[str, str]]:
 def _bfloat16() -> str:
     if fast_bfloat16():
         return "in hardware (AMX)"
-    return "by AVX-512: for --bf16; drapes are in float32" if has_bfloat16() else "none: train without --bf16"
+    return "none: train without --bf16" if lacks_bfloat16() else "for --bf16 alone; drapes are in float32"
 
 
 def _extras() -> list[dict[str, str]]:
